@@ -24,7 +24,7 @@ import numpy as np
 from scipy.signal import bilinear, fftconvolve
 
 from piezoid.design.design import AxisDesign
-from piezoid.design.family_grid import FamilyGrid, family_grid, judge
+from piezoid.design.family_grid import FamilyGrid, evaluate_loop, family_grid
 from piezoid.design.feasibility import unmet
 from piezoid.design.feedforward import fit_reference_path
 from piezoid.design.lateral_task import lateral_task, unseen
@@ -241,7 +241,7 @@ def _tuned(
                 R, S, _ = build(named(logarithms))
             except DesignError:
                 return _HOPELESS
-            judged = judge(grid, R, S)
+            judged = evaluate_loop(grid, R, S)
             return float(np.log(max(judged.predicted_error, 1e-300))), judged.excess_dB
 
         found = search_parameters(cost, lowest, highest, list(starts.T), until_met=True)

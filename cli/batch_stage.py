@@ -158,7 +158,7 @@ def _record(task: StageTask, inputs: Mapping[str, str], calibration: "Calibratio
         for axis in calibration.model.axes.values()
         if not axis.verdict.applies
     ]
-    if calibration.stumbled:
+    if calibration.has_crashed:
         reasons += calibration.undiagnosed
     controllers = calibration.controllers
     if not controllers.passed:

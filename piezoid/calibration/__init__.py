@@ -1,7 +1,7 @@
-"""Calibrate a whole stage: recordings in; model, diagnoses, controllers and their files out.
+"""Calibrate a stage: from its recordings to model, diagnoses, controllers and their files.
 
-Start at calibrate.py; `piezoid calibrate` and `piezoid.calibrate` both call it.
+Start at calibrate.py; `piezoid calibrate` and `piezoid.calibrate` call it.
 May import every part of the library except the verbs and sealed files. It starts no
 processes: the command line distributes the jobs of ``axis_jobs`` and collects the results.
-To add a step, add it to the jobs of one axis or to what is done once all axes are known.
+To add a step, add it to the jobs of one axis, or to ``finish`` in calibrate.py for a whole stage.
 """

@@ -72,10 +72,10 @@ class JobResult:
 
     model        of an axis, with the effects of its diagnosis
     tunnelling   of the tip
-    undiagnosed  why an axis has no diagnosis
+    undiagnosed  reason for a missing diagnosis
     outcomes     of the design; empty if there was nothing to design
     fault        error that ended the design
-    stumbled     whether an internal error ended the diagnosis
+    has_crashed  whether an internal error ended the diagnosis
     """
 
     model: AxisModel | None = None
@@ -84,7 +84,7 @@ class JobResult:
     undiagnosed: str = ""
     outcomes: tuple[AxisDesignResult, ...] = ()
     fault: Exception | None = None
-    stumbled: bool = False
+    has_crashed: bool = False
 
 
 def jobs_of(
@@ -98,7 +98,7 @@ def jobs_of(
     If lab.toml declares coupled axes, the stage contains the model of the coupling, and the axes
     are fitted in decoupled coordinates.
 
-    processes  number of processes that share the jobs; if there are fewer axes, each has threads
+    processes  number of processes that share the jobs; with fewer axes, each axis has threads
 
     Raises what ``fit`` raises if there is nothing to fit.
     """
@@ -171,7 +171,7 @@ def _run_axis(job: AxisJob, progress: Progress) -> JobResult:
             has_loop_shape=False,
             progress=report,
         )
-    diagnosis, undiagnosed, stumbled = None, "", False
+    diagnosis, undiagnosed, has_crashed = None, "", False
     try:
         diagnosis = diagnose(
             job.recordings,
@@ -186,7 +186,7 @@ def _run_axis(job: AxisJob, progress: Progress) -> JobResult:
         undiagnosed = f"axis {job.axis} is not diagnosed: {refusal}"
     except Exception as error:  # an internal error must not cost the lab its model
         reason = f"internal error ({type(error).__name__}: {error})"
-        undiagnosed, stumbled = f"axis {job.axis} is not diagnosed: {reason}", True
+        undiagnosed, has_crashed = f"axis {job.axis} is not diagnosed: {reason}", True
     if diagnosis is not None and diagnosis.model is not None:
         model = diagnosis.model
     else:
@@ -199,7 +199,7 @@ def _run_axis(job: AxisJob, progress: Progress) -> JobResult:
         undiagnosed=in_counts(undiagnosed, model.counted),
         outcomes=outcomes,
         fault=fault,
-        stumbled=stumbled,
+        has_crashed=has_crashed,
     )
 
 
@@ -209,5 +209,5 @@ def try_design(
     """Return the outcomes of designing the axes of a stage, or the error that ended it."""
     try:
         return design_axes(stage, lab=lab, progress=progress), None
-    except Exception as fault:  # raised again once the controllers of the stage are put together
+    except Exception as fault:  # raised again when the controllers of the stage are assembled
         return (), fault

@@ -21,18 +21,18 @@ Progress = Callable[[str], None]
 class Calibration:
     """Results for one stage, from its recordings to the verification.
 
-    diagnoses    of the axes that could be diagnosed, the first one in front
-    undiagnosed  why the others could not, a sentence each
-    controllers  design, parameters and verification, or why there are none
-    stumbled     whether an internal error ended a diagnosis or the design
-    files        names and contents of the files of the folder
+    diagnoses    of the axes that could be diagnosed, in their order
+    undiagnosed  reasons for missing diagnoses, as sentences
+    controllers  design, parameters and verification, or the reason for missing controllers
+    has_crashed  whether an internal error ended a diagnosis or the design
+    files        contents of the files of the folder, by name
     """
 
     model: ActuatorModel
     diagnoses: tuple[Diagnosis, ...]
     undiagnosed: tuple[str, ...]
     controllers: Controllers
-    stumbled: bool
+    has_crashed: bool
     files: Mapping[str, bytes]
 
     @property
@@ -43,12 +43,12 @@ class Calibration:
     @property
     def passed(self) -> bool:
         """Whether the model applies to every axis and no controller failed."""
-        return self.model.applies and self.controllers.passed and not self.stumbled
+        return self.model.applies and self.controllers.passed and not self.has_crashed
 
     def save(self, folder: str | Path) -> None:
         """Write every file into a folder that is new, empty or of an earlier calibration.
 
-        Raises ``OutputFolderError`` where a file was edited or is not one that piezoid wrote.
+        Raises ``OutputFolderError`` if a file was edited or was not written by piezoid.
 
         >>> done = piezoid.calibrate("sweep.csv")
         >>> done.save("stage")
@@ -69,8 +69,8 @@ def calibrate(
 
     threads  of diagnosis and verification; the results do not depend on them
 
-    Raises what fitting raises; a stage for which no controller can be designed is a calibration
-    without one.
+    Raises what fitting raises. If no controller can be designed, the result has none, and the
+    reason.
     """
     stage, jobs = jobs_of(collection, lab, threads, progress)
     results = [run_job(job, progress) for job in jobs]
@@ -78,7 +78,7 @@ def calibrate(
 
 
 def with_results(stage: ActuatorModel, results: Sequence[JobResult]) -> ActuatorModel:
-    """Return a stage with the models of its axes and of its tip."""
+    """Add the models of the axes and of the tip to a stage."""
     models = [result.model for result in results if result.model is not None]
     tips = [result.tunnelling for result in results if result.tunnelling is not None]
     return replace(
@@ -121,6 +121,6 @@ def finish(
         diagnoses=diagnoses,
         undiagnosed=tuple(r.undiagnosed for r in results if r.undiagnosed),
         controllers=controllers,
-        stumbled=controllers.stumbled or any(r.stumbled for r in results),
+        has_crashed=controllers.has_crashed or any(r.has_crashed for r in results),
         files=files | controllers.files,
     )

@@ -1,4 +1,4 @@
-"""Controllers of a fitted stage: designed, exported, and verified against that stage."""
+"""Assemble, export and verify the controllers of a fitted stage."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,17 +29,17 @@ REFUSED = "refused"  # folder of the axes that do not ship, for study
 class Controllers:
     """Result of design, export and verification.
 
-    shipping  of the exported design; None if nothing was exported
-    reason    why nothing ships
-    refused   whether an axis with a specification does not ship
-    stumbled  whether an internal error ended the work
+    shipping     of the exported design; None if nothing was exported
+    reason       if nothing ships
+    refused      whether an axis with a specification does not ship
+    has_crashed  whether an internal error ended design, export or verification
     """
 
     design: Design | None = None
     shipping: Shipping | None = None
     reason: str = ""
     refused: bool = False
-    stumbled: bool = False
+    has_crashed: bool = False
 
     @property
     def parameters(self) -> ParameterFile | None:
@@ -54,8 +54,8 @@ class Controllers:
     @property
     def passed(self) -> bool:
         """Whether every designed controller ships, with all its verdicts passed."""
-        verified = self.verification is None or self.verification.passed
-        return verified and not (self.refused or self.stumbled)
+        is_verified = self.verification is None or self.verification.passed
+        return is_verified and not (self.refused or self.has_crashed)
 
     @property
     def unshipped(self) -> Mapping[str, str]:
@@ -66,13 +66,13 @@ class Controllers:
 
     @property
     def shipped(self) -> frozenset[str]:
-        """The axes that ship."""
+        """Names of the axes that ship."""
         axes = () if self.parameters is None else self.parameters.axes
         return frozenset(axis.axis for axis in axes)
 
     @property
     def files(self) -> dict[str, bytes]:
-        """Names and contents of the files, as far as the work came."""
+        """Contents of the files of all completed steps, by name."""
         design = {} if self.design is None else {"design.json": self.design.to_json()}
         return design | ({} if self.shipping is None else shipping_files(self.shipping))
 
@@ -94,8 +94,8 @@ def controllers_of(
     fault       error that ended the design of an axis
     threads     of the verification; its result does not depend on them
 
-    An axis that damps a mode and fails its verification is tried again with a bandwidth below the
-    mode.
+    If an axis damps a mode and fails its verification, the design with a bandwidth below the mode
+    is verified as well.
     """
     design = None
     try:
@@ -105,7 +105,7 @@ def controllers_of(
             raise nothing_to_design(model)
         digest = loads(model_file)["digest"]
         design = design_of(outcomes, model_digest=digest, lab=lab, coupled=model.coupled)
-        controllers = _verified(model, design, lab, progress, threads)
+        controllers = _verify_design(model, design, lab, progress, threads)
         assert controllers.shipping is not None
         reasons = controllers.shipping.reasons
         undamped = without_damping(outcomes, reasons)
@@ -121,17 +121,17 @@ def controllers_of(
             if (fast := design.axis(axis.axis)) is not axis
         )
         slower = replace(slower, remarks=(*slower.remarks, *remarks))
-        second = _verified(model, slower, lab, progress, threads)
-        return second if len(second.shipped) > len(controllers.shipped) else controllers
+        below_mode = _verify_design(model, slower, lab, progress, threads)
+        return below_mode if len(below_mode.shipped) > len(controllers.shipped) else controllers
     except PiezoidError as refusal:
         refused = design is not None or isinstance(refusal, TemplateError)
         return Controllers(design=design, reason=str(refusal), refused=refused)
     except Exception as error:  # an internal error must not cost the lab its model
         reason = f"internal error ({type(error).__name__}: {error})"
-        return Controllers(design=design, reason=reason, stumbled=True)
+        return Controllers(design=design, reason=reason, has_crashed=True)
 
 
-def _verified(
+def _verify_design(
     model: ActuatorModel, design: Design, lab: Lab | None, progress: Progress, threads: int
 ) -> Controllers:
     digest = loads(design.to_json())["digest"]
@@ -162,7 +162,7 @@ def export_and_verify(
     progress: Progress = lambda _: None,
     threads: int = 1,
 ) -> Shipping:
-    """Export a design, run it against the stage, and return which axes may ship.
+    """Export a design, verify it against the stage, and release the axes that pass.
 
     design_digest  of design.json, for the chain of digests
     threads        of the verification; its result does not depend on them

@@ -37,13 +37,13 @@ def stage_statements(
 
     Args:
         model: the fitted stage.
-        recordings: recordings at hand; what is odd about them becomes a note.
-        diagnoses: of the axes that have one.
-        undiagnosed: why the others have none.
+        recordings: whose statements are included.
+        diagnoses: of the axes.
+        undiagnosed: reasons for missing diagnoses.
         design: the controllers.
-        undesigned: why there are none.
-        unshipped: by axis, why its controller does not ship.
-        verification: of what ships.
+        undesigned: reason for missing controllers.
+        unshipped: reason of each axis that does not ship, by axis.
+        verification: of the controllers.
     """
     reasons = unshipped or {}
     statements = [*verification_statements(verification, stated=tuple(reasons.values()))]
@@ -60,10 +60,10 @@ def stage_statements(
         statements += record_in_counts(design_statements(design, model), model.counted)
     tip = model.tunnelling
     statements += [
-        _limit(TIP_LEVELS[part.confidence], "tunnelling", sentence(reason), "z")
-        for part in (() if tip is None else (tip.gap_law, tip.loop_plant))
-        if part is not None
-        for reason in part.reasons
+        _limit(TIP_LEVELS[result.confidence], "tunnelling", sentence(reason), "z")
+        for result in (() if tip is None else (tip.gap_law, tip.loop_plant))
+        if result is not None
+        for reason in result.reasons
     ]
     if tip is not None and tip.joint is not None and not tip.joint.agree:
         text = (
@@ -87,9 +87,9 @@ def stage_statements(
 def verification_statements(
     verification: Verification | None, stated: Sequence[str] = ()
 ) -> tuple[Statement, ...]:
-    """Return every verdict that failed and every build that differs.
+    """Return statements about failed verdicts, differing builds and missing proofs.
 
-    stated  texts that name failed verdicts already
+    stated  texts that already name failed verdicts
     """
     if verification is None:
         return ()

@@ -1,4 +1,4 @@
-"""Certify a loop around hysteresis: small gain, and a bound of the error."""
+"""Certify a loop around hysteresis: stability by small gain, and a bound of the error."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,20 +18,20 @@ from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
 from piezoid.operators.linear import recursive_filter
 from piezoid.record_json import Unbounded
 
-_TAIL = 1e-12
-_LONGEST = 400_000
+_TAIL = 1e-12  # relative to the first sample, where an impulse response is truncated
+_MIN_SAMPLES, _MAX_SAMPLES = 500.0, 400_000
 _SIGMAS = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpeedBound:
-    """Error bound of one member at any speed V of the reference.
+    """Error bound of one member as a function of the speed V of the reference.
 
         |e| <= steady + min(hysteresis, tau_h V) + tau_r V
 
-    steady_m        what converter and disturbances do to a reference at rest
-    hysteresis_m    ||g||_1 sup|delta|, however fast
-    hysteresis_s    tau_h; infinite where the loop may amplify increments
+    steady_m        bound of the errors by converter and disturbances, at any speed
+    hysteresis_m    ||g||_1 sup|delta|, at any speed
+    hysteresis_s    tau_h; infinite if the loop may amplify increments
     reference_s     tau_r
     """
 
@@ -46,34 +46,34 @@ class SpeedBound:
         return min(self.hysteresis_m, self.hysteresis_s * slew_m_per_s)
 
     def at(self, slew_m_per_s: float) -> float:
-        """Return the bound, m."""
-        following_m = self.reference_s * slew_m_per_s
-        return self.steady_m + self.hysteresis_at(slew_m_per_s) + following_m
+        """Return the bound of the error, m."""
+        reference_m = self.reference_s * slew_m_per_s
+        return self.steady_m + self.hysteresis_at(slew_m_per_s) + reference_m
 
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """A guarantee about one loop, over its whole plant family.
+    """Guaranteed stability and error of one loop, over its whole plant family.
 
     form                        ``affine`` or ``inverse``
     increment_gain              eps: |D delta| <= eps |D v|
     loop_peak                   max over members and w of |T_v|, from delta to the command
-    small_gain                  eps times that; below 1 hysteresis cannot destabilise the loop:
+    small_gain                  eps loop_peak; below 1 hysteresis cannot destabilise the loop:
                                 increments of all signals are l2-stable
     is_guaranteed               small_gain < 1 (every member is stable, or there is no certificate)
     hysteresis_error_m          min(||g||_1 sup|delta|, ||g/(1 - q^-1)||_1 eps sup|D v|)
     reference_error_m           ||(q^-p - H)/(1 - q^-1)||_1 sup|D r|
     converter_error_m           ||g||_1 half a converter step
-    disturbance_error_m         what drift, coupling, hum and a sensor's cyclic error add: each
+    disturbance_error_m         errors by drift, coupling, hum and a sensor's cyclic error: each
                                 its largest value through the loop, in the l1 norm
     guaranteed_error_m          the sum of the four: |r[k-p] - y[k]| never exceeds it, y the
                                 position in front of the sensor
-    reference_slew_m_per_s      the fastest reference for which that holds
+    reference_slew_m_per_s      the fastest reference for which the bound holds
     noise_error_m               three standard deviations due to sensor noise; not in the sum
-    worst_member                the member that decides the sum
-    conditions                  what must be true, whole sentences
-    speed_bounds                of every member, for slower references; empty in files of versions
-                                that did not keep them
+    worst_member                the member with the largest sum
+    conditions                  conditions of the guarantee, whole sentences
+    speed_bounds                of every member, for slower references; empty in files of earlier
+                                versions
     """
 
     form: str
@@ -95,8 +95,8 @@ class Certificate:
     def guaranteed_at(self, slew_m_per_s: float) -> float:
         """Return the guaranteed error for references up to a speed, m.
 
-        It is no more than ``guaranteed_error_m``, and infinite beyond ``reference_slew_m_per_s``:
-        nothing is guaranteed of what is faster.
+        At most ``guaranteed_error_m``; infinite for references faster than
+        ``reference_slew_m_per_s``, for which there is no guarantee.
         """
         if slew_m_per_s > self.reference_slew_m_per_s:
             return float(np.inf)
@@ -106,12 +106,12 @@ class Certificate:
 
 @dataclass(frozen=True, kw_only=True)
 class Disturbances:
-    """Recorded disturbances other than drive and noise; by default none.
+    """Recorded disturbances other than sensor noise; by default none.
 
-    motions   (half range in m, fastest change in m/s) of what moves the stage beside its drive;
-              0 m/s: as fast as anything
-    readings  (frequency in Hz, largest error in m) of what the sensor shows beside the position;
-              0 Hz: at any frequency
+    motions   (half range in m, fastest change in m/s) of each motion that the drive does not
+              cause; 0 m/s: of any speed
+    readings  (frequency in Hz, largest error in m) of each error of the reading; 0 Hz: at any
+              frequency
     """
 
     motions: tuple[tuple[float, float], ...] = ()
@@ -120,12 +120,12 @@ class Disturbances:
 
 @dataclass(frozen=True, kw_only=True)
 class Operation:
-    """How the loop will be used.
+    """Signals that act on the loop in use.
 
-    reference_slew_m_per_s  the fastest reference
+    reference_slew_m_per_s  of the fastest reference
     voltage_step_V          of the converter
     sensor_noise_rms_m      of one sample, white
-    disturbances            what acts beside drive and reference
+    disturbances            from the recordings
     """
 
     reference_slew_m_per_s: float
@@ -155,29 +155,30 @@ def certify(
     small gain in increments.                 [Desoer & Vidyasagar 1975, for small gain]
 
     members  each is the plant for a command in volts, gain a; their errors are bounded one by one
-    T        without the reference filter, which stands in ``path``
+    T        without the reference filter of ``path``
     """
     eps = bounds.increment_gain
     grid = grid_Hz(members[0].sampling_rate_Hz, lowest_Hz=1e-2, count=4000)
     peak = max(float(np.abs(sensitivities(m, R, S, grid).Syb).max()) for m in members)
     for member in members:
-        reached = margins(member, R, S)
-        if not reached.is_stable:
+        radius = margins(member, R, S).spectral_radius
+        if not radius < 1.0:
             raise UnstableLoopError(
-                f"the loop of the member '{reached.label}' has a pole of magnitude "
-                f"{reached.spectral_radius:.6g}",
+                f"the loop of the member '{member.label}' has a pole of magnitude {radius:.6g}",
                 needed="every member stable: an unstable loop has no bounded error",
                 remedy="Lower the bandwidth, or describe the family more narrowly.",
-                member=reached.label,
+                member=member.label,
             )
-    filtered, slew_m_per_s = product(T, path.filter), operation.reference_slew_m_per_s
+    filtered_t, slew_m_per_s = product(T, path.filter), operation.reference_slew_m_per_s
     loops = [_ClosedLoop(member, R, S) for member in members]
-    speeds = [
-        loop.speed_bound(filtered, path.preview_samples, bounds, operation) for loop in loops
+    speed_bounds = [
+        loop.speed_bound(filtered_t, path.preview_samples, bounds, operation) for loop in loops
     ]
-    worst, loop = max(zip(speeds, loops, strict=True), key=lambda pair: pair[0].at(slew_m_per_s))
+    worst, loop = max(
+        zip(speed_bounds, loops, strict=True), key=lambda pair: pair[0].at(slew_m_per_s)
+    )
     converter_m = loop.converter_m(operation)
-    disturbed = operation.disturbances.motions or operation.disturbances.readings
+    has_disturbances = operation.disturbances.motions or operation.disturbances.readings
     as_recorded = ("drift, coupling and hum stay as large and as fast as in the recordings",)
     return Certificate(
         form=bounds.form,
@@ -195,24 +196,24 @@ def certify(
         worst_member=worst.label,
         conditions=(
             *bounds.conditions,
-            *(as_recorded if disturbed else ()),
+            *(as_recorded if has_disturbances else ()),
             f"the linear plant is one of the {len(members)} members",
             f"the reference moves at most {with_unit(slew_m_per_s, 'm/s')}",
             "the command stays inside the converter's limits",
             "sensor noise comes on top, as its own line",
         ),
-        speed_bounds=tuple(speeds),
+        speed_bounds=tuple(speed_bounds),
     )
 
 
 def impulse_response(numerator: ArrayLike, denominator: ArrayLike) -> Array:
-    """Return the impulse response of a stable fraction until it has died out.
+    """Return the impulse response of a stable fraction until it has decayed, (samples,).
 
-    returned  (samples,); the length follows from the largest root, 1e-12 of it remains
+    Its length is twice the time in which the slowest pole decays to 1e-12.
     """
     radius = spectral_radius(np.asarray(denominator))
     samples = np.log(_TAIL) / np.log(radius) if 0.0 < radius < 1.0 else 0.0
-    count = int(min(max(2.0 * samples, 500.0), _LONGEST))
+    count = int(min(max(2.0 * samples, _MIN_SAMPLES), _MAX_SAMPLES))
     impulse = np.zeros(count)
     impulse[0] = 1.0
     return recursive_filter(numerator, denominator, impulse)
@@ -223,75 +224,75 @@ def peak_gain(numerator: ArrayLike, denominator: ArrayLike) -> float:
     return float(np.abs(impulse_response(numerator, denominator)).sum())
 
 
-def without_difference(polynomial: ArrayLike) -> Array:
+def divide_by_difference(polynomial: ArrayLike) -> Array:
     """Return the polynomial divided by 1 - q^-1; its sum must be zero up to rounding."""
     coefficients = np.asarray(polynomial, dtype=np.float64)
     return np.cumsum(coefficients)[:-1]
 
 
 class _ClosedLoop:
-    """The loop of one member: what its impulse responses make of everything that acts on it."""
+    """Error bounds of the loop of one member, from its impulse responses."""
 
     def __init__(self, member: Fraction, R: ArrayLike, S: ArrayLike) -> None:
         self.member, self.R, self.S = member, R, S
         self.P = closed_loop_polynomial(member, R, S)
-        self.step_s = 1.0 / member.sampling_rate_Hz
 
     def gain(self, *factors: ArrayLike) -> float:
-        """Return the l1 norm of the response with this numerator over P."""
+        """Return the l1 norm of the response with the product of the factors over P."""
         return peak_gain(product(*factors), self.P)
 
     def speed_bound(
-        self, filtered: Array, preview: int, bounds: HysteresisBounds, operation: Operation
+        self, filtered_t: Array, preview: int, bounds: HysteresisBounds, operation: Operation
     ) -> SpeedBound:
-        """Return the error bound; ``filtered`` is T with its reference filter."""
+        """Return the error bound; ``filtered_t`` is T times the reference filter."""
         member = self.member
-        mismatch = total(delayed(self.P, preview), -product(filtered, member.B_position))
-        by_size = self.gain(member.B_position, self.S)
+        mismatch = total(delayed(self.P, preview), -product(filtered_t, member.B_position))
+        disturbance_gain = self.gain(member.B_position, self.S)
         return SpeedBound(
             label=member.label,
-            steady_m=self.converter_m(operation) + self.disturbed_m(operation.disturbances),
-            hysteresis_m=by_size * bounds.error_m / bounds.gain_m_per_V,
-            hysteresis_s=self.by_increments_s(filtered, bounds.increment_gain),
-            reference_s=self.gain(without_difference(mismatch)) / member.sampling_rate_Hz,
+            steady_m=self.converter_m(operation) + self.disturbance_m(operation.disturbances),
+            hysteresis_m=disturbance_gain * bounds.error_m / bounds.gain_m_per_V,
+            hysteresis_s=self.increment_bound_s(filtered_t, bounds.increment_gain),
+            reference_s=self.gain(divide_by_difference(mismatch)) / member.sampling_rate_Hz,
         )
 
-    def by_increments_s(self, filtered: Array, eps: float) -> float:
-        """Return the bound by increments for 1 m/s; infinite where the loop may amplify them."""
+    def increment_bound_s(self, filtered_t: Array, eps: float) -> float:
+        """Return the bound by increments for 1 m/s; infinite if the loop may amplify them."""
         member = self.member
-        amplified = eps * self.gain(member.B, self.R)
-        if amplified >= 1.0:
+        feedback_gain = eps * self.gain(member.B, self.R)
+        if feedback_gain >= 1.0:
             return float(np.inf)
-        command_step_V = self.gain(filtered, member.A) * self.step_s / (1.0 - amplified)
-        return self.gain(member.B_position, without_difference(self.S)) * eps * command_step_V
+        step_s = 1.0 / member.sampling_rate_Hz
+        command_step_V = self.gain(filtered_t, member.A) * step_s / (1.0 - feedback_gain)
+        return self.gain(member.B_position, divide_by_difference(self.S)) * eps * command_step_V
 
     def converter_m(self, operation: Operation) -> float:
-        """Return the largest error by half a step of the converter."""
+        """Return the largest error due to half a step of the converter."""
         return self.gain(self.member.B_position, self.S) * (0.5 * operation.voltage_step_V)
 
     def noise_m(self, operation: Operation) -> float:
         """Return three standard deviations due to white sensor noise."""
-        passed = impulse_response(product(self.member.B_position, self.R), self.P)
-        return _SIGMAS * float(np.sqrt((passed**2).sum())) * operation.sensor_noise_rms_m
+        noise_response = impulse_response(product(self.member.B_position, self.R), self.P)
+        return _SIGMAS * float(np.sqrt((noise_response**2).sum())) * operation.sensor_noise_rms_m
 
-    def disturbed_m(self, disturbances: Disturbances) -> float:
-        """Return the largest error by recorded disturbances.
+    def disturbance_m(self, disturbances: Disturbances) -> float:
+        """Return the largest error due to the recorded disturbances.
 
-        ||A S / P||_1 m, or ||A S / (P (1 - q^-1))||_1 times its change in a sample where that is
-        less; ||B R / P||_1 n of the reading, or |B R / P| n at a frequency of its own.
+        motion m   min(||A S / P||_1 sup|m|, ||A S / (P (1 - q^-1))||_1 sup|D m|)
+        reading n  ||B R / P||_1 sup|n|, or |B R / P| sup|n| at a single frequency
         """
         member, total_m = self.member, 0.0
         for half_range_m, fastest_m_per_s in disturbances.motions:
             bound_m = self.gain(member.A, self.S) * half_range_m
             if fastest_m_per_s > 0.0:
                 step_m = fastest_m_per_s / member.sampling_rate_Hz
-                bound_m = min(bound_m, self.gain(member.A, without_difference(self.S)) * step_m)
+                bound_m = min(bound_m, self.gain(member.A, divide_by_difference(self.S)) * step_m)
             total_m += bound_m
-        followed = product(member.B_position, self.R)
+        numerator = product(member.B_position, self.R)
         for frequency_Hz, error_m in disturbances.readings:
             if frequency_Hz > 0.0:
-                at_line = response(followed, self.P, [frequency_Hz], member.sampling_rate_Hz)
-                total_m += float(np.abs(at_line[0])) * error_m
+                line = response(numerator, self.P, [frequency_Hz], member.sampling_rate_Hz)
+                total_m += float(np.abs(line[0])) * error_m
             else:
-                total_m += self.gain(followed) * error_m
+                total_m += self.gain(numerator) * error_m
         return total_m

@@ -1,10 +1,11 @@
-"""A lightly damped mode that the loop damps, and its effect on the default bandwidth.
+"""Damping of a lightly damped mode by the loop, and its effect on the default bandwidth.
 
 State feedback from an observer several times as fast as the mode moves the mode's poles to the
-left, where they keep their frequency. Integral resonant control and positive position feedback do
-the same with two or three numbers: over a family about a mode at 700 Hz known to 10 % they reach
-a fifth of it, the observer 500 Hz. What limits all of them is how far the loop's delay turns the
-mode, and how wide its interval is; docs/theory/control.md has the figures.
+left and keeps their frequency. Integral resonant control and positive position feedback do the
+same with two or three parameters. Over a family about a mode at 700 Hz known to 10 % they reach a
+bandwidth of a fifth of the mode's frequency, the observer 500 Hz. All of them are limited by the
+phase lag of the loop's delay at the mode, and by the width of the mode's interval;
+docs/theory/control.md has the figures.
 """
 
 from collections.abc import Callable
@@ -25,21 +26,21 @@ from piezoid.formatting import significant, with_unit
 from piezoid.numerics.frequency import decibel
 
 HYSTERESIS = "small gain of the hysteresis"
-_RESERVE = 0.95  # of the small gain: what lies between the lines of a search's grid
+_RESERVE = 0.95  # of the small gain, for peaks between the lines of a search's grid
 _BISECTIONS = 5
-_WORTH = 1.1  # times the bandwidth: less is not worth a loop at its limits
+_MIN_RATIO = 1.1  # of the bandwidths: a smaller gain does not justify a loop at its limits
 _STEPS_DOWN, _STEP_DOWN = 4, 0.95
-_PAST = 1e-3  # poles below are those of inputs on their way
+_DELAY_POLE = 1e-3  # magnitude below which a pole belongs to a past input
 
 
 def must_damp(plant: Fraction, bandwidth_Hz: float) -> bool:
-    """Tell whether a bandwidth needs damping of the mode."""
+    """Whether a loop of this bandwidth must damp the plant's lowest resonance."""
     mode = ringing_mode(plant)
     return mode is not None and bandwidth_Hz > (1.0 + 1e-9) * MODE_SHARE * mode.frequency_Hz
 
 
 def describe_obstacle(family: PlantFamily, bandwidth_Hz: float) -> str:
-    """Describe why a mode is hard to damp; empty if the loop need not damp it."""
+    """Describe why the resonance is hard to damp; empty if the loop need not damp it."""
     plant = family.nominal
     if not must_damp(plant, bandwidth_Hz):
         return ""
@@ -56,45 +57,45 @@ def describe_obstacle(family: PlantFamily, bandwidth_Hz: float) -> str:
 def describe_delay(plant: Fraction, mode: Mode) -> str:
     """Describe the phase lag of all delays at the mode.
 
-    The phase delay at rest of the whole plant, without the mode's own 2 z / w0.
+    The delay is the phase delay of the plant at rest, less that of the mode, 2 z / w0.
     """
-    late_s = plant.rest_delay_s - mode.damping / (np.pi * mode.frequency_Hz)
+    delay_s = plant.rest_delay_s - mode.damping / (np.pi * mode.frequency_Hz)
     return (
-        f"hold, converters and filters, {with_unit(late_s, 's')}, delay it by "
-        f"{significant(360.0 * mode.frequency_Hz * late_s)}°"
+        f"hold, converters and filters, {with_unit(delay_s, 's')}, delay it by "
+        f"{significant(360.0 * mode.frequency_Hz * delay_s)}°"
     )
 
 
 def describe_mode(loop: LoopDesign) -> str:
-    """Describe how a loop treats the slowest resonance; empty without one."""
+    """Describe how a loop treats the lowest resonance; empty if the plant has none."""
     nominal = loop.members[0]
-    mode, damped = ringing_mode(nominal), damped_mode(loop)
+    mode, damping = ringing_mode(nominal), damped_mode(loop)
     if mode is None:
         return ""
-    if damped is None:
+    if damping is None:
         return (
             f"The loop stays below the mode at {with_unit(mode.frequency_Hz, 'Hz', 4)} and leaves "
             f"it as it is; {describe_delay(nominal, mode)}."
         )
     return (
         f"The mode at {with_unit(mode.frequency_Hz, 'Hz', 4)} is damped by state feedback, from a "
-        f"damping ratio of {significant(mode.damping)} to {significant(damped)}; "
+        f"damping ratio of {significant(mode.damping)} to {significant(damping)}; "
         f"{describe_delay(nominal, mode)}."
     )
 
 
 def damped_mode(loop: LoopDesign) -> float | None:
-    """Return the damping of a mode that the loop must damp; None if it need not.
+    """Return the damping ratio of the resonance in closed loop; None if the loop need not damp it.
 
-    That of the least damped pole which the nominal state feedback leaves below 1.5 times the
-    mode's frequency.
+    It is the smallest damping ratio of the nominal state feedback's poles below 1.5 times the
+    frequency of the resonance.
     """
     nominal, gains = loop.members[0], loop.observer
     mode = ringing_mode(nominal)
     if mode is None or gains is None or not must_damp(nominal, loop.bandwidth_Hz):
         return None
-    closed = np.linalg.eigvals(gains.A - np.outer(gains.B, gains.feedback_gain))
-    s = np.log(closed[np.abs(closed) > _PAST]) * nominal.sampling_rate_Hz
+    poles = np.linalg.eigvals(gains.A - np.outer(gains.B, gains.feedback_gain))
+    s = np.log(poles[np.abs(poles) > _DELAY_POLE]) * nominal.sampling_rate_Hz
     nearby = s[np.abs(s) <= 1.5 * 2.0 * np.pi * mode.frequency_Hz]
     return float((-nearby.real / np.abs(nearby)).min(initial=1.0))
 
@@ -107,10 +108,10 @@ def raise_bandwidth(
     *,
     form: str,
 ) -> AxisDesign:
-    """Return the same axis, its recommended loop with the bandwidth that damping its mode allows.
+    """Raise the bandwidth of the recommended loop as far as damping of the resonance allows.
 
-    At most the mode's frequency; with every margin and template of the default, and with the small
-    gain that guarantees the loop in front of the hysteresis:
+    The bandwidth is at most the frequency of the resonance. The loop meets every margin and
+    template of the default, and the small gain that guarantees its stability with hysteresis:
 
         |T_v| <= 0.95 / eps                                               (template)
 
@@ -119,8 +120,8 @@ def raise_bandwidth(
     design   of the recommended loop, for a specification
     form     of the recommended loop
 
-    The base is returned where no mode rings, where nothing bounds the hysteresis or eps leaves no
-    loop with T_v = 1 at rest, and where damping does not gain a tenth.
+    Returns the base if the plant has no resonance, if the hysteresis has no bound or eps excludes
+    every loop with T_v = 1 at rest, and if damping raises the bandwidth by less than a tenth.
     """
     mode, certificate = ringing_mode(family.nominal), base.recommended.certificate
     if mode is None or certificate is None or certificate.increment_gain >= _RESERVE:
@@ -137,19 +138,18 @@ def raise_bandwidth(
     def at_bandwidth(bandwidth_Hz: float) -> Specification:
         return replace(guarded, bandwidth_Hz=bandwidth_Hz, scan_frequency_Hz=bandwidth_Hz / 10.0)
 
-    low_Hz = base.recommended.bandwidth_Hz
-    least_Hz = _WORTH * max(low_Hz, MODE_SHARE * mode.frequency_Hz)
-    nearest_Hz = _largest_Hz(family, at_bandwidth, least_Hz, mode.frequency_Hz, form)
+    min_Hz = _MIN_RATIO * max(base.recommended.bandwidth_Hz, MODE_SHARE * mode.frequency_Hz)
+    bandwidth_Hz = _largest_Hz(family, at_bandwidth, min_Hz, mode.frequency_Hz, form)
     for _ in range(_STEPS_DOWN):
-        if nearest_Hz is None or nearest_Hz < least_Hz:
+        if bandwidth_Hz is None or bandwidth_Hz < min_Hz:
             break
         try:
-            candidate = design(at_bandwidth(nearest_Hz))
+            candidate = design(at_bandwidth(bandwidth_Hz))
         except TemplateError:
-            nearest_Hz *= _STEP_DOWN
+            bandwidth_Hz *= _STEP_DOWN
             continue
-        proven = candidate.recommended.certificate
-        if proven is None or not proven.is_guaranteed:
+        certificate = candidate.recommended.certificate
+        if certificate is None or not certificate.is_guaranteed:
             return base
         return replace(candidate, loops=(candidate.recommended, *base.loops[1:]))
     return base
@@ -158,11 +158,11 @@ def raise_bandwidth(
 def _largest_Hz(
     family: PlantFamily,
     at_bandwidth: Callable[[float], Specification],
-    least_Hz: float,
-    most_Hz: float,
+    min_Hz: float,
+    max_Hz: float,
     form: str,
 ) -> float | None:
-    """Return the largest feasible bandwidth of a loop that damps the mode, to three digits."""
+    """Bisect the largest feasible bandwidth of a loop that damps the mode, to three digits."""
 
     def meets(bandwidth_Hz: float) -> bool:
         specification = at_bandwidth(bandwidth_Hz)
@@ -173,10 +173,10 @@ def _largest_Hz(
                 return True
         return False
 
-    if least_Hz >= most_Hz or not meets(least_Hz):
+    if min_Hz >= max_Hz or not meets(min_Hz):
         return None
-    low, high = np.log(least_Hz), np.log(most_Hz)
+    low, high = np.log(min_Hz), np.log(max_Hz)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if meets(float(np.exp(middle))) else (low, middle)
-    return max(rounded_down(float(np.exp(low))), least_Hz)
+    return max(rounded_down(float(np.exp(low))), min_Hz)

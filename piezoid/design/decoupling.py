@@ -3,10 +3,10 @@
     r' = D r,  y' = D y,   D G(s) = diag(G_0) + L(s),   L(0) = 0
     T_ij = [D G]_ij / [D G]_jj
 
-References and readings pass the same matrix: with the references alone a controller with an
-integrator would bring its own reading, coupling and all, to a reference that is not that of the
-axis. T_ij is what axis i moves, before its controller corrects it, for each metre of axis j
-[Skogestad & Postlethwaite 2005, 3.4].
+D multiplies the references and the readings. If it multiplied only the references, an integrating
+controller would bring its coupled reading to the decoupled reference. T_ij is the motion of axis i
+per motion of axis j, before the controller of axis i corrects it [Skogestad & Postlethwaite 2005,
+3.4].
 """
 
 from dataclasses import dataclass
@@ -18,22 +18,20 @@ from piezoid.formatting import with_unit
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.numerics.arrays import Array, ComplexArray, freeze
 
-# A displacement that its own drive moves by less, of what the drive moves in all displacements,
-# does not belong to it.
-LEAST_OWN = 0.01
-GRID = 40  # frequencies between the lowest and the bandwidth
-LOWEST = 0.01  # of the bandwidth, or the lowest line of the data
+_MIN_SHARE = 0.01  # of a drive's total motion that must be in the displacement of its own axis
+_GRID = 40  # frequencies up to the bandwidth
+_LOWEST = 0.01  # of the bandwidth; at least the lowest line of the data
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decoupling:
-    """The matrix, and by how much axes move each other without it and with it.
+    """Decoupling matrix, and the coupling between axes without it and with it.
 
     axes          in the order of rows and columns
-    matrix        (axes, axes)  D, for references and readings alike
-    frequency_Hz  up to which the coupling is told: the slowest loop's bandwidth
-    before, left  (axes, axes)  largest |T_ij| up to there, without D and with it; row i moves,
-                  column j is the one that is to move; 0 on the diagonal
+    matrix        (axes, axes)  D, for references and readings
+    frequency_Hz  bandwidth of the slowest loop
+    before, left  (axes, axes)  largest |T_ij| up to that frequency, without D and with it; column
+                  j is driven, row i responds; 0 on the diagonal
     """
 
     axes: tuple[str, ...]
@@ -47,7 +45,7 @@ class Decoupling:
 
     @property
     def text(self) -> str:
-        """Describe the coupling without the matrix and the remaining coupling."""
+        """Largest coupling without the matrix and with it, as a sentence."""
         i, j = np.unravel_index(int(self.left.argmax()), self.left.shape)
         return (
             f"Up to {with_unit(self.frequency_Hz, 'Hz')} axes move each other by as much as "
@@ -60,34 +58,33 @@ class Decoupling:
 def decoupling_of(coupled: CoupledStage, bandwidth_Hz: float) -> Decoupling:
     """Return the static decoupling of a stage, and the remaining coupling up to a bandwidth.
 
-    Raises ``DesignError`` where a drive does not move the displacement of its own axis.
+    Raises ``DesignError`` if a drive does not move the displacement of its own axis.
     """
     gain = coupled.coupling_m_per_V
-    own_share = np.abs(np.diag(gain)) / np.linalg.norm(gain, axis=0)
-    for axis, share in zip(coupled.inputs, own_share, strict=True):
-        if share < LEAST_OWN:
+    self_share = np.abs(np.diag(gain)) / np.linalg.norm(gain, axis=0)
+    for axis, share in zip(coupled.inputs, self_share, strict=True):
+        if share < _MIN_SHARE:
             raise DesignError(
-                f"axis {axis}: its drive moves its own displacement by {100 * share:.2g} % of "
-                "what it moves in all",
-                needed=f"{100 * LEAST_OWN:g} % or more: a drive belongs to the displacement it "
-                "moves",
+                f"axis {axis}: {100 * share:.2g} % of the motion by its drive is in its own "
+                "displacement",
+                needed=f"{100 * _MIN_SHARE:g} % or more",
                 remedy="Name the columns in lab.toml so that drive and displacement of one name "
                 "belong together.",
             )
     D = coupled.decoupling
-    low_Hz = max(coupled.band_Hz[0], LOWEST * bandwidth_Hz)
-    f = np.geomspace(min(low_Hz, bandwidth_Hz), bandwidth_Hz, GRID)
+    low_Hz = max(coupled.band_Hz[0], _LOWEST * bandwidth_Hz)
+    f = np.geomspace(min(low_Hz, bandwidth_Hz), bandwidth_Hz, _GRID)
     G = coupled.response(f, float(np.sqrt(coupled.levels_V[0] * coupled.levels_V[-1])))
     return Decoupling(
         axes=coupled.outputs,
         matrix=D,
         frequency_Hz=float(bandwidth_Hz),
-        before=_transmitted(G),
-        left=_transmitted(D @ G),
+        before=_largest_transmission(G),
+        left=_largest_transmission(D @ G),
     )
 
 
-def _transmitted(response: ComplexArray) -> Array:
+def _largest_transmission(response: ComplexArray) -> Array:
     """Return the largest |G_ij / G_jj| over frequencies, (outputs, inputs), 0 on the diagonal."""
     diagonal = np.abs(np.einsum("fjj->fj", response))
     ratio = (np.abs(response) / diagonal[:, None, :]).max(axis=0)

@@ -24,18 +24,18 @@ from piezoid.summary import Summarised, Summary
 if TYPE_CHECKING:
     from scipy.signal import TransferFunction
 
-PARTS = ("controller", "prefilter", "plant", "sensitivity", "closed_loop")
+_PARTS = ("controller", "prefilter", "plant", "sensitivity", "closed_loop")
 SCHEMA = "piezoid.design/1"
 METHODS = ("dob", "mpi_dob", "rst")
-REPORTED_Hz = (1.0, 10.0, 100.0)
+_REPORTED_Hz = (1.0, 10.0, 100.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rejection:
-    """How much of an output disturbance remains at one frequency, |Syp|.
+    """Magnitude of the output sensitivity |Syp| at one frequency.
 
-    nominal, worst   magnitudes; 1 is no feedback
-    worst_member     the label of the worst
+    nominal, worst   of the nominal plant and over the family; 1 without feedback
+    worst_member     label of the member with the largest magnitude
     """
 
     frequency_Hz: float
@@ -49,10 +49,10 @@ class Candidate:
     """One candidate controller of a loop; all are reported, one is chosen.
 
     name         ``placed``, ``kalman``, ``band-stop`` or ``convex``
-    is_chosen    exactly one is
-    is_feasible  every member met every limit when checked on a fine grid
-    figure       what the choice minimises; ``figure_name`` says what it is
-    parameters   what its search chose, by name
+    is_chosen    true for one candidate of a loop
+    is_feasible  every member meets every limit on a fine grid
+    figure       cost that the choice minimises; ``figure_name`` describes it
+    parameters   result of the search, by name
     R, S         coefficients in q^-1
     """
 
@@ -75,14 +75,14 @@ class LoopDesign:
 
     method       ``dob``, ``mpi_dob`` or ``rst``
     observer     gains of a disturbance observer; None for ``rst``
-    bandwidth_Hz that it meets: the asked one, or less for a loop that is not recommended
+    bandwidth_Hz the requested bandwidth, or less for a loop that is not recommended
     R, S, T      the same loop as S u = T r' - R y, from which every margin was computed
     A_0          anti-windup polynomial, monic and stable
     reference    filter and preview that make r' from r
-    margins      reached, one per member of the family, in its order
+    margins      of each member of the family, in its order
     rejections   at 1, 10, 100 Hz and at the bandwidth
-    certificate  None where no hysteresis bounds were given
-    candidates   how it was found
+    certificate  None without bounds of the hysteresis
+    candidates   all controllers that were designed for this loop
     members      the family this loop was designed for, nominal first
     """
 
@@ -112,7 +112,7 @@ class LoopDesign:
     @property
     def worst_modulus_margin(self) -> float:
         """The smallest of the family."""
-        return min(reached.modulus_margin for reached in self.margins)
+        return min(m.modulus_margin for m in self.margins)
 
     @property
     def worst_delay_margin_s(self) -> float | None:
@@ -131,7 +131,7 @@ class LoopDesign:
         """
         from scipy.signal import TransferFunction
 
-        numerator, denominator = fraction_of(self, part)
+        numerator, denominator = _fraction_of(self, part)
         leading_zeros = int(np.flatnonzero(numerator)[0])  # scipy warns of them
         interval_s = 1.0 / self.members[0].sampling_rate_Hz
         return TransferFunction(numerator[leading_zeros:], denominator, dt=interval_s)
@@ -142,17 +142,17 @@ class LoopDesign:
         >>> design.axis("x").recommended.to_control("sensitivity").isdtime()
         True
         """
-        numerator, denominator = fraction_of(self, part)
+        numerator, denominator = _fraction_of(self, part)
         return control().tf(numerator, denominator, 1.0 / self.members[0].sampling_rate_Hz)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AxisDesign:
-    """All loops of one axis; the first is the one recommended.
+    """All loops of one axis; the first is recommended.
 
     axis           ``x``, ``y``, ``z``
     output_unit    ``m``, or ``1`` for the logarithm of a current
-    specification  what was asked
+    specification  requirements that the loops were designed for
     loops          at least one
     """
 
@@ -172,7 +172,7 @@ class AxisDesign:
 
     @property
     def recommended(self) -> LoopDesign:
-        """The loop to export unless somebody asks for another."""
+        """The loop that is exported by default."""
         return self.loops[0]
 
     def loop(self, method: str) -> LoopDesign:
@@ -193,10 +193,10 @@ class Design(Summarised):
 
     axes           one per axis
     model_digest   of the model the plants were taken from
-    lab_digest     of the lab.toml that was there; empty without one
-    rig_digest     of what of it the design took, ``Lab.rig_digest``
-    remarks        why too little is known of other axes of the model, whole sentences
-    refused        by axis, why no controller of it meets what is asked
+    lab_digest     of lab.toml; empty without one
+    rig_digest     of the declarations in lab.toml that the design used, ``Lab.rig_digest``
+    remarks        remaining coupling, axes without a design and unused declarations, as sentences
+    refused        by axis, why no controller of it meets the specification
     decoupling     of the axes whose drives act on all of their displacements; None: no such axes
     """
 
@@ -279,42 +279,43 @@ def design_from_json(content: bytes, source: str = "design.json") -> Design:
     return read_sealed(Design, content, SCHEMA, source, remedy=remedy)
 
 
-def reached_margins(members: tuple[Fraction, ...], R: Array, S: Array) -> tuple[Margins, ...]:
+def family_margins(members: tuple[Fraction, ...], R: Array, S: Array) -> tuple[Margins, ...]:
     """Return the margins of every member, recomputed from R and S."""
     return tuple(margins(member, R, S) for member in members)
 
 
 def rejections(
-    members: tuple[Fraction, ...], R: Array, S: Array, frequency_Hz: tuple[float, ...]
+    members: tuple[Fraction, ...], R: Array, S: Array, bandwidth_Hz: float
 ) -> tuple[Rejection, ...]:
-    """Return |Syp| at frequencies, nominal and worst of the family."""
+    """Return |Syp| at 1, 10, 100 Hz and at the bandwidth, nominal and worst of the family."""
+    frequency_Hz = (*_REPORTED_Hz, bandwidth_Hz)
     grid = np.array(frequency_Hz)
-    remaining = np.stack([np.abs(sensitivities(m, R, S, grid).Syp) for m in members])
-    worst = remaining.argmax(axis=0)
+    magnitude = np.stack([np.abs(sensitivities(m, R, S, grid).Syp) for m in members])
+    worst = magnitude.argmax(axis=0)
     return tuple(
         Rejection(
             frequency_Hz=f,
-            nominal=float(remaining[0, k]),
-            worst=float(remaining[worst[k], k]),
+            nominal=float(magnitude[0, k]),
+            worst=float(magnitude[worst[k], k]),
             worst_member=members[int(worst[k])].label,
         )
         for k, f in enumerate(frequency_Hz)
     )
 
 
-def fraction_of(loop: LoopDesign, part: str) -> tuple[Array, Array]:
+def _fraction_of(loop: LoopDesign, part: str) -> tuple[Array, Array]:
     """Return numerator and denominator of a part of the nominal loop, in z, highest power first.
 
         S u = T r' - R y,   A y = B u,   P = A S + B R          [Landau & Zito 2006]
 
-    Raises ``DesignError`` for a part that is none of ``PARTS``.
+    Raises ``DesignError`` for a part that is none of ``_PARTS``.
     """
     R, S, T, B, A = loop.R, loop.S, loop.T, loop.members[0].B, loop.members[0].A
-    if part not in PARTS:
+    if part not in _PARTS:
         raise DesignError(
-            f"part {part!r} of a loop",
-            needed=f"one of {', '.join(PARTS)}",
-            remedy="Name one of those.",
+            f"{part!r} is not a part of a loop",
+            needed=f"one of {', '.join(_PARTS)}",
+            remedy="Name one of these parts.",
         )
     P = closed_loop_polynomial(loop.members[0], R, S)
     numerator, denominator = {
@@ -324,7 +325,7 @@ def fraction_of(loop: LoopDesign, part: str) -> tuple[Array, Array]:
         "sensitivity": (product(A, S), P),
         "closed_loop": (product(T, B), P),
     }[part]
-    # Coefficients in q^-1 become powers of z where both are as long.
+    # Polynomials of equal length in q^-1 have the same coefficients in z.
     length = max(len(numerator), len(denominator))
     numerator, denominator = (np.pad(p, (0, length - len(p))) for p in (numerator, denominator))
     return numerator, denominator

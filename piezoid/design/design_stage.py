@@ -27,12 +27,12 @@ from piezoid.records.checks.command_range import (
 from piezoid.records.lab import Lab
 
 _SLOWEST_Hz, _FASTEST_Hz = 1.0, 1e7  # of the runtime
-NO_POLE = ", and no pole of it is declared (bandwidth_Hz of [amplifier] or [sensor]) or fitted"
+_NO_POLE = ", and no pole of it is declared (bandwidth_Hz of [amplifier] or [sensor]) or fitted"
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpecificationText:
-    """Requested specifications, over the defaults: the text and the name of ``design.toml``."""
+    """Text of ``design.toml``, which overrides the default specifications, and its file name."""
 
     text: str = ""
     source: str = "design.toml"
@@ -40,12 +40,12 @@ class SpecificationText:
 
 @dataclass(frozen=True, kw_only=True)
 class AxisDesignResult:
-    """Result of designing one axis: a controller, a refusal or an obstacle.
+    """Result of designing one axis: a design, a refusal or an obstacle.
 
-    design    the controller
-    slower    the same axis before its bandwidth was raised beyond a mode; None: it was not
-    refusal   no controller meets its limits
-    obstacle  too little is known to begin
+    design    of the axis
+    slower    with the bandwidth before it was raised beyond a mode; None: it was not raised
+    refusal   no controller meets the limits
+    obstacle  information without which no design can begin is missing
     """
 
     axis: str
@@ -59,12 +59,12 @@ class AxisDesignResult:
 class _Task:
     """Design function of one axis, and its default specification.
 
-    raised  raises the bandwidth of a default where a mode can be damped; not for a tip
+    raise_bandwidth  of a default design, as far as damping of a mode allows; not for a tip
     """
 
     design: Callable[[Specification], AxisDesign]
     specification: Specification
-    raised: Callable[[AxisDesign, Specification], AxisDesign] = lambda base, _: base
+    raise_bandwidth: Callable[[AxisDesign, Specification], AxisDesign] = lambda base, _: base
 
 
 def design_stage(
@@ -77,22 +77,21 @@ def design_stage(
     forms: Sequence[str] = FORMS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Design:
-    """Design every axis for which enough is known; the remarks name the other axes.
+    """Design every axis for which the model suffices; the remarks name the other axes.
 
     model_digest      of the model's file
-    sampling_rate_Hz  of the controller; by default what the model says the laboratory declared.
+    sampling_rate_Hz  of the controller; by default the rate that lab.toml declared at the fit.
                       The tunnelling axis keeps the rate at which its loop was identified
     lab               converters of every axis; voltages and set point of the tunnelling axis
-    requested         specifications; an axis without gets its default, or the nearest bandwidth
-                      below it that can be met, or more where a mode can be damped
-    forms             of the observers of X and Y; the inverse one is recommended, the affine one
-                      is there to be compared and takes longer
+    requested         specifications. An axis without one gets its default, at the nearest feasible
+                      bandwidth below it, or at a higher bandwidth if a mode can be damped
+    forms             of the observers of X and Y; the inverse form is recommended, the affine form
+                      is designed for comparison and takes longer
 
     An axis without a feasible controller does not prevent the design of other axes; the design
     states the reason.
 
-    Raises the obstacle of the first axis if no axis can be designed: a ``TemplateError`` before
-    missing information.
+    Raises the first refusal, else the first obstacle, if no axis can be designed.
     """
     outcomes = design_axes(
         model,
@@ -125,46 +124,46 @@ def design_axes(
     forms: Sequence[str] = FORMS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[AxisDesignResult, ...]:
-    """Design every axis independently; return a design or an obstacle for each.
+    """Design every axis independently; return a design, a refusal or an obstacle for each.
 
     Without ``requested``, a stage may be designed axis by axis and assembled by ``design_of``.
     """
-    declared, tasks, hindered = lab or Lab(), dict[str, _Task](), list[AxisDesignResult]()
+    lab, tasks, obstacles = lab or Lab(), dict[str, _Task](), list[AxisDesignResult]()
     for name in model.axes:
         try:
-            tasks[name] = _lateral_task(model, name, declared, sampling_rate_Hz, forms)
+            tasks[name] = _lateral_task(model, name, lab, sampling_rate_Hz, forms)
         except (DesignError, LabFileError) as obstacle:
-            hindered.append(AxisDesignResult(axis=name, obstacle=obstacle))
+            obstacles.append(AxisDesignResult(axis=name, obstacle=obstacle))
     if model.tunnelling is not None and (tip := axis_of(model.tunnelling)) not in model.axes:
         try:
-            junction = vertical_task(model.tunnelling, declared)
+            junction = vertical_task(model.tunnelling, lab)
             design_tip = partial(design_vertical, tip, junction.family)
             tasks[tip] = _Task(design=design_tip, specification=junction.specification)
         except (DesignError, LabFileError) as obstacle:
-            hindered.append(AxisDesignResult(axis=tip, obstacle=obstacle))
+            obstacles.append(AxisDesignResult(axis=tip, obstacle=obstacle))
     if not tasks:
-        return tuple(hindered)
+        return tuple(obstacles)
     defaults = {name: task.specification for name, task in tasks.items()}
     request = requested or SpecificationText()
     specifications = specifications_from_toml(request.text, defaults, source=request.source)
-    designed = []
+    results = []
     for name, task in tasks.items():
         progress(f"axis {name}: designing")
         specification = specifications[name]
         try:
             if specification is task.specification:
-                # The bandwidth of a default is adapted: downwards to what is feasible and upwards
-                # where damping a mode allows that.
+                # The bandwidth of a default is lowered to a feasible one, and raised if damping
+                # of a mode allows a higher one.
                 base = at_feasible_bandwidth(task.design, specification)
-                design = task.raised(base, specification)
+                design = task.raise_bandwidth(base, specification)
                 slower = None if design is base else base
             else:
                 design, slower = task.design(specification), None
         except TemplateError as refusal:
-            designed.append(AxisDesignResult(axis=name, refusal=refusal))
+            results.append(AxisDesignResult(axis=name, refusal=refusal))
         else:
-            designed.append(AxisDesignResult(axis=name, design=design, slower=slower))
-    return (*designed, *hindered)
+            results.append(AxisDesignResult(axis=name, design=design, slower=slower))
+    return (*results, *obstacles)
 
 
 def design_of(
@@ -174,39 +173,39 @@ def design_of(
     lab: Lab | None = None,
     coupled: CoupledStage | None = None,
 ) -> Design:
-    """Assemble the designs of the axes of a stage, at least one; ``lab`` as for each of them.
+    """Assemble the design of a stage from the results of its axes, at least one.
 
-    coupled  of the model: how its axes are coupled
+    lab      with which the axes were designed
+    coupled  of the model: coupling of its axes
 
-    Raises as ``design_stage`` does where no axis could be designed.
+    Raises as ``design_stage`` does if no axis could be designed.
     """
+    lab = lab or Lab()
     obstacles = [outcome.obstacle for outcome in outcomes if outcome.obstacle is not None]
     refused = {o.axis: o.refusal for o in outcomes if o.refusal is not None}
-    designed = tuple(outcome.design for outcome in outcomes if outcome.design is not None)
-    if not designed:
-        raise next(iter([*refused.values(), *obstacles]))
+    axes = tuple(outcome.design for outcome in outcomes if outcome.design is not None)
+    if not axes:
+        raise [*refused.values(), *obstacles][0]
     decoupling = None
     if coupled is not None:
         bandwidths_Hz = [
-            axis_design.recommended.bandwidth_Hz
-            for axis_design in designed
-            if axis_design.axis in coupled.outputs
+            axis.recommended.bandwidth_Hz for axis in axes if axis.axis in coupled.outputs
         ]
         decoupling = decoupling_of(coupled, min(bandwidths_Hz, default=coupled.band_Hz[0]))
     remarks = () if decoupling is None else (decoupling.text,)
-    unused = _unused(lab or Lab(), [outcome.axis for outcome in outcomes])
+    unused = _unused_declarations(lab, [outcome.axis for outcome in outcomes])
     return Design(
-        axes=designed,
+        axes=axes,
         model_digest=model_digest,
-        lab_digest=(lab or Lab()).digest,
-        rig_digest=(lab or Lab()).rig_digest,
+        lab_digest=lab.digest,
+        rig_digest=lab.rig_digest,
         decoupling=decoupling,
         remarks=(*remarks, *map(str, obstacles), *unused),
         refused={name: str(refusal) for name, refusal in refused.items()},
     )
 
 
-def _unused(lab: Lab, axes: Sequence[str]) -> Iterator[str]:
+def _unused_declarations(lab: Lab, axes: Sequence[str]) -> Iterator[str]:
     """Yield declarations of lab.toml without effect on the controllers, as sentences."""
     for name in sorted(set(lab.axes) - set(axes)):
         yield f"[axis.{name}] of {lab.place} is about none of the axes {', '.join(axes)}."
@@ -221,9 +220,9 @@ def _unused(lab: Lab, axes: Sequence[str]) -> Iterator[str]:
 def without_damping(
     outcomes: Sequence[AxisDesignResult], axes: Collection[str]
 ) -> tuple[AxisDesignResult, ...]:
-    """Return the outcomes with the loops of some axes below their modes, as far as they damp any.
+    """Replace the designs of some axes by those with the bandwidth below their modes.
 
-    A loop that damps a mode rests on its frequency; one below it does not.
+    A loop that damps a mode depends on the frequency of the mode; a loop below it does not.
     """
     return tuple(
         replace(outcome, design=outcome.slower, slower=None)
@@ -245,8 +244,8 @@ def _lateral_task(
             remedy="Read in the report why it does not apply, and record again.",
         )
     if rate_Hz is None and model.controller_rate_Hz is None:
-        further = "" if has_pole(loop_model(axis, _FASTEST_Hz), _FASTEST_Hz) else NO_POLE
-        raise _unknown_rate(model, further)
+        pole_note = "" if has_pole(loop_model(axis, _FASTEST_Hz), _FASTEST_Hz) else _NO_POLE
+        raise _unknown_rate(model, pole_note)
     task = lateral_task(axis, controller_rate_Hz(model, rate_Hz), forms=forms)
     recommended = next(form for form in FORMS if form in task.families)
 
@@ -255,24 +254,23 @@ def _lateral_task(
             name, families, specification, bounds=task.bounds, disturbances=task.disturbances
         )
 
-    def raised(base: AxisDesign, default: Specification) -> AxisDesign:
-        """Return the axis with its recommended loop beyond a mode; the loops beside it stay."""
+    def raise_recommended(base: AxisDesign, default: Specification) -> AxisDesign:
         family = task.families[recommended]
-        recommended_only = partial(design, {recommended: family})
-        return raise_bandwidth(base, family, default, recommended_only, form=recommended)
+        design_recommended = partial(design, {recommended: family})
+        return raise_bandwidth(base, family, default, design_recommended, form=recommended)
 
     return _Task(
         design=partial(design, task.families),
         specification=_between_converters(name, task.specification, lab),
-        raised=raised,
+        raise_bandwidth=raise_recommended,
     )
 
 
 def _between_converters(name: str, default: Specification, lab: Lab) -> Specification:
-    """Return the default within the converter's codes, with its step.
+    """Limit the voltages of a default to the converter's codes, and set its step.
 
-    Raises ``LabFileError`` where the recorded drive lies outside that range: its volts are then
-    not those at the converter.
+    Raises ``LabFileError`` if the recorded drive exceeds the range of the converter: it was then
+    recorded elsewhere, for example behind the amplifier.
     """
     converters = converters_of(lab, name)
     slews = [v for v in (default.voltage_slew_V_per_s, converters.command_slew_V_per_s) if v]
@@ -304,7 +302,7 @@ def _between_converters(name: str, default: Specification, lab: Lab) -> Specific
 
 
 def nothing_to_design(model: ActuatorModel) -> DesignError:
-    """Return the refusal of a stage without any axis."""
+    """Return the error for a model without any axis."""
     return DesignError(
         f"stage {model.stage}: the model holds no axis",
         needed="an axis with drive and displacement, or a tunnelling loop",
@@ -312,24 +310,26 @@ def nothing_to_design(model: ActuatorModel) -> DesignError:
     )
 
 
-def controller_rate_Hz(model: ActuatorModel, asked_Hz: float | None) -> float:
-    """Return the requested rate, else the rate of lab.toml at the fit, or refuse."""
-    rate_Hz = model.controller_rate_Hz if asked_Hz is None else asked_Hz
+def controller_rate_Hz(model: ActuatorModel, requested_Hz: float | None) -> float:
+    """Return the requested rate, else the rate that lab.toml declared at the fit.
+
+    Raises ``DesignError`` if neither exists, and for a rate that the runtime does not accept.
+    """
+    rate_Hz = model.controller_rate_Hz if requested_Hz is None else requested_Hz
     if rate_Hz is None:
         raise _unknown_rate(model)
     if not _SLOWEST_Hz <= rate_Hz <= _FASTEST_Hz:
         raise DesignError(
             f"stage {model.stage}: the controller is to run at {rate_Hz:g} Hz",
-            needed=f"a rate from {_SLOWEST_Hz:.0f} to {_FASTEST_Hz:.0f} Hz, which its code takes",
+            needed=f"a rate from {_SLOWEST_Hz:.0f} to {_FASTEST_Hz:.0f} Hz",
             remedy="Correct sampling_rate_Hz in lab.toml and fit again, or --rate.",
         )
     return rate_Hz
 
 
-def _unknown_rate(model: ActuatorModel, further: str = "") -> DesignError:
-    """Return the refusal of a stage without a controller rate, with further missing facts."""
+def _unknown_rate(model: ActuatorModel, note: str = "") -> DesignError:
     return DesignError(
-        f"stage {model.stage}: the sampling rate of the controller is not known{further}",
+        f"stage {model.stage}: the sampling rate of the controller is not known{note}",
         needed="the rate at which the controller will run",
         remedy="Write sampling_rate_Hz under [acquisition] in lab.toml and fit again, or run "
         "`piezoid design FOLDER --rate HZ`.",

@@ -1,4 +1,4 @@
-"""Statements about controllers: what limits their bandwidth, and which bounds are not useful."""
+"""Statements about controllers: limits of their bandwidth, and bounds that are not useful."""
 
 from math import isfinite
 
@@ -10,9 +10,11 @@ from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
 from piezoid.statement import Kind, Level, Statement
 
-MAX_USEFUL_SHARE = 0.1  # of the displacement range: a larger bound excludes nothing in practice
-MAX_CHIRP_SHARE = 0.4  # of the sampling rate: below the Nyquist frequency with some margin
-NEAR_LIMIT = 0.5  # of the largest bandwidth that was tried: the guard itself costs up to half
+_MAX_USEFUL_SHARE = 0.1  # of the displacement range: a larger bound excludes nothing in practice
+_MAX_CHIRP_SHARE = 0.4  # of the sampling rate: below the Nyquist frequency with some margin
+# Share of the largest bandwidth that is tried, above which it limits the loop: the limit of the
+# control effort costs up to half of the bandwidth.
+_NEAR_LIMIT = 0.5
 
 
 def design_statements(design: Design, model: ActuatorModel) -> tuple[Statement, ...]:
@@ -21,7 +23,7 @@ def design_statements(design: Design, model: ActuatorModel) -> tuple[Statement, 
         statement
         for axis_design in design.axes
         if (axis := model.axes.get(axis_design.axis)) is not None
-        for statement in (*_bandwidth(axis_design, axis), *_bound(axis_design, axis))
+        for statement in (*_bandwidth(axis_design, axis), *_error_bound(axis_design, axis))
     ]
     decoupling = "" if design.decoupling is None else design.decoupling.text
     for remark in design.remarks:
@@ -38,7 +40,7 @@ def useful_bound_m(certificate: Certificate | None, axis: AxisModel) -> float | 
     if certificate is None or not certificate.is_guaranteed:
         return None
     error_m = certificate.guaranteed_error_m
-    limit_m = MAX_USEFUL_SHARE * axis.quality.range_m
+    limit_m = _MAX_USEFUL_SHARE * axis.quality.range_m
     return error_m if isfinite(error_m) and error_m <= limit_m else None
 
 
@@ -58,32 +60,32 @@ def guaranteed_error_m(
 
 
 def bandwidth_limit_Hz(design: AxisDesign, axis: AxisModel) -> float | None:
-    """Return the largest tested bandwidth, or None if a known resonance sets the limit."""
+    """Return the largest bandwidth that is tried, or None without a limit by unseen modes."""
     is_guarded = any(limit.name == BEYOND for limit in design.specification.templates)
     return unseen(axis).fastest_Hz if is_guarded else None
 
 
 def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     limit_Hz, bandwidth_Hz = bandwidth_limit_Hz(design, axis), design.recommended.bandwidth_Hz
-    if limit_Hz is None or bandwidth_Hz < NEAR_LIMIT * limit_Hz:
+    if limit_Hz is None or bandwidth_Hz < _NEAR_LIMIT * limit_Hz:
         return []
     rate_Hz = design.sampling_rate_Hz
-    until_Hz = MAX_CHIRP_SHARE * rate_Hz
-    record = f"Record a small chirp up to {with_unit(until_Hz, 'Hz', 2)}"
-    unknown, visible_Hz = unseen(axis), axis.unfitted_resonance_Hz
+    chirp_Hz = _MAX_CHIRP_SHARE * rate_Hz
+    record = f"Record a small chirp up to {with_unit(chirp_Hz, 'Hz', 2)}"
+    unseen_modes, resonance_Hz = unseen(axis), axis.unfitted_resonance_Hz
     stated_Hz = None if axis.bandwidth is None else axis.bandwidth.stated_Hz
     level = Level.ACTION
-    if unknown.peak < FIRST_MODE:
-        level, known_Hz = Level.WARNING, with_unit(unknown.from_Hz, "Hz")
-        reason = f"the recordings show the response only up to {known_Hz}. {record}."
-    elif visible_Hz is not None:
-        reason = f"the resonance near {with_unit(visible_Hz, 'Hz', 3)} could not be fitted."
+    if unseen_modes.peak < FIRST_MODE:
+        level, seen_Hz = Level.WARNING, with_unit(unseen_modes.from_Hz, "Hz")
+        reason = f"the recordings show the response only up to {seen_Hz}. {record}."
+    elif resonance_Hz is not None:
+        reason = f"the resonance near {with_unit(resonance_Hz, 'Hz', 3)} could not be fitted."
     elif stated_Hz is None:
         declare = "or state bandwidth_Hz under [actuator] in lab.toml"
         reason = f"no resonance was recorded. {record}, {declare}."
     else:
         advice = f"{record}."
-        if stated_Hz > until_Hz:
+        if stated_Hz > chirp_Hz:
             rate = with_unit(rate_Hz, "Hz", 3)
             advice = f"It cannot be seen at {rate}: use a faster recorder."
         reason = f"the stated {with_unit(stated_Hz, 'Hz', 3)} was not recorded. {advice}"
@@ -91,17 +93,17 @@ def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     return [_statement(design.axis, level, "bandwidth", text, bandwidth_Hz, "Hz")]
 
 
-def _bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:
+def _error_bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     certificate = design.recommended.certificate
     if certificate is None:
         text = "The error of the loop has no bound, because no bound of the hysteresis is known."
         return [_statement(design.axis, Level.WARNING, "guaranteed_error", text)]
     if not certificate.is_guaranteed:
-        text = (
-            f"Small gain is {significant(certificate.small_gain)}, not below 1: stability of the "
-            "loop with hysteresis is not proven."
-        )
         gain = certificate.small_gain
+        text = (
+            f"Small gain is {significant(gain)}, not below 1: stability of the loop with "
+            "hysteresis is not proven."
+        )
         return [_statement(design.axis, Level.WARNING, "small_gain", text, gain, "1")]
     if useful_bound_m(certificate, axis) is not None:
         return []
@@ -117,9 +119,9 @@ def _bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:
 
 
 def error_parts_m(certificate: Certificate) -> dict[str, float]:
-    """Return the contributions to a guaranteed error by name, m; they add up to it.
+    """Return the contributions to a guaranteed error by name, m; their sum is that error.
 
-    A controller with an inverse is left with the error of the hysteresis model.
+    In the inverse form, the error of the hysteresis model takes the place of the hysteresis.
     """
     is_inverted = certificate.form == "inverse"
     return {

@@ -1,7 +1,7 @@
-"""A plant family sampled on a frequency grid, to judge thousands of candidate loops quickly.
+"""A plant family sampled on a frequency grid, to evaluate thousands of candidate loops quickly.
 
-The judgement here steers a search; margins of the record are recomputed by ``sensitivity`` on a
-finer grid with exact crossings.
+These figures steer a search. The margins of the record are computed by ``sensitivity`` on a finer
+grid with exact crossings.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class FamilyGrid:
     q               (frequencies,)           values of q^-1
     A, B            (members, frequencies)
     frequency_Hz    (frequencies,)
-    limits          (functions, frequencies) magnitudes: Syp, Sup, Syb, Syv; inf where none
+    limits          (functions, frequencies) magnitudes of Syp, Sup, Syb, Syv; inf: no limit
     weight          (frequencies,)           integrates a density over the grid up to Nyquist
     q_scan          (harmonics,)             q^-1 at odd harmonics of the scan
     A_scan, B_scan  (members, harmonics)
@@ -47,12 +47,12 @@ class FamilyGrid:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judgement:
-    """Judgement of one candidate on the grid.
+class LoopFigures:
+    """Figures of one candidate loop on the grid.
 
-    excess_dB        the worst amount by which any limit is missed; <= 0 if all are met
+    excess_dB        largest excess over any limit; <= 0 if all are met
     predicted_error  rms, output unit, worst member: scan disturbance, sensor noise, converter
-    disturbance_rms, noise_rms   its two parts, worst member each
+    disturbance_rms, noise_rms   its two contributions, worst member each
     """
 
     excess_dB: float
@@ -69,8 +69,8 @@ def family_grid(
     lowest_Hz = min(1.0, specification.bandwidth_Hz / 30.0)
     f = grid_Hz(rate_Hz, lowest_Hz=lowest_Hz, count=count)
     knots = [t.frequency_Hz for t in specification.all_templates]
-    inside = np.concatenate([*knots, *(mode_lines_Hz(member) for member in family.members)])
-    f = np.union1d(f, inside[(inside >= lowest_Hz) & (inside < 0.5 * rate_Hz)])
+    lines = np.concatenate([*knots, *(mode_lines_Hz(member) for member in family.members)])
+    f = np.union1d(f, lines[(lines >= lowest_Hz) & (lines < 0.5 * rate_Hz)])
     # The tightest limit of each function; margins become limits of Syp and Syb.
     limits = np.full((4, len(f)), np.inf)
     limits[0] = 1.0 / specification.modulus_margin
@@ -95,7 +95,7 @@ def family_grid(
 
 
 def mode_lines_Hz(plant: Plant) -> Array:
-    """Return lines about the lightly damped modes of a plant, closer than the modes are wide."""
+    """Return lines about the lightly damped modes of a plant, spaced below their width."""
     s = np.log(plant.poles)
     damping = -s.real / np.abs(s)
     light = (damping < LIGHT) & (s.imag > 0.0)
@@ -106,11 +106,11 @@ def mode_lines_Hz(plant: Plant) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorstPlace:
-    """Where a loop is worst against its limits.
+class WorstExcess:
+    """Largest excess of a loop over its limits, and its rejection figure.
 
     function      Syp, Sup, Syb or Syv
-    frequency_Hz  there
+    frequency_Hz  of the largest excess
     excess_dB     over the limit; <= 0 if every limit is met
     rejection     max over members and f <= bandwidth of |Syp(f)| bandwidth / f
     """
@@ -121,20 +121,15 @@ class WorstPlace:
     rejection: float
 
 
-def judge(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> Judgement:
-    """Judge one loop over the family.
-
-    Stability is read from the winding of P(e^jw): a polynomial in q^-1 that starts with 1 winds
-    once around zero for each root outside the unit circle.
-    """
-    functions, outside = magnitudes(grid, R, S)
+def evaluate_loop(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> LoopFigures:
+    """Return excess over the limits and predicted error of one loop over the family."""
+    functions, unstable_poles = magnitudes(grid, R, S)
     excess_dB = float(decibel((functions / grid.limits[:, None, :]).max()))
-    if outside:
-        excess_dB = _UNSTABLE_dB * outside + max(excess_dB, 0.0)
+    excess_dB = _with_instability(excess_dB, unstable_poles)
     specification = grid.specification
     r, s = polynomial_response(R, grid.q_scan), polynomial_response(S, grid.q_scan)
-    rejected = np.abs(grid.A_scan * s / (grid.A_scan * s + grid.B_scan * r))
-    harmonics = rejected * specification.disturbance_rms / _HARMONICS
+    sensitivity = np.abs(grid.A_scan * s / (grid.A_scan * s + grid.B_scan * r))
+    harmonics = sensitivity * specification.disturbance_rms / _HARMONICS
     disturbance = np.sqrt((harmonics**2).sum(axis=1))  # of the scan, by member
     sensor = (functions[2] ** 2 @ grid.weight) * specification.sensor_noise_rms**2
     converter = (functions[3] ** 2 @ grid.weight) * specification.voltage_step_V**2 / 12.0
@@ -142,7 +137,7 @@ def judge(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> Judgement:
     limit = specification.noise_limit_rms
     if limit is not None:
         excess_dB = max(excess_dB, float(decibel(noise.max() / limit)))
-    return Judgement(
+    return LoopFigures(
         excess_dB=excess_dB,
         predicted_error=float(np.hypot(disturbance, noise).max()),
         disturbance_rms=float(disturbance.max()),
@@ -150,34 +145,40 @@ def judge(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> Judgement:
     )
 
 
-def worst_place(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> WorstPlace:
-    """Return where a loop is worst, over the family."""
-    functions, outside = magnitudes(grid, R, S)
+def worst_excess(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> WorstExcess:
+    """Return the largest excess of a loop over its limits, over the family."""
+    functions, unstable_poles = magnitudes(grid, R, S)
     ratio = (functions / grid.limits[:, None, :]).max(axis=1)
     row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
     band = grid.frequency_Hz <= grid.specification.bandwidth_Hz * (1.0 + 1e-12)
     scale = grid.specification.bandwidth_Hz / grid.frequency_Hz[band]
-    excess_dB = float(decibel(ratio[row, column]))
-    return WorstPlace(
+    return WorstExcess(
         function=FUNCTIONS[row],
         frequency_Hz=float(grid.frequency_Hz[column]),
-        excess_dB=_UNSTABLE_dB * outside + max(excess_dB, 0.0) if outside else excess_dB,
+        excess_dB=_with_instability(float(decibel(ratio[row, column])), unstable_poles),
         rejection=float((functions[0][:, band].max(axis=0) * scale).max()),
     )
 
 
+def _with_instability(excess_dB: float, unstable_poles: int) -> float:
+    return _UNSTABLE_dB * unstable_poles + max(excess_dB, 0.0) if unstable_poles else excess_dB
+
+
 def magnitudes(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> tuple[Array, int]:
-    """Return |Syp|, |Sup|, |Syb|, |Syv|, (functions, members, frequencies), and the largest
-    number of unstable poles of a member.
+    """Return |Syp|, |Sup|, |Syb|, |Syv|, and the largest number of unstable poles of a member.
+
+    The magnitudes are (functions, members, frequencies). Unstable poles are counted by the winding
+    of P(e^jw): a polynomial in q^-1 that starts with 1 winds once around zero for each root
+    outside the unit circle.
     """
     r, s = polynomial_response(R, grid.q), polynomial_response(S, grid.q)
     p = grid.A * s + grid.B * r
     functions = np.stack(
         [np.abs(grid.A * s), np.abs(grid.A * r), np.abs(grid.B * r), np.abs(grid.B * s)]
     ) / np.abs(p)
-    # The unwrapped angle from first line to last. A search asks this thousands of times;
-    # np.unwrap takes eight times as long.
+    # The unwrapped angle from the first line to the last. A search evaluates it thousands of
+    # times; np.unwrap takes eight times as long.
     angle = np.angle(p)
     turns = np.round(np.diff(angle) / (2.0 * np.pi)).sum(axis=1)
-    turned = angle[:, -1] - angle[:, 0] - 2.0 * np.pi * turns
-    return functions, int(np.round(np.abs(turned) / np.pi).max())
+    winding = angle[:, -1] - angle[:, 0] - 2.0 * np.pi * turns
+    return functions, int(np.round(np.abs(winding) / np.pi).max())

@@ -17,9 +17,8 @@ from piezoid.numerics.frequency import decibel
 from piezoid.numerics.polynomial import product
 
 _BISECTIONS = 4
-_STEPS_DOWN = 20
-_GIVEN_WAY = 5  # times a default gives way before its refusal stands
-_STEP_DOWN = -0.02
+_STEPS_DOWN, _STEP_DOWN = 20, -0.02  # the step is in ln(bandwidth)
+_MAX_RELAXATIONS = 5  # of a default bandwidth
 _PER_E_FOLD_dB = 20.0 / np.log(10.0)
 _LOWEST_SHARE = 0.01
 
@@ -32,10 +31,10 @@ Result = TypeVar("Result")
 def nearest_feasible_Hz(
     specification: Specification, violations: tuple[Violation, ...], attempt: Attempt
 ) -> float | None:
-    """Bisect the bandwidth, on a logarithmic scale, for the largest that meets every limit.
+    """Bisect the largest bandwidth that meets every limit, on a logarithmic scale.
 
-    The first guess is that |Syp| rises with f: missing by 12 dB means four times too fast. None
-    where lowering the bandwidth to 1 % does not help.
+    The first trial assumes that |Syp| rises with f: an excess of 12 dB needs a quarter of the
+    bandwidth. Returns None if not even 1 % of the bandwidth meets every limit.
     """
 
     def meets(logarithm: float) -> bool:
@@ -53,7 +52,7 @@ def nearest_feasible_Hz(
         low, high = (middle, high) if meets(middle) else (low, middle)
     for _ in range(_STEPS_DOWN):
         nearest_Hz = rounded_down(float(np.exp(low)) * specification.bandwidth_Hz)
-        # what a search finds is not monotone in what it is asked: the advice itself is tried
+        # Feasibility by search is not monotone in the bandwidth: the advice itself is verified.
         if meets(float(np.log(nearest_Hz / specification.bandwidth_Hz))):
             return nearest_Hz
         low += _STEP_DOWN
@@ -70,7 +69,7 @@ def refuse(
 ) -> NoReturn:
     """Raise ``TemplateError`` with the nearest feasible specification.
 
-    because  what about the plant stands in the way, a whole sentence
+    because  property of the plant that causes the violation, a whole sentence
     """
     worst, nearest_Hz = violations[0], nearest_feasible_Hz(specification, violations, attempt)
     relaxation_dB = {v.template: v.excess_dB for v in reversed(violations)}
@@ -103,18 +102,19 @@ def at_feasible_bandwidth(
 ) -> Result:
     """Design as requested, or at the nearest feasible bandwidth if that is refused.
 
-    For defaults, which nobody asked for in particular. Raises the refusal where no bandwidth is
+    For specifications whose bandwidth was not requested. Raises the refusal if no bandwidth is
     feasible.
     """
     attempted = specification
-    for _ in range(_GIVEN_WAY):
+    for _ in range(_MAX_RELAXATIONS):
         try:
             return design(attempted)
         except TemplateError as refusal:
             nearest_Hz = refusal.numbers["nearest_bandwidth_Hz"]
             if not isinstance(nearest_Hz, float):
                 raise
-            # a search for the least error may stop where one for any solution went on
+            # The search for the smallest error may end at an infeasible point although the search
+            # for any feasible point succeeded.
             bandwidth_Hz = min(nearest_Hz, 0.97 * attempted.bandwidth_Hz)
             attempted = replace(specification, bandwidth_Hz=bandwidth_Hz)
     return design(attempted)
@@ -129,8 +129,8 @@ def rounded_down(value: float) -> float:
 def unmet(
     members: Sequence[Fraction], R: ArrayLike, S: ArrayLike, specification: Specification
 ) -> tuple[Violation, ...]:
-    """Return everything the specification asks and some member does not reach, worst first."""
-    missed = list(
+    """Return the requirements that members of the family do not meet, worst first."""
+    unmet_limits = list(
         violations(
             members,
             R,
@@ -142,12 +142,12 @@ def unmet(
     )
     limit = specification.noise_limit_rms
     if limit is None:
-        return tuple(missed)
+        return tuple(unmet_limits)
     for member in members:
         is_stable = margins(member, R, S).is_stable
         rms = noise_rms(member, R, S, specification) if is_stable else 1e3 * limit
         if rms > limit:
-            missed.append(
+            unmet_limits.append(
                 Violation(
                     template="noise budget",
                     member=member.label,
@@ -158,7 +158,7 @@ def unmet(
                     excess_dB=float(decibel(rms / limit)),
                 )
             )
-    return tuple(sorted(missed, key=lambda violation: -violation.excess_dB))
+    return tuple(sorted(unmet_limits, key=lambda violation: -violation.excess_dB))
 
 
 def severity(violations: tuple[Violation, ...]) -> float:

@@ -16,29 +16,29 @@ from piezoid.numerics.polynomial import product, roots_of
 _GRID = 60
 _TAPS = 7  # of the filter; at most 9: four sections of second order in the runtime
 _LEAST_EFFORT = 1e-3
-# Of the sampling rate: taps a sample apart cannot tell slower signals from rest. Fitted to 2 Hz at
-# 20 kHz, filters of three loops missed a reference of 100 Hz by 22 to 79 %, fitted to 20 Hz by 0.2
-# to 1.6 %.
+# Of the sampling rate: over the few samples of the taps, slower signals are nearly constant.
+# Fitted up to 2 Hz at 20 kHz, the filters of three loops missed a reference of 100 Hz by 22 to 79
+# %, fitted up to 20 Hz by 0.2 to 1.6 %.
 _LEAST_BAND = 1e-3
-# Of the slowest mode: a band that contains it asks for taps of 1200, which amplify the reference.
+# Of the lowest resonance: in a band that contains it, taps reach 1200 and amplify the reference.
 _BELOW_MODE = 0.3
-_PREVIEW_SLACK = 8
-_GOOD_ENOUGH = 1.1
+_PREVIEW_SLACK = 8  # samples tried beyond the delay of the loop
+_GOOD_ENOUGH = 1.1  # times the smallest error
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReferencePath:
-    """A filter on the reference, and by how many samples the reference must lead.
+    """Filter of the reference, and its preview in samples.
 
         r'[k] = sum_j f_j r[k + p - j],   S u = T r' - R y
 
     filter            (taps,)  f, sum 1
-    preview_samples   p: the output follows the reference of p samples ago when p is not known
-                      ahead; then the same numbers describe a pure delay, not an error
-    band_Hz           where the filter was fitted
+    preview_samples   p; if the reference is not known p samples ahead, the output follows it with
+                      a pure delay of p samples
+    band_Hz           up to which the filter was fitted
     error             max over f <= band of |1 - F H exp(j w p)|, nominal
-    worst_error       likewise, over all members
-    plain_error       nominal, without filter and preview: what lag alone would have cost
+    worst_error       the same over all members
+    plain_error       nominal, without filter and preview
     """
 
     filter: Array
@@ -62,14 +62,15 @@ def fit_reference_path(
 ) -> ReferencePath:
     """Fit the filter that makes the nominal closed loop a pure delay of p samples within a band.
 
-    The loop's output is the position, in front of the sensor, where that is known.
+    The loop's output is the position in front of the sensor, if the plant has one.
 
         minimise  sum_(f <= band) |F H - exp(-j w p)|^2 + small |F - 1|^2 above,   H = T B / P
 
-    subject to F(1) = 1. The smallest preview within 10 % of the best error is taken.
+    subject to F(1) = 1. The smallest preview whose error is within 10 % of the best is taken.
 
     members  the nominal one first
-    band_Hz  at least a thousandth of the sampling rate is taken, well below the slowest mode
+    band_Hz  raised to a thousandth of the sampling rate, or to 0.3 of the lowest resonance if that
+             is less
     """
     nominal = members[0]
     rate_Hz = nominal.sampling_rate_Hz
@@ -97,10 +98,10 @@ def fit_reference_path(
     filters, errors = [], []
     for preview in range(max(delay, 0) + _PREVIEW_SLACK):
         target = np.concatenate([inside**preview, _LEAST_EFFORT * np.ones(len(outside))])
-        remainder = target - rows[:, 0]
+        offset = target - rows[:, 0]
         solution = np.linalg.lstsq(
             np.vstack([free.real, free.imag]),
-            np.concatenate([remainder.real, remainder.imag]),
+            np.concatenate([offset.real, offset.imag]),
             rcond=None,
         )[0]
         filters.append(np.concatenate([[1.0 - solution.sum()], solution]))

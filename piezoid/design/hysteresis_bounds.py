@@ -4,9 +4,10 @@ The slope of a true hysteresis behind the exact inverse of a model follows from
 
     Gamma_t o Gamma_m^-1 = Psi_t H_t kappa H_m^-1 Psi_m^-1,   kappa = gamma_t o gamma_m^-1
 
-kappa is increasing, so H_t sees the turning points H_m sees. A stretch that has come d beyond its
-last turning point moves the plays up to d/2: with slopes of kappa in [k_1, k_2], those of H_m up
-to r and those of H_t up to some r' in [k_1 r, k_2 r]. Its slope is W_t(r') / W_m(r) then.
+kappa is increasing, so H_t and H_m have the same turning points. A distance d from the last
+turning point moves the plays with thresholds up to d/2. With slopes of kappa in [k_1, k_2], these
+are the plays of H_m up to r, and the plays of H_t up to some r' in [k_1 r, k_2 r]. The slope is
+then W_t(r') / W_m(r).
 """
 
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.design.model_difference import JointError, joint_error
+from piezoid.design.model_difference import DifferenceBound, bound_difference
 from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
@@ -42,10 +43,11 @@ class HysteresisBounds:
     form              ``affine`` or ``inverse``
     gain_m_per_V      a, the centre of the sector
     slope_min, slope_max   of d(u + delta)/du, relative to a; their mean is 1
-    slope_beyond      what no model of this kind explains changes the slope by, at most
+    slope_beyond      largest slope of the displacement that the model class cannot represent,
+                      relative to a
     error_m           sup |a delta| up to a constant, for |u| <= reach_V
     reach_V           largest command for which the bounds hold
-    conditions        what must be true for the bounds to hold, whole sentences
+    conditions        of the bounds, whole sentences
     """
 
     form: str
@@ -83,14 +85,15 @@ def affine_bounds(
         |Gamma[u] - a u - b| <= int_0^V |s W(r) - c| dr + sup |c gamma(u) - a u|
                                 + sup |Psi(h) - s h|,   V = sup |gamma(u)|
 
-    s and a/c are the mid slopes of Psi and gamma. The play states' increments lie between 0 and 1
-    and do not grow with the threshold, so Abel summation bounds the slope of H, and those of Psi
-    and gamma multiply it; the integral is exact for plays [Brokate & Sprekels 1996], and so is
-    what stands in its place for plays behind functions, see ``preisach_bounds``.
+    s and a/c are the mid slopes of Psi and gamma. The increments of the play states per increment
+    of the drive lie between 0 and 1 and do not grow with the threshold. So Abel summation bounds
+    the slope of H, and the slopes of Psi and gamma multiply this bound. The integral is exact for
+    plays [Brokate & Sprekels 1996]; ``preisach_bounds`` has the exact bound for plays behind
+    functions.
 
-    remainder_m  what the model itself leaves, for example the 99.9 % quantile of the held-out
-                 residual
-    remainder_m_per_V  by how much that changes the slope, at most
+    remainder_m        bound of the model's residual, for example the 99.9 % quantile of the
+                       held-out residual
+    remainder_m_per_V  largest slope of that residual
     """
     centre_V = model.voltage_offset_V
     lowest, greatest = model.slope_sector_m_per_V
@@ -98,15 +101,18 @@ def affine_bounds(
     if isinstance(model, PreisachPlays):
         error_m = farthest_from_line_m(model, gain, reach_V)
     else:
-        middle, bend = _mid_slope(model.dead_zones), _mid_slope(model.envelope)
-        weight = middle * model.plays.weight
+        zone_slope, envelope_slope = _mid_slope(model.dead_zones), _mid_slope(model.envelope)
+        weight = zone_slope * model.plays.weight
         scaled = PrandtlIshlinskii(threshold=model.plays.threshold, weight=weight)
-        line = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([gain / bend]))
-        reach = envelope_reach_V(model, reach_V)
+        line_weight = np.array([gain / envelope_slope])
+        line = PrandtlIshlinskii(threshold=np.zeros(1), weight=line_weight)
+        reach = _envelope_reach_V(model, reach_V)
         largest_m = float(np.abs(model.plays.loading_curve(np.array([reach]))[0]))
-        static_m = static_difference(model.dead_zones, middle, largest_m)
-        bent_m = gain / bend * static_difference(model.envelope, bend, reach_V)
-        error_m = worst_case(scaled, line, reach).bound + bent_m + static_m
+        zones_m = static_difference(model.dead_zones, zone_slope, largest_m)
+        envelope_m = (
+            gain / envelope_slope * static_difference(model.envelope, envelope_slope, reach_V)
+        )
+        error_m = worst_case(scaled, line, reach).bound + envelope_m + zones_m
     return HysteresisBounds(
         form="affine",
         gain_m_per_V=gain,
@@ -139,17 +145,17 @@ def inverse_bounds(
 ) -> HysteresisBounds:
     """Bound the residual after exact inversion of a model, from models refitted to resampled data.
 
-        |Gamma_t[u] - Gamma_m[u]| <= sup over all histories, see ``joint_error``, + rho_max
-        m = min D(Gamma_t o Gamma_m^-1),   M = max of the same, see ``slope_ratio``
+        |Gamma_t[u] - Gamma_m[u]| <= sup over all histories, see ``bound_difference``, + rho_max
+        m = min D(Gamma_t o Gamma_m^-1),   M = max D(Gamma_t o Gamma_m^-1)
 
-    The compensation error is the model error at the inverse's output. Each replicate stands for
-    the truth once; the quantile ``confidence`` over replicates is reported. All models are in the
-    gauge of unit central dead zone. Of plays behind functions, which have no gauge, both suprema
-    are exact, see ``preisach_bounds``.
+    The compensation error is the model error at the inverse's output. Each replicate takes the
+    place of the true hysteresis; the bounds are quantiles over the replicates. All models are in
+    the gauge of unit central dead zone. Plays behind functions have no gauge, and both suprema are
+    exact, see ``preisach_bounds``.
 
-    gain_m_per_V  a of the linear design, the unit of the command
-    remainder_m   rho_max: bounded part that no model of this kind explains
-    remainder_m_per_V  by how much that part changes the slope, at most
+    gain_m_per_V       a of the linear design, the unit of the command
+    remainder_m        rho_max: bound of the displacement that no model of this class explains
+    remainder_m_per_V  largest slope of that displacement
     """
     if isinstance(model, PreisachPlays):
         functions = [replicate for replicate in replicates if isinstance(replicate, PreisachPlays)]
@@ -158,11 +164,11 @@ def inverse_bounds(
     else:
         reference = model.regauged()
         truths = [r.regauged() for r in replicates if isinstance(r, ModifiedPrandtlIshlinskii)]
-        difference = joint_error(reference, truths, reach_V)
+        difference = bound_difference(reference, truths, reach_V)
         errors_m = difference.error_m
         sectors = np.array(
             [
-                ratio_sector(reference, truth, reach_V, difference, error_m)
+                _ratio_sector(reference, truth, reach_V, difference, error_m)
                 for truth, error_m in zip(truths, errors_m.tolist(), strict=True)
             ]
         )
@@ -187,19 +193,19 @@ def inverse_bounds(
     )
 
 
-def ratio_sector(
+def _ratio_sector(
     model: ModifiedPrandtlIshlinskii,
     truth: ModifiedPrandtlIshlinskii,
     reach_V: float,
-    difference: JointError,
+    difference: DifferenceBound,
     error_m: float,
 ) -> Interval:
-    """Return least and greatest increment gain of Gamma_t o Gamma_m^-1 for |u| <= reach.
+    """Return the smallest and largest increment gain of Gamma_t o Gamma_m^-1 for |u| <= reach.
 
-    difference    of the model: its grid of voltages and what it can put out at each
-    error_m  how far the outputs of both can be apart
+    difference  grid of voltages, and the range of H of the model at each
+    error_m     largest difference of the outputs
     """
-    # the slope of kappa between each two voltages, which may be cut by knots of the envelopes
+    # The slopes of kappa between adjacent voltages; knots of the envelopes subdivide the interval.
     voltage_V = difference.voltage_V
     knots = np.union1d(model.envelope.threshold, truth.envelope.threshold)
     knots = knots[(knots > voltage_V[0]) & (knots < voltage_V[-1])]
@@ -207,74 +213,69 @@ def ratio_sector(
     middle = 0.5 * (edges[1:] + edges[:-1])
     ratio = truth.envelope.run_with_slope(middle)[1] / model.envelope.run_with_slope(middle)[1]
     first = np.searchsorted(edges, voltage_V[:-1])
-    least_bend = np.minimum.reduceat(ratio, first)
-    greatest_bend = np.maximum.reduceat(ratio, first)
-    static = _static_ratios(model.dead_zones, truth.dead_zones, difference, error_m)
-    reach = envelope_reach_V(model, reach_V)
-    low, high = _play_ratios(
-        model.plays, truth.plays, reach, least_bend.min(), greatest_bend.max()
-    )
-    least = low * float((least_bend * static[0]).min())
-    return least, high * float((greatest_bend * static[1]).max())
+    min_kappa = np.minimum.reduceat(ratio, first)
+    max_kappa = np.maximum.reduceat(ratio, first)
+    min_zones, max_zones = _zone_ratios(model.dead_zones, truth.dead_zones, difference, error_m)
+    reach = _envelope_reach_V(model, reach_V)
+    low, high = _play_ratios(model.plays, truth.plays, reach, min_kappa.min(), max_kappa.max())
+    lowest = low * float((min_kappa * min_zones).min())
+    return lowest, high * float((max_kappa * max_zones).max())
 
 
-def envelope_reach_V(model: ModifiedPrandtlIshlinskii, reach_V: float) -> float:
-    """Return the largest |gamma(u)| for |u| <= reach."""
+def _envelope_reach_V(model: ModifiedPrandtlIshlinskii, reach_V: float) -> float:
     return float(np.abs(model.envelope.run(np.array([-reach_V, reach_V]))).max())
 
 
 def static_difference(zones: DeadZones, slope: float, reach: float) -> float:
-    """Return sup over |h| <= reach of |Psi(h) - slope h|, which occurs at a knot."""
+    """Return sup over |h| <= reach of |Psi(h) - slope h|, which lies at a knot or an end."""
     knots = zones.threshold
     h: Array = np.concatenate([[-reach], knots[np.abs(knots) < reach], [reach]])
     return float(np.abs(zones.run(h) - slope * h).max())
 
 
-def _static_ratios(
-    zones: DeadZones, truth: DeadZones, difference: JointError, error_m: float
+def _zone_ratios(
+    zones: DeadZones, truth: DeadZones, difference: DifferenceBound, error_m: float
 ) -> tuple[Array, Array]:
     """Return the extremes of Psi_t' / Psi_m' between neighbouring voltages."""
-    low_m, high_m = zones.run(difference.least_m[:-1]), zones.run(difference.most_m[1:])
+    low_m, high_m = zones.run(difference.min_m[:-1]), zones.run(difference.max_m[1:])
     model_edges, truth_edges = (
         np.concatenate([[-np.inf], z.run(z.threshold), [np.inf]]) for z in (zones, truth)
     )
-    first = np.maximum(model_edges[:-1], low_m[:, None])  # (cells, pieces of the model)
+    start = np.maximum(model_edges[:-1], low_m[:, None])  # (cells, pieces of the model)
     stop = np.minimum(model_edges[1:], high_m[:, None])
-    met = (first <= stop)[:, :, None] & (
+    is_reachable = (start <= stop)[:, :, None] & (
         (truth_edges[:-1] <= stop[:, :, None] + error_m)
-        & (truth_edges[1:] >= first[:, :, None] - error_m)
+        & (truth_edges[1:] >= start[:, :, None] - error_m)
     )
     ratio = truth.slope / zones.slope[:, None]
-    smallest = np.where(met, ratio, np.inf).min(axis=(1, 2))
-    return smallest, np.where(met, ratio, -np.inf).max(axis=(1, 2))
+    smallest = np.where(is_reachable, ratio, np.inf).min(axis=(1, 2))
+    return smallest, np.where(is_reachable, ratio, -np.inf).max(axis=(1, 2))
 
 
 def _play_ratios(
     model: PrandtlIshlinskii, truth: PrandtlIshlinskii, reach: float, low: float, high: float
 ) -> Interval:
-    """Return the extremes of the truth's slope over the model's where both may be together.
-
-    reach      of the model's plays
-    low, high  factors between the place of the model and that of the truth
-    """
+    """Return the extremes of W_t(r') / W_m(r) over r <= reach and low r <= r' <= high r."""
     truth_edges = np.append(truth.threshold, np.inf)
     starts = model.threshold[model.threshold < reach]
     stops = np.append(starts[1:], reach)
     ratios = []
     for start, end, slope in zip(starts, stops, model.slope, strict=False):
-        met = (truth_edges[:-1] < high * end) & (truth_edges[1:] > low * start)
-        ratios += [truth.slope[met].min() / slope, truth.slope[met].max() / slope]
+        is_reachable = (truth_edges[:-1] < high * end) & (truth_edges[1:] > low * start)
+        truth_slope = truth.slope[is_reachable]
+        ratios += [truth_slope.min() / slope, truth_slope.max() / slope]
     return float(min(ratios)), float(max(ratios))
 
 
 def draw_replicates(
     axis: AxisModel, rng: np.random.Generator, *, draws: int = _DRAWS
 ) -> tuple[Operator, ...]:
-    """Draw operators from the fit's normal law; keep the draws that have an inverse.
+    """Draw operators from the normal distribution of the fit; drop draws without an inverse.
 
-    draws  tried; the truth is taken to have an inverse, so that the others are not possible
+    draws  number of draws, before those without an inverse are dropped: the true hysteresis is
+           assumed to have one
 
-    Numbers on a bound have no variance and stay there.
+    Parameters on a bound have no variance and keep their value.
     """
     if axis.minor_loops is not None:
         return axis.minor_loops.draw(rng, draws)
@@ -286,15 +287,15 @@ def draw_replicates(
     plays, zones, envelope = model.plays, model.dead_zones, model.envelope
     operators = []
     for theta in thetas:
-        drawn = dict(zip(uncertainty.names, theta, strict=True))
-        play_V = _replicate_of("play_threshold_V", plays.threshold, drawn)
-        zone_m = _replicate_of("dead_zone_threshold_m", zones.threshold, drawn)
+        parameters = dict(zip(uncertainty.names, theta, strict=True))
+        play_V = _replicate_of("play_threshold_V", plays.threshold, parameters)
+        zone_m = _replicate_of("dead_zone_threshold_m", zones.threshold, parameters)
         play_V[0], zone_m[zones.zero] = 0.0, 0.0
         if not ((np.diff(play_V) > 0).all() and (np.diff(zone_m) > 0).all()):
             continue
-        play_weight = _replicate_of("play_weight_m_per_V", plays.weight, drawn)
-        zone_weight = _replicate_of("dead_zone_weight", zones.weight, drawn)
-        envelope_weight = _replicate_of("envelope_weight", envelope.weight, drawn)
+        play_weight = _replicate_of("play_weight_m_per_V", plays.weight, parameters)
+        zone_weight = _replicate_of("dead_zone_weight", zones.weight, parameters)
+        envelope_weight = _replicate_of("envelope_weight", envelope.weight, parameters)
         operator = replace(
             model,
             plays=PrandtlIshlinskii(threshold=play_V, weight=play_weight),
@@ -307,7 +308,7 @@ def draw_replicates(
 
 
 def _replicate_of(stem: str, fitted: Array, parameters: dict[str, float]) -> Array:
-    """Return the drawn numbers of one array, with unfitted numbers unchanged."""
+    """Return one array of parameters with the drawn values; values that were not fitted stay."""
     return np.array(
         [parameters.get(f"{stem}[{i}]", value) for i, value in enumerate(fitted.tolist())]
     )

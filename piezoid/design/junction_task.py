@@ -2,8 +2,8 @@
 
     y = ln(i / i_0),    dy/du = K wa/(s + wa) wi/(s + wi) e^(-s tau)
 
-K, the sensor's pole and the delay come from the closed-loop identification with their family;
-voltages, set point and the reading's noise are the laboratory's to say.
+K, the sensor's pole and the delay come from the closed-loop identification with their family.
+lab.toml declares voltages, set point, and what determines the noise of the reading.
 """
 
 import math
@@ -18,8 +18,7 @@ from piezoid.design.design import (
     AxisDesign,
     Candidate,
     LoopDesign,
-    REPORTED_Hz,
-    reached_margins,
+    family_margins,
     rejections,
 )
 from piezoid.design.feasibility import refuse, severity, unmet
@@ -40,26 +39,24 @@ from piezoid.numerics.frequency import decibel
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab
 
-_ATTEMPTED = 2
+_TRIAL_ITERATIONS = 2  # convex problems that decide whether a bandwidth is feasible
 _FIGURE = "max over members and f <= bandwidth of |Syp| bandwidth / f"
 
-USUAL_AXIS = "z"
-_ROUGHNESS_m = 1e-10  # what a loop meets on an atomically flat terrace with a step or two
-MODE_MARGIN = 0.5  # of the small gain, as of the modulus
-_LOWEST_SHARE = 0.01  # of the sampling rate: no drive of a tip rings lower
-_SLOWEST_SHARE = 5.0  # a pole beyond so many sampling rates is instantaneous
+_DEFAULT_AXIS = "z"
+_ROUGHNESS_m = 1e-10  # rms, of an atomically flat terrace with a step or two
+_MODE_MARGIN = 0.5  # of the small gain, as of the modulus
+_LOWEST_MODE = 0.01  # of the sampling rate: no drive of a tip resonates lower
+_INSTANTANEOUS = 5.0  # sampling rates, beyond which a pole is instantaneous
 
 
 @dataclass(frozen=True, kw_only=True)
 class VerticalTask:
     """Inputs of the design of the tunnelling axis.
 
-    axis           its name
-    family         the junctions it has to hold, nominal first
-    specification  default, to be overruled by what is asked
+    family         the junctions that the loop must stabilise, nominal first
+    specification  default, which a requested specification overrides
     """
 
-    axis: str
     family: PlantFamily
     specification: Specification
 
@@ -67,30 +64,30 @@ class VerticalTask:
 def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> VerticalTask:
     """Return family and default specification of the tunnelling axis.
 
-    The reading's noise is the least there can be: shot noise at the set point, Johnson noise and
-    converter step where resistor and bits are declared, all divided by the set point, in nepers.
+    The noise of the reading is the physical minimum, in nepers: shot noise at the set point, and
+    Johnson noise and converter step if resistor and bits are declared, relative to the set point.
 
-    Raises ``DesignError`` where only sweeps were recorded, whose gap law knows no dynamics, and
-    ``LabFileError``, with the line to write, where voltage range or set point is not declared.
+    Raises ``DesignError`` if only sweeps were recorded, from which no dynamics can be identified,
+    and ``LabFileError``, with the line to write, if voltage range or set point is not declared.
     """
     loop = loop_plant_of(tunnelling)
     axis = axis_of(tunnelling)
     converters = converters_of(lab, axis)
     if converters.command_V is None or not all(map(math.isfinite, converters.command_V)):
-        meaning = "the voltages the height's drive may take"
+        meaning = "the voltage range of the height's drive"
         raise missing_line(lab, "input_range_V = [-10, 10]", meaning, "[acquisition]")
     low_V, high_V = converters.command_V
     if not low_V < high_V:
         raise LabFileError(
             f"{lab.place}: converter and amplifier have no voltage in common ({low_V:g} V to "
             f"{high_V:g} V)",
-            needed="a range of commands that both can take",
+            needed="overlapping voltage ranges",
             remedy="Correct input_range_V of [acquisition] or the outputs of [amplifier].",
         )
     members = junction_family(loop, lab)
     amplifier_Hz, sensor_Hz = members[0].amplifier_pole_Hz, members[0].sensor_pole_Hz
     rate_Hz = members[0].sampling_rate_Hz
-    if min(amplifier_Hz, sensor_Hz) > _SLOWEST_SHARE * rate_Hz:
+    if min(amplifier_Hz, sensor_Hz) > _INSTANTANEOUS * rate_Hz:
         raise DesignError(
             f"axis {axis}: amplifier ({amplifier_Hz:.4g} Hz) and current sensor "
             f"({sensor_Hz:.4g} Hz) are instantaneous at {rate_Hz:g} Hz",
@@ -108,7 +105,6 @@ def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> VerticalTask:
         disturbance_rms=decay_of_barrier(loop.barrier_eV) * _ROUGHNESS_m,
     )
     return VerticalTask(
-        axis=axis,
         family=family,
         specification=replace(
             default,
@@ -119,31 +115,31 @@ def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> VerticalTask:
 
 
 def _limit_at_modes(modes: Sequence[DriveMode], plant: JunctionPlant) -> tuple[Template, ...]:
-    """Return the limit of Syb that keeps a mode of the drive from oscillating, if there is one.
+    """Return the limit of Syb that keeps modes of the drive from oscillating; empty without modes.
 
     Small gain: with the mode the plant is G (1 + D), D = a (M - 1), and |Syb| <= margin / |D|
-    holds the loop together whatever the phase. Between the records, and where a mode is off by
-    as much as a data sheet is, the largest |D| counts.
+    stabilises the loop for any phase. |D| is the largest of all records and of all shifts of the
+    frequency by the uncertainty of a data sheet.
     """
     if not modes:
         return ()
-    f = np.geomspace(_LOWEST_SHARE * plant.sampling_rate_Hz, 0.5 * plant.sampling_rate_Hz, 200)
+    f = np.geomspace(_LOWEST_MODE * plant.sampling_rate_Hz, 0.5 * plant.sampling_rate_Hz, 200)
     deviations = [
         np.abs(mode.response(f * (1.0 + shift)) - 1.0)
         for mode in modes
         for shift in np.linspace(-DECLARED_SPREAD, DECLARED_SPREAD, 21)
     ]
     largest = np.max(deviations, axis=0)
-    limited = largest > MODE_MARGIN
-    if not limited.any():
+    is_limited = largest > _MODE_MARGIN
+    if not is_limited.any():
         return ()
-    first = int(np.argmax(limited))
+    first = int(np.argmax(is_limited))
     return (
         Template(
             name="mode of the drive",
             function="Syb",
             frequency_Hz=f[first:],
-            upper_dB=np.asarray(decibel(MODE_MARGIN / largest[first:])),
+            upper_dB=np.asarray(decibel(_MODE_MARGIN / largest[first:])),
         ),
     )
 
@@ -151,48 +147,55 @@ def _limit_at_modes(modes: Sequence[DriveMode], plant: JunctionPlant) -> tuple[T
 def axis_of(tunnelling: TunnellingModel) -> str:
     """Return the name of the axis that regulates the current; default: z."""
     loop = tunnelling.loop_plant
-    return USUAL_AXIS if loop is None or not loop.axis else loop.axis
+    return _DEFAULT_AXIS if loop is None or not loop.axis else loop.axis
 
 
 def loop_plant_of(tunnelling: TunnellingModel) -> LoopPlant:
-    """Return the plant found in closed loop, or refuse naming the recording that is missing."""
+    """Return the plant that was identified in closed loop.
+
+    Raises ``DesignError`` with the recording to make if there is none.
+    """
     if tunnelling.loop_plant is None:
         raise DesignError(
-            f"axis {USUAL_AXIS}: sweeps give the barrier, but not how fast the junction answers",
-            needed="a recording of the closed loop with a dither that depends on nothing measured",
+            f"axis {_DEFAULT_AXIS}: sweeps determine the barrier, but not the dynamics of the "
+            "junction",
+            needed="a recording of the closed loop with a dither that is independent of the "
+            "current",
             remedy="Record drive, current and dither while the tip tunnels, and fit again.",
         )
     return tunnelling.loop_plant
 
 
 def junction_family(loop: LoopPlant, lab: Lab) -> tuple[JunctionPlant, ...]:
-    """Return the junctions a controller has to hold, nominal first.
+    """Return the junctions that a controller must stabilise, nominal first.
 
-    The family of the identification, and the nominal junction at both ends of the barriers that
-    lab.toml says occur: the gain goes with the root of the barrier.
+    These are the family of the identification, and the nominal junction at both ends of the
+    barrier range that lab.toml declares: the gain is proportional to the root of the barrier.
     """
-    declared_eV = lab.tunnelling.barrier_range_eV or ()
-    further = [
+    nominal = loop.plant
+    extremes = [
         replace(
-            loop.plant,
-            gain_nepers_per_V=loop.plant.gain_nepers_per_V
-            * math.sqrt(barrier_eV / loop.barrier_eV),
+            nominal,
+            gain_nepers_per_V=nominal.gain_nepers_per_V * math.sqrt(barrier_eV / loop.barrier_eV),
         )
-        for barrier_eV in declared_eV
+        for barrier_eV in lab.tunnelling.barrier_range_eV or ()
     ]
-    return (*loop.family, *further)
+    return (*loop.family, *extremes)
 
 
 def set_point_A(lab: Lab) -> float:
-    """Return the magnitude of the set point, or refuse with the line to write."""
-    declared_A = lab.tunnelling.set_point_A
-    if declared_A is None:
-        raise missing_line(lab, "set_point_A = 1e-9", "the current the loop is to hold")
-    return abs(declared_A)
+    """Return the magnitude of the declared set point.
+
+    Raises ``LabFileError`` with the line to write if lab.toml declares none.
+    """
+    set_point_A = lab.tunnelling.set_point_A
+    if set_point_A is None:
+        raise missing_line(lab, "set_point_A = 1e-9", "the current that the loop regulates")
+    return abs(set_point_A)
 
 
 def reading_noise_A(plant: JunctionPlant, lab: Lab, axis: str) -> float:
-    """Return the least rms noise of one current reading at the set point.
+    """Return the physical minimum of the rms noise of one current reading at the set point.
 
     sqrt(2 e i B + 4 k T B / R + step^2 / 12),   B = pi f / 2 of a first-order sensor
     """
@@ -208,8 +211,8 @@ def reading_noise_A(plant: JunctionPlant, lab: Lab, axis: str) -> float:
 def reading_range_A(lab: Lab, axis: str) -> tuple[float, float] | None:
     """Return the range of currents of resistor and converter, or None if it is unknown.
 
-    ``input_range_V`` is that of both converters; where the set point itself lies at its end or
-    beyond it, it can only be that of the drive's.
+    ``input_range_V`` is the range of both converters. If the set point lies at or beyond its end,
+    it can only be the range of the drive's converter.
     """
     reading_V, resistor_ohm = converters_of(lab, axis).reading_V, lab.tunnelling.feedback_ohm
     if reading_V is None or resistor_ohm is None:
@@ -219,10 +222,10 @@ def reading_range_A(lab: Lab, axis: str) -> tuple[float, float] | None:
 
 
 def missing_line(lab: Lab, line: str, meaning: str, table: str = "[tunnelling]") -> LabFileError:
-    """Return the error of a fact about the tip that lab.toml does not hold."""
+    """Return the error for a missing declaration about the tip, with the line to write."""
     return LabFileError(
-        f"{lab.place}: {table} does not say {line.split(' ')[0]}, {meaning}",
-        needed="a declaration: what keeps a tip from the surface is never guessed",
+        f"{lab.place}: {table} does not declare {line.split(' ')[0]}, {meaning}",
+        needed="a declaration: numbers that keep a tip from the surface are never guessed",
         remedy=f"Write, with your own number, `{line}` under {table}.",
     )
 
@@ -250,11 +253,11 @@ def design_vertical(
 ) -> AxisDesign:
     """Design R, S, T of the tunnelling axis by band-stops and by convex steps, and choose one.
 
-    family  for example the range of barrier heights: the loop gain goes with their square root
+    family  for example over a range of barriers: the loop gain is proportional to their root
     taps    free coefficients of R' and of S' of the convex problem
 
-    The controller that meets the specification and rejects more over the whole family is chosen.
-    Raises ``TemplateError`` where neither meets it.
+    The feasible controller with the better rejection over the whole family is chosen. Raises
+    ``TemplateError`` if neither controller meets the specification.
     """
     shaped = shape(family, specification)
     convex = optimise(family, specification, shaped.controller, taps=taps)
@@ -262,14 +265,14 @@ def design_vertical(
         "band-stop": shaped,
         "convex": convex,
     }
-    missed = {
+    violations = {
         name: unmet(family.members, solution.controller.R, solution.controller.S, specification)
         for name, solution in solutions.items()
     }
-    feasible = [name for name in solutions if not missed[name]]
+    feasible = [name for name in solutions if not violations[name]]
     if not feasible:
-        least_missed = min(missed.values(), key=severity)
-        refuse(axis, specification, least_missed, partial(_attempt, family, taps))
+        smallest = min(violations.values(), key=severity)
+        refuse(axis, specification, smallest, partial(_attempt, family, taps))
     best_name = min(feasible, key=lambda name: solutions[name].rejection)
     members, best = family.fractions, solutions[best_name].controller
     R, S, T = best.R, best.S, np.array([best.R.sum()])
@@ -282,14 +285,14 @@ def design_vertical(
         T=T,
         A_0=np.ones(1),
         reference=fit_reference_path(members, R, S, T, band_Hz=specification.bandwidth_Hz),
-        margins=reached_margins(members, R, S),
-        rejections=rejections(members, R, S, (*REPORTED_Hz, specification.bandwidth_Hz)),
+        margins=family_margins(members, R, S),
+        rejections=rejections(members, R, S, specification.bandwidth_Hz),
         certificate=None,
         candidates=tuple(
             Candidate(
                 name=name,
                 is_chosen=name == best_name,
-                is_feasible=not missed[name],
+                is_feasible=not violations[name],
                 figure=solution.rejection,
                 figure_name=_FIGURE,
                 parameters=solution.parameters,
@@ -311,11 +314,12 @@ def design_vertical(
 def _attempt(
     family: PlantFamily, taps: int, specification: Specification
 ) -> tuple[Violation, ...]:
-    """Return the limits that a few convex steps miss; none if band-stops meet them all."""
+    """Return the violations by band-stops or by a few convex steps, whichever are smaller."""
     start = shape(family, specification).controller
-    missed = unmet(family.members, start.R, start.S, specification)
-    if not missed:
+    violations = unmet(family.members, start.R, start.S, specification)
+    if not violations:
         return ()
-    steps = optimise(family, specification, start, taps=taps, most_iterations=_ATTEMPTED)
-    c = steps.controller
-    return min(missed, unmet(family.members, c.R, c.S, specification), key=severity)
+    c = optimise(
+        family, specification, start, taps=taps, max_iterations=_TRIAL_ITERATIONS
+    ).controller
+    return min(violations, unmet(family.members, c.R, c.S, specification), key=severity)

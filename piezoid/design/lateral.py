@@ -1,4 +1,4 @@
-"""Design X and Y: a disturbance observer in both forms, chosen among its tunings."""
+"""Design X and Y: a disturbance observer in both forms, the best of several tunings."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,8 +11,7 @@ from piezoid.design.design import (
     AxisDesign,
     Candidate,
     LoopDesign,
-    REPORTED_Hz,
-    reached_margins,
+    family_margins,
     rejections,
 )
 from piezoid.design.feasibility import (
@@ -32,8 +31,8 @@ from piezoid.design.tuning import DAMPED, METHODS, TunedObserver, tune_observer
 from piezoid.errors import DesignError, TemplateError
 from piezoid.runtime.schema import MAX_ORDER
 
-NO_DISTURBANCES = Disturbances()
-SLEW_SHARE = 0.5  # of what the amplifier follows: the rest is the feedback's
+_NO_DISTURBANCES = Disturbances()
+_SLEW_SHARE = 0.5  # of the amplifier's slew rate, for references: feedback needs the rest
 _LOOP_OF_FORM = {"inverse": "mpi_dob", "affine": "dob"}
 _FIGURE = "predicted tracking error with noise, rms, worst member"
 
@@ -45,21 +44,21 @@ def design_lateral(
     *,
     model: Plant | None = None,
     bounds: Mapping[str, HysteresisBounds] | None = None,
-    disturbances: Disturbances = NO_DISTURBANCES,
+    disturbances: Disturbances = _NO_DISTURBANCES,
 ) -> AxisDesign:
     """Design the disturbance observer of one lateral axis, in every requested form.
 
-    families  by form, ``inverse`` and/or ``affine``: the affine form leaves the slope sector of
-              the hysteresis in the loop, so its family has more gain variation; see
+    families  by form, ``inverse`` and/or ``affine``: in the affine form the slope sector of the
+              hysteresis is in the loop, so its family has more gain variation; see
               ``with_sector``
-    model     what the observer computes with; by default a nominal member, a delay for which the
-              runtime has no states as a pole (``Plant.with_late_pole``)
-    bounds    by form, for the certificate; a form without has none
-    disturbances  what recordings showed beside drive and noise, for the certificate
+    model     design model of the observer; by default the nominal member, with part of its delay
+              as a pole if the runtime has too few states (``Plant.with_delay_pole``)
+    bounds    by form, for the certificate; a form without bounds has no certificate
+    disturbances  from the recordings, for the certificate
 
-    Raises ``TemplateError`` where the first form (the inverse one, if asked for) cannot meet the
-    specification. A further form that cannot is designed at its nearest feasible bandwidth, for
-    comparison, and left out where there is none.
+    Raises ``TemplateError`` if the first form (the inverse form, if requested) cannot meet the
+    specification. Another form is then designed at its nearest feasible bandwidth, for comparison,
+    or omitted if no bandwidth is feasible.
     """
     loops: list[LoopDesign] = []
     for form in (form for form in _LOOP_OF_FORM if form in families):
@@ -67,7 +66,7 @@ def design_lateral(
             axis=axis,
             form=form,
             family=families[form],
-            model=model or _with_room(axis, families[form].nominal, specification),
+            model=model or _reduce_states(axis, families[form].nominal, specification),
             bounds=(bounds or {}).get(form),
             disturbances=disturbances,
         )
@@ -87,7 +86,7 @@ def design_lateral(
 
 
 def with_sector(family: PlantFamily, bounds: HysteresisBounds) -> PlantFamily:
-    """Return the family with the nominal gain at both ends of the hysteresis' slope sector."""
+    """Add the nominal plant with the gains at both ends of the hysteresis' slope sector."""
     nominal = family.nominal
     members = [
         replace(
@@ -101,39 +100,39 @@ def with_sector(family: PlantFamily, bounds: HysteresisBounds) -> PlantFamily:
     return PlantFamily(members=(*family.members, *members))
 
 
-def _with_room(axis: str, plant: Plant, specification: Specification) -> Plant:
-    """Return the plant with no more states than the runtime holds beside its oscillators."""
+def _reduce_states(axis: str, plant: Plant, specification: Specification) -> Plant:
+    """Return the plant with at most as many states as the runtime has besides its oscillators."""
     max_states = MAX_ORDER - 2 * len(specification.oscillation_Hz)
     excess = len(plant.realised()[0]) - max_states
     if excess <= 0:
         return plant
     if excess < plant.delay_samples:
-        return plant.with_late_pole(excess + 1)
+        return plant.with_delay_pole(excess + 1)
     raise DesignError(
         f"axis {axis}: at {plant.sampling_rate_Hz:g} Hz the plant has {max_states + excess} "
         f"states, of which {plant.delay_samples} are delay",
-        needed=f"at most {max_states}, as many as the controller holds, a delay counted as one",
+        needed=f"at most {max_states} states, a delay counted as one",
         remedy="Design with fewer resonant_harmonics, or fit fewer modes.",
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Tuning:
-    """One tuning of the observer, and the limits that it does not meet, worst first."""
+    """One tuning of the observer, and its violations of the specification, worst first."""
 
     observer: TunedObserver
     controller: RstController
-    missed: tuple[Violation, ...]
+    violations: tuple[Violation, ...]
 
     @property
     def error(self) -> float:
-        """Predicted, of the worst member."""
-        return self.observer.judgement.predicted_error
+        """Predicted tracking error, rms, worst member."""
+        return self.observer.figures.predicted_error
 
 
 @dataclass(frozen=True, kw_only=True)
 class _LoopDesigner:
-    """Designs the loop of one axis in one form, for any specification."""
+    """Design of the loop of one axis in one form, for any specification."""
 
     axis: str
     form: str
@@ -143,15 +142,14 @@ class _LoopDesigner:
     disturbances: Disturbances
 
     def design(self, specification: Specification) -> LoopDesign:
-        tunings = [self._tuned(specification, m) for m in self._methods(specification)]
-        feasible = [tuning for tuning in tunings if not tuning.missed]
+        tunings = [self._tune(specification, m) for m in self._methods(specification)]
+        feasible = [tuning for tuning in tunings if not tuning.violations]
         if not feasible:
-            missed = min((tuning.missed for tuning in tunings), key=severity)
             refuse(
                 self.axis,
                 specification,
-                missed,
-                self._least_missed,
+                min((tuning.violations for tuning in tunings), key=severity),
+                self._smallest_violations,
                 because=describe_obstacle(self.family, specification.bandwidth_Hz),
             )
         best = min(feasible, key=lambda tuning: tuning.error)
@@ -167,14 +165,14 @@ class _LoopDesigner:
             T=T,
             A_0=np.ones(1),
             reference=path,
-            margins=reached_margins(members, R, S),
-            rejections=rejections(members, R, S, (*REPORTED_Hz, specification.bandwidth_Hz)),
+            margins=family_margins(members, R, S),
+            rejections=rejections(members, R, S, specification.bandwidth_Hz),
             certificate=self._certificate(best.controller, path, specification),
             candidates=tuple(
                 Candidate(
                     name=tuning.observer.method,
                     is_chosen=tuning is best,
-                    is_feasible=not tuning.missed,
+                    is_feasible=not tuning.violations,
                     figure=tuning.error,
                     figure_name=_FIGURE,
                     parameters=tuning.observer.parameters,
@@ -187,10 +185,10 @@ class _LoopDesigner:
         )
 
     def _methods(self, specification: Specification) -> tuple[str, ...]:
-        damps = must_damp(self.family.nominal, specification.bandwidth_Hz)
-        return (*METHODS, DAMPED) if damps else METHODS
+        is_damped = must_damp(self.family.nominal, specification.bandwidth_Hz)
+        return (*METHODS, DAMPED) if is_damped else METHODS
 
-    def _tuned(
+    def _tune(
         self, specification: Specification, method: str, *, until_met: bool = False
     ) -> _Tuning:
         observer = tune_observer(
@@ -202,14 +200,14 @@ class _LoopDesigner:
             until_met=until_met,
         )
         controller = linear_controller(observer.observer)
-        missed = unmet(self.family.members, controller.R, controller.S, specification)
-        return _Tuning(observer=observer, controller=controller, missed=missed)
+        violations = unmet(self.family.members, controller.R, controller.S, specification)
+        return _Tuning(observer=observer, controller=controller, violations=violations)
 
-    def _least_missed(self, specification: Specification) -> tuple[Violation, ...]:
-        """Return the limits that the best tuning misses; none once a tuning meets them all."""
+    def _smallest_violations(self, specification: Specification) -> tuple[Violation, ...]:
+        """Return the violations by the best tuning; empty as soon as a tuning has none."""
         violations = []
         for method in reversed(self._methods(specification)):
-            violations.append(self._tuned(specification, method, until_met=True).missed)
+            violations.append(self._tune(specification, method, until_met=True).violations)
             if not violations[-1]:
                 break
         return min(violations, key=severity)
@@ -217,25 +215,25 @@ class _LoopDesigner:
     def _certificate(
         self, controller: RstController, path: ReferencePath, specification: Specification
     ) -> Certificate | None:
-        """Certify for a sine at the scan frequency that uses the drive, as far as the amplifier
-        follows it.
+        """Certify the loop for references up to the speed of a full-range sine at the scan
+        frequency, and up to a share of the amplifier's slew rate.
         """
         if self.bounds is None:
             return None
         gain = abs(self.family.nominal.gain)
         half_V = 0.5 * (specification.voltage_max_V - specification.voltage_min_V)
         amplitude_m = min(half_V, self.bounds.reach_V) * gain
-        fastest_m_per_s = 2.0 * np.pi * specification.scan_frequency_Hz * amplitude_m
+        slew_m_per_s = 2.0 * np.pi * specification.scan_frequency_Hz * amplitude_m
         if specification.voltage_slew_V_per_s is not None:
-            followed_m_per_s = specification.voltage_slew_V_per_s * gain
-            fastest_m_per_s = min(fastest_m_per_s, SLEW_SHARE * followed_m_per_s)
+            amplifier_m_per_s = specification.voltage_slew_V_per_s * gain
+            slew_m_per_s = min(slew_m_per_s, _SLEW_SHARE * amplifier_m_per_s)
         return certify(
             self.family.members,
             *(controller.R, controller.S, controller.T),
             path=path,
             bounds=self.bounds,
             operation=Operation(
-                reference_slew_m_per_s=float(fastest_m_per_s),
+                reference_slew_m_per_s=float(slew_m_per_s),
                 voltage_step_V=specification.voltage_step_V,
                 sensor_noise_rms_m=specification.sensor_noise_rms,
                 disturbances=self.disturbances,

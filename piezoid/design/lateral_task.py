@@ -1,11 +1,11 @@
 """Plant families, hysteresis bounds and the default specification of an identified axis.
 
-    y = a (v + delta[v]) behind everything linear that fit and diagnosis found
+    y = a (v + delta[v]) with the linear dynamics that fit and diagnosis identified
 
-    a = polarity (M + m) / 2 gain now
+    a = polarity (M + m) / 2 gain
 
 m and M are the ends of the hysteresis' slope sector. In the inverse form the same a turns the
-linearised command v into metres, so that both forms speak of the same volt.
+linearised command v into metres, so that both forms have the same unit of the command.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,15 +42,20 @@ from piezoid.numerics.zero_order_hold import fraction, sample
 from piezoid.operators.linear import cascade, first_order
 
 FORMS = ("inverse", "affine")
-FEWEST_REPLICATES = 20
-_SLOWER_THAN_RATE = 5.0  # a pole beyond so many sampling rates is instantaneous
-# Among 950 stages of two strangers further modes added at most 1.95 times the gain at rest (1.5 in
-# 99 %), and first modes had a quality of 5 to 60. With a limit of 1, two loops of 32 that damp
-# their first mode swung at the second one, 3 um rms; without any, three of twelve were unstable.
-FURTHER_MODE, FIRST_MODE = 2.0, 60.0
-UNTOLD_Hz = 200.0
-BEYOND = "control effort beyond what is known"  # name of the limit that guards against it
-_MOST_BETWEEN = 7  # members between the ends of a mode's interval
+_MIN_REPLICATES = 20
+_MAX_POLE = 5.0  # sampling rates, beyond which a pole is instantaneous
+# Sampling rates, of the pole that carries an instantaneous response behind a delay.
+_FAST_POLE = 1.0
+# Among 950 stages of two independent simulators, higher modes added at most 1.95 times the gain at
+# rest (1.5 in 99 %), and first modes had a quality factor of 5 to 60. With a limit of 1, two of 32
+# loops that damp their first mode oscillated at the second, 3 um rms; without a limit, three of
+# twelve were unstable.
+_HIGHER_MODE, FIRST_MODE = 2.0, 60.0
+_UNDECLARED_Hz = 200.0  # lowest first mode of a stage without data sheet or recorded dynamics
+BEYOND = (
+    "control effort beyond what is known"  # name of the limit that guards against unseen modes
+)
+_MAX_INNER_MEMBERS = 7  # of the family, between the ends of a mode's interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,9 +63,9 @@ class LateralTask:
     """Inputs of the design of one lateral axis.
 
     families       by form, ``inverse`` and ``affine``
-    bounds         of the hysteresis, by form; none where a bound is not known
-    specification  default, to be overruled by what is asked
-    disturbances   what recordings showed beside drive and noise
+    bounds         of the hysteresis, by form; a form without a bound is missing
+    specification  default, which a requested specification overrides
+    disturbances   from the recordings
     """
 
     families: Mapping[str, PlantFamily]
@@ -74,11 +79,11 @@ def lateral_task(
 ) -> LateralTask:
     """Return the families, bounds and default specification of one identified axis.
 
-    axis              whose model class applies
+    axis              to which the model class applies
     sampling_rate_Hz  of the controller
-    forms             wanted
+    forms             of the families
 
-    Raises ``DesignError`` where nothing is known that would limit the speed of a loop.
+    Raises ``DesignError`` if the model has no pole that limits the speed of a loop.
     """
     inverse = plant_family(axis, sampling_rate_Hz)
     bounds = _bounds(axis)
@@ -87,9 +92,9 @@ def lateral_task(
     low_V, high_V = loop.drive_range_V
     return LateralTask(
         families={form: family for form, family in families.items() if form in forms},
-        # An error that was seen on nothing but the fit's own rows bounds no other.
+        # The error on the rows of the fit alone bounds no other error.
         bounds=bounds if axis.quality.is_tested else {},
-        specification=_careful(
+        specification=_guard_unseen_modes(
             axis,
             inverse,
             default_specification(
@@ -108,21 +113,19 @@ def lateral_task(
     )
 
 
-_QUICK = 1.0  # sampling rates, of the pole that carries what answers at once behind a delay
-
-
 @dataclass(frozen=True, kw_only=True)
 class Unseen:
     """Unmeasured frequency range of the response of an axis, and possible modes in it.
 
-    from_Hz  recordings show the response up to here, or a data sheet says that no mode is below
-    peak     largest response of a mode from there on, over the gain at rest
-    known    how that is known, a whole sentence
+    from_Hz     start of the range: the highest recorded frequency, or the first mode's lowest
+                frequency by the data sheet
+    peak        largest response of a mode in the range, over the gain at rest
+    assumption  about these modes, with its reason, a sentence
     """
 
     from_Hz: float
     peak: float
-    known: str
+    assumption: str
 
     @property
     def fastest_Hz(self) -> float | None:
@@ -141,11 +144,11 @@ def unseen(axis: AxisModel) -> Unseen:
         from_Hz = max(seen_Hz, *modes_Hz) if modes_Hz else seen_Hz
         return Unseen(
             from_Hz=from_Hz,
-            peak=FURTHER_MODE,
-            known=f"above {with_unit(from_Hz, 'Hz')}, where recordings no longer show the "
-            f"response, no mode adds more to it than {FURTHER_MODE:g} times the gain at rest",
+            peak=_HIGHER_MODE,
+            assumption=f"above {with_unit(from_Hz, 'Hz')}, where recordings no longer show the "
+            f"response, no mode adds more to it than {_HIGHER_MODE:g} times the gain at rest",
         )
-    lowest_Hz, reason = UNTOLD_Hz, "no recording shows it and no data sheet was declared"
+    lowest_Hz, reason = _UNDECLARED_Hz, "no recording shows it and no data sheet was declared"
     if bandwidth is not None and bandwidth.stated_Hz is not None:
         lowest_Hz = bandwidth.stated_Hz / (1.0 + DECLARED_SPREAD)
         stated = with_unit(bandwidth.stated_Hz, "Hz")
@@ -157,29 +160,31 @@ def unseen(axis: AxisModel) -> Unseen:
     return Unseen(
         from_Hz=lowest_Hz,
         peak=FIRST_MODE,
-        known=f"the first mode lies above {with_unit(lowest_Hz, 'Hz')}, with at most "
+        assumption=f"the first mode lies above {with_unit(lowest_Hz, 'Hz')}, with at most "
         f"{FIRST_MODE:g} times the gain at rest: {reason}",
     )
 
 
-def _careful(axis: AxisModel, family: PlantFamily, default: Specification) -> Specification:
-    """Return the default with a limit of the control effort beyond what is known.
+def _guard_unseen_modes(
+    axis: AxisModel, family: PlantFamily, default: Specification
+) -> Specification:
+    """Limit the control effort of a default in the frequency range without recordings.
 
-    Small gain: where |Sup| stays below 1 / (peak gain), a mode that adds at most so many times
-    the gain at rest destabilises nothing.
+    Small gain: if |Sup| < 1 / (peak gain), no mode that adds at most peak times the gain at rest
+    destabilises the loop.
     """
-    beyond, nyquist_Hz = unseen(axis), 0.5 * family.nominal.sampling_rate_Hz
-    if not beyond.from_Hz < nyquist_Hz:
+    unseen_modes, nyquist_Hz = unseen(axis), 0.5 * family.nominal.sampling_rate_Hz
+    if not unseen_modes.from_Hz < nyquist_Hz:
         return default
-    least_gain = min(abs(member.gain) for member in family.members)
-    level_dB = -float(decibel(beyond.peak * least_gain))
+    min_gain = min(abs(member.gain) for member in family.members)
+    level_dB = -float(decibel(unseen_modes.peak * min_gain))
     limit = Template(
         name=BEYOND,
         function="Sup",
-        frequency_Hz=np.array([beyond.from_Hz, nyquist_Hz]),
+        frequency_Hz=np.array([unseen_modes.from_Hz, nyquist_Hz]),
         upper_dB=np.array([level_dB, level_dB]),
     )
-    bandwidth_Hz = min(default.bandwidth_Hz, beyond.fastest_Hz or np.inf)
+    bandwidth_Hz = min(default.bandwidth_Hz, unseen_modes.fastest_Hz or np.inf)
     return replace(
         default,
         templates=(*default.templates, limit),
@@ -189,34 +194,33 @@ def _careful(axis: AxisModel, family: PlantFamily, default: Specification) -> Sp
 
 
 def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
-    """Return the nominal plant of an axis and its uncertainty.
+    """Return the nominal plant of an axis, and the corners of its uncertainty.
 
-    Besides the nominal plant its corners: both ends of the gain's interval, with everything slow
-    and everything fast, with modes at their least and at their most damping; where the interval
-    of a mode's frequency is wider than the mode, members between its ends as well. What creeps
-    over seconds, and what is irreversible and late, widens the interval of the gain.
+    The corners combine both ends of the gain's interval with the slow and the fast ends of all
+    poles, and with the smallest and largest damping of the modes. If the interval of a mode's
+    frequency is wider than the mode, members between its ends are added. Creep and a delayed
+    irreversible part widen the interval of the gain.
 
-    Raises ``DesignError`` where nothing is known that would limit the speed of a loop.
+    Raises ``DesignError`` if the model has no pole that limits the speed of a loop.
     """
     nominal = loop_model(axis, rate_Hz)
     _refuse_without_poles(axis, nominal, rate_Hz)
     gain = axis.polarity * 0.5 * sum(axis.operator.slope_sector_m_per_V)
     low, high = _gain_interval(axis, nominal)
-    # label, lateness and sharpness of corners, and how many ends of the gain they have
+    # label, ``slower`` and ``sharper`` of each corner, and its number of gains
     corners = [("slow", 1.0, 0.0, 2), ("fast", -1.0, 0.0, 2)]
-    wide = mode_half(axis)
-    if wide != 0.0:
+    half_widths = mode_half(axis)
+    if half_widths != 0.0:
         corners = [
             (f"{speed}, {sharp}", slower, sharper, 2)
             for speed, slower in (("slow", 1.0), ("fast", -1.0))
             for sharp, sharper in (("sharp", 1.0), ("damped", -1.0))
         ]
-        between = min(
-            int(wide), _MOST_BETWEEN
-        )  # neighbours no farther apart than the mode is wide
+        # Adjacent members differ in frequency by at most the width of the mode.
+        count = min(int(half_widths), _MAX_INNER_MEMBERS)
         corners += [
             (f"slower by {slower:.2g}, sharp", slower, 1.0, 1)
-            for slower in np.linspace(1.0, -1.0, between + 2)[1:-1].tolist()
+            for slower in np.linspace(1.0, -1.0, count + 2)[1:-1].tolist()
         ]
     members = [_plant("nominal", nominal, gain * nominal.gain, rate_Hz)]
     for label, slower, sharper, n_gains in corners:
@@ -230,11 +234,11 @@ def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
 def _plant(label: str, loop: LoopModel, gain_m_per_V: float, rate_Hz: float) -> Plant:
     """Sample the fast dynamics of an axis behind the hold of its converter."""
     stage = cascade(loop.front, loop.behind)
-    if stage.D.any():  # a sampled plant answers a sample late
-        # Behind a delay the state of an instantaneous pole is the past command once more, which a
-        # delay keeps already: neither could be moved without the other.
-        quick = INSTANTANEOUS if loop.delay_s == 0.0 else _QUICK
-        stage = cascade(stage, first_order(quick * rate_Hz))
+    if stage.D.any():  # a sampled plant responds one sample later
+        # Behind a delay the state of an instantaneous pole equals the past command, which is also
+        # a state of the delay: the two would not be controllable separately.
+        pole = INSTANTANEOUS if loop.delay_s == 0.0 else _FAST_POLE
+        stage = cascade(stage, first_order(pole * rate_Hz))
     chain = cascade(stage, loop.sensor)
     system = sample(chain.A, chain.B[:, 0] * gain_m_per_V, chain.C[0], 1.0 / rate_Hz, loop.delay_s)
     numerator, denominator = fraction(system)
@@ -254,10 +258,10 @@ def _plant(label: str, loop: LoopModel, gain_m_per_V: float, rate_Hz: float) -> 
 
 
 def has_pole(loop: LoopModel, rate_Hz: float) -> bool:
-    """Tell whether a known pole matters at a sampling rate."""
+    """Whether the loop has a pole that is not instantaneous at a sampling rate."""
     poles = np.linalg.eigvals(cascade(loop.front, loop.behind, loop.sensor).A)
-    slow_Hz = _SLOWER_THAN_RATE * rate_Hz
-    return bool((np.abs(poles) < 2.0 * np.pi * slow_Hz).any())
+    max_pole_Hz = _MAX_POLE * rate_Hz
+    return bool((np.abs(poles) < 2.0 * np.pi * max_pole_Hz).any())
 
 
 def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> None:
@@ -276,19 +280,19 @@ def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> N
     raise DesignError(
         f"axis {axis.axis}: no pole is declared and none could be fitted that is slow enough to "
         f"matter at {rate_Hz:g} Hz{note}",
-        needed="what limits the speed of the stage: without it any gain would look safe",
+        needed="a pole that limits the speed of the stage: without it any gain would look safe",
         remedy="Declare bandwidth_Hz of [amplifier] or [sensor] in lab.toml, or add a recording "
         "that excites the dynamics (a small chirp at the controller's rate), and fit again.",
     )
 
 
 def _gain_interval(axis: AxisModel, loop: LoopModel) -> tuple[float, float]:
-    """Return the ends of the gain relative to the nominal one.
+    """Return the ends of the gain's interval relative to the nominal gain.
 
-    Its 95 % interval, within the slopes that the hysteresis has at any state: where the end of its
-    loading curve is not told by the recordings, the interval is wider than these and reaches
-    beyond zero. Creep adds to it, and where the irreversible part is late, a quick loop feels the
-    reversible slope alone.
+    This is the 95 % interval, limited to the slopes of the hysteresis at any state: if the
+    recordings do not determine the end of the loading curve, the interval exceeds these slopes and
+    includes zero. Creep widens the interval. With a delayed irreversible part, a fast loop
+    responds to the reversible slope alone.
     """
     half = relative_gain_half(axis)
     lowest, greatest = axis.operator.slope_sector_m_per_V
@@ -305,10 +309,9 @@ def relative_gain_half(axis: AxisModel) -> float:
 
 
 def _bounds(axis: AxisModel) -> dict[str, HysteresisBounds]:
-    """Bound both forms, the inverse one where enough draws of the fit have an inverse."""
-    reach_V = axis.certificate.reach_V
-    second = axis.discrepancy
-    steepest_m_per_V = 0.0 if second is None else second.steepest_m_per_V
+    """Bound both forms; the inverse form only if enough draws of the fit have an inverse."""
+    reach_V, discrepancy = axis.certificate.reach_V, axis.discrepancy
+    steepest_m_per_V = 0.0 if discrepancy is None else discrepancy.steepest_m_per_V
     affine = affine_bounds(
         axis.operator,
         reach_V,
@@ -317,7 +320,7 @@ def _bounds(axis: AxisModel) -> dict[str, HysteresisBounds]:
     )
     replicates = draw_replicates(axis, np.random.default_rng(0))
     bounds = {"affine": affine}
-    if len(replicates) >= FEWEST_REPLICATES:
+    if len(replicates) >= _MIN_REPLICATES:
         bounds["inverse"] = inverse_bounds(
             axis.operator,
             replicates,
@@ -330,12 +333,12 @@ def _bounds(axis: AxisModel) -> dict[str, HysteresisBounds]:
 
 
 def assumptions_of(axis: AxisModel) -> tuple[str, ...]:
-    """Return the assumptions on which the family rests, as sentences."""
+    """Return the assumptions behind the family, as sentences."""
     declared = [axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz]
     poles = ", ".join(with_unit(pole_Hz, "Hz") for pole_Hz in declared if pole_Hz is not None)
     declared_poles = (f"the declared poles ({poles}) are right to {100 * DECLARED_SPREAD:.0f} %",)
     return (
         *(declared_poles if poles else ()),
-        unseen(axis).known,
+        unseen(axis).assumption,
         describe_command_range(*axis.voltage_V),
     )

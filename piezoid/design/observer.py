@@ -2,9 +2,10 @@
 
     x[k+1] = A x[k] + B (u[k] + d[k]),   d = c w,   w[k+1] = F w[k],   y = C x
 
-Both forms share these equations. In the affine form u is the drive itself and d holds everything
-hysteresis does beyond an affine map. In the inverse form u is the linearised command v, the drive
-is the exact inverse of the hysteresis model at v, and d holds only what the model misses.
+Both forms share these equations. In the affine form u is the drive itself, and d contains the
+difference between the hysteresis and an affine map. In the inverse form u is the linearised
+command v, the drive is the exact inverse of the hysteresis model at v, and d contains only the
+error of that model.
 """
 
 from dataclasses import dataclass
@@ -20,9 +21,9 @@ from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array, freeze
 
 _UNREACHABLE = 1e-12
-# Of a sensor's pole as quick as 2.5 sampling rates one sample leaves 1.5e-7, and no gain moves it.
-# Poles nearer to 0 than this stay where they are if the link to them is weak.
-_AT_ONCE, _WEAK = 1e-4, 1e-9
+# The sampled pole of a sensor at 2.5 sampling rates is 1.5e-7, and no gain moves it. Poles below
+# this magnitude are not placed if the link to them is weak.
+_NEAR_ZERO, _WEAK = 1e-4, 1e-9
 _ROUNDING = 1e-14  # of the largest entry; entries in m/V are larger
 
 FORMS = ("affine", "inverse")
@@ -30,7 +31,7 @@ FORMS = ("affine", "inverse")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlacementForm:
-    """Form of a system for pole placement, independent of the desired poles.
+    """Hessenberg form of a system for pole placement, independent of the desired poles.
 
     form     (r, r)  Hessenberg, beginning at the input; r states whose poles can be moved
     links    (r,)    |b|, h_21, h_32, ...
@@ -60,21 +61,22 @@ class PlacementForm:
 
 
 def placement_form(A: Array, B: Array) -> PlacementForm:
-    """Return a system in the Hessenberg basis that starts at B, in which poles are placed by
+    """Return a system in the Hessenberg basis that starts at B.
+
+    Poles are placed there by Ackermann's formula
 
         K = e_n' (H - p_1 I) ... (H - p_n I) Q' / (b h_21 h_32 ... )
 
-    Ackermann's formula there: the powers of A and the controllability matrix, which cost all
-    digits at order eight, are never formed.
+    without the powers of A and the controllability matrix, which lose all digits at order eight.
 
     A  (n, n)
     B  (n,)
 
-    Poles at 0 that B does not reach stay there. Raises ``DesignError`` where it does not reach
-    others.
+    Poles at 0 that are not controllable stay there. Raises ``DesignError`` if other poles are not
+    controllable.
     """
-    # Powers of two that make rows and columns alike: states in m and in V differ by 1e6. What an
-    # instantaneous pole keeps of its state is rounding, and would be made as large as its row.
+    # Powers of two balance rows and columns: states in m and in V differ by 1e6. The sampled pole
+    # of an instantaneous lag is rounding, which balancing would scale up to the size of its row.
     rounded = np.where(np.abs(A) > _ROUNDING * np.abs(A).max(), A, 0.0)
     balanced, (basis, _) = matrix_balance(rounded, permute=False, separate=True)
     input_column = (np.asarray(B, dtype=np.float64) / basis)[:, None]
@@ -82,14 +84,14 @@ def placement_form(A: Array, B: Array) -> PlacementForm:
     form, Q = hessenberg(reflect.T @ balanced @ reflect, calc_q=True)
     links = np.concatenate([[float(upper[0, 0])], np.diag(form, -1)])
     for k in np.flatnonzero(np.abs(links) <= _WEAK * max(1.0, float(np.abs(links).max()))):
-        if k and np.abs(np.linalg.eigvals(form[k:, k:])).max() < _AT_ONCE:
+        if k and np.abs(np.linalg.eigvals(form[k:, k:])).max() < _NEAR_ZERO:
             form, Q, links = form[:k, :k], Q[:, :k], links[:k]
             break
     if not np.abs(links).min() > _UNREACHABLE * max(1.0, float(np.abs(links).max())):
         raise DesignError(
-            f"a part of the state cannot be moved: link {int(np.abs(links).argmin())} of the "
+            f"a part of the state is not controllable: link {int(np.abs(links).argmin())} of the "
             f"chain from the input is {np.abs(links).min():.1e}",
-            needed="states that all answer the input and are all seen in the output",
+            needed="states that are all controllable from the input and observable in the output",
             remedy="Reduce the model's order; two poles or a pole and a zero nearly coincide.",
         )
     return PlacementForm(form=form, links=links, Q=Q, reflect=reflect, basis=basis)
@@ -97,7 +99,7 @@ def placement_form(A: Array, B: Array) -> PlacementForm:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DisturbanceModel:
-    """Assumed components of the disturbance, each rejected without steady-state error.
+    """Model of the disturbance; its components are rejected without steady-state error.
 
         w[k+1] = F w[k],   d[k] = c w[k]
 
@@ -118,7 +120,7 @@ class DisturbanceModel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DisturbanceObserver:
-    """The gains of one axis' disturbance observer and state feedback.
+    """Gains of the disturbance observer and state feedback of one axis.
 
     form                 ``affine`` or ``inverse``
     A, B, C              (n, n), (n,), (n,)  design model; past inputs are its last states
@@ -160,15 +162,15 @@ class DisturbanceObserver:
 def disturbance_model(
     sampling_rate_Hz: float, oscillation_Hz: tuple[float, ...] = ()
 ) -> DisturbanceModel:
-    """Return a constant, and one undamped oscillator for each frequency of ``oscillation_Hz``.
+    """Return the model of a constant, and of an undamped oscillator at each given frequency.
 
-    An oscillator at the scan frequency removes the +20 dB/decade weakness of a plain observer
-    there; its price in margins is checked like everything else.
+    The rejection by an observer of a constant alone falls by 20 dB/decade towards the scan
+    frequency. An oscillator there restores it, at the expense of the margins.
     """
     blocks, outputs = [np.ones((1, 1))], [1.0]
     for f in oscillation_Hz:
-        turn = 2.0 * np.pi * f / sampling_rate_Hz
-        cosine, sine = np.cos(turn), np.sin(turn)
+        angle = 2.0 * np.pi * f / sampling_rate_Hz
+        cosine, sine = np.cos(angle), np.sin(angle)
         blocks.append(np.array([[cosine, sine], [-sine, cosine]]))
         outputs += [1.0, 0.0]
     return DisturbanceModel(transition=block_diag(*blocks), output=np.array(outputs))
@@ -176,10 +178,11 @@ def disturbance_model(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObserverFrame:
-    """All that the observers of one plant have in common: a search asks for thousands of them.
+    """Plant, disturbance and form of an observer, with the factorisations that its gains need.
 
-    plant, disturbance  what they estimate
-    form                ``affine`` or ``inverse``
+    A search computes the gains of thousands of observers from one frame.
+
+    form  ``affine`` or ``inverse``
     """
 
     plant: Plant
@@ -196,15 +199,15 @@ class ObserverFrame:
 
         feedback_poles  (n,)      values of z; n states of the plant without its delays
         observer_poles  (n + w,)  values of z
-        zeros           one for each past input the plant remembers
+        zeros           one for each past input among the plant's states
 
-        Past inputs are known exactly, so the observer is placed without them; see ``extended``.
+        Past inputs are known exactly, so the observer has no poles for them; see ``extended``.
         """
         gain = self._correction.gain(observer_poles)
         return self.with_gain(gain, feedback_poles=feedback_poles)
 
     def with_gain(self, gain: Array, *, feedback_poles: ArrayLike) -> DisturbanceObserver:
-        """Return the observer with this correction gain; see ``observer_with_gain``."""
+        """Return the observer with a correction gain, (n + w,), and with placed feedback poles."""
         order = len(self.plant.state_matrix)
         A, B, C = self._realised
         delay_poles = np.zeros(len(A) - order)
@@ -217,7 +220,7 @@ class ObserverFrame:
             B=B,
             C=C,
             disturbance=self.disturbance,
-            state_gain=np.concatenate([state_gain, self._past @ disturbance_gain]),
+            state_gain=np.concatenate([state_gain, self._past_outputs @ disturbance_gain]),
             disturbance_gain=disturbance_gain,
             feedback_gain=K,
             reference_gain=float((1.0 + K @ self._rest_state) / (C @ self._rest_state)),
@@ -228,7 +231,7 @@ class ObserverFrame:
         return self.plant.realised()
 
     @cached_property
-    def _past(self) -> Array:
+    def _past_outputs(self) -> Array:
         delays = len(self._realised[0]) - len(self.plant.state_matrix)
         return _past_outputs(self.disturbance, delays)
 
@@ -246,16 +249,16 @@ class ObserverFrame:
     def _rest_state(self) -> Array:
         """State at rest under one volt: N = (1 + K x) / (C x), x = (I - A)^-1 B makes y = r.
 
-        These are the runtime's own words. 1 / (C (I - A + B K)^-1 B) is the same number, but
-        metres beside volts make that matrix so ill-conditioned that the runtime's check sees the
-        rounding.
+        The runtime checks N by the same formula. 1 / (C (I - A + B K)^-1 B) is the same number,
+        but states in metres and in volts make that matrix so ill-conditioned that its rounding
+        exceeds the tolerance of the check.
         """
         A, B, _ = self._realised
         return np.asarray(np.linalg.solve(np.eye(len(A)) - A, B), dtype=np.float64)
 
 
 def extended(plant: Plant, disturbance: DisturbanceModel) -> tuple[Array, Array]:
-    """Return A_e and C_e of plant and disturbance, without states for past inputs.
+    """Return A_e and C_e of plant and disturbance together, without states for past inputs.
 
         A_e = [A  sum_j b_j c F^-j; 0 F],   C_e = [C 0]
 
@@ -285,10 +288,10 @@ def _past_outputs(disturbance: DisturbanceModel, count: int) -> Array:
 
 
 def linear_controller(observer: DisturbanceObserver) -> RstController:
-    """Write the whole observer with its feedback as S u = T r - R y.
+    """Return observer and feedback as one controller S u = T r - R y.
 
-    With M = I - L C_e the state matrix is (A_e - B_e K_e) M and
-    S its characteristic polynomial; T = N det(I - q^-1 A_e M), the observer's own polynomial.
+    With M = I - L C_e the state matrix is (A_e - B_e K_e) M, and S its characteristic polynomial;
+    T = N det(I - q^-1 A_e M), N times the characteristic polynomial of the observer.
     """
     R, S = feedback_polynomials(observer)
     A_e, _, C_e, L, _ = _stacked(observer)
@@ -298,14 +301,14 @@ def linear_controller(observer: DisturbanceObserver) -> RstController:
 
 
 def feedback_polynomials(observer: DisturbanceObserver) -> tuple[Array, Array]:
-    """Return R and S only, which is all that a search needs."""
+    """Return R and S of ``linear_controller``, without T."""
     A_e, B_e, C_e, L, K_e = _stacked(observer)
     correct = np.eye(len(A_e)) - np.outer(L, C_e)
     closed = A_e - np.outer(B_e, K_e)
     transition = closed @ correct
     S = _characteristic(transition)
-    # The impulse response times the denominator is the numerator, with the digits that differences
-    # of characteristic polynomials lose.
+    # The numerator is the impulse response times the denominator. A difference of characteristic
+    # polynomials would lose digits.
     row, state = -K_e @ correct, closed @ L
     impulse = np.empty(len(S))
     impulse[0] = -float(K_e @ L)
@@ -318,13 +321,13 @@ def feedback_polynomials(observer: DisturbanceObserver) -> tuple[Array, Array]:
 def with_oscillators_as_states(observer: DisturbanceObserver) -> DisturbanceObserver:
     """Return the same observer with its oscillators among the states of x.
 
-    A runtime that knows one constant disturbance runs resonant modes this way:
+    The disturbance model of the runtime is a single constant; it runs oscillators this way:
 
         A' = [A  B c_o; 0 F_o],  B' = [B; 0],  C' = [C 0],  L' = [L; L_o],  K' = [K c_o]
     """
     model = observer.disturbance
-    inner = len(model.output) - 1
-    if inner == 0:
+    count = len(model.output) - 1
+    if count == 0:
         return observer
     oscillation = model.transition[1:, 1:]
     return DisturbanceObserver(
@@ -332,11 +335,11 @@ def with_oscillators_as_states(observer: DisturbanceObserver) -> DisturbanceObse
         A=np.block(
             [
                 [observer.A, np.outer(observer.B, model.output[1:])],
-                [np.zeros((inner, len(observer.A))), oscillation],
+                [np.zeros((count, len(observer.A))), oscillation],
             ]
         ),
-        B=np.concatenate([observer.B, np.zeros(inner)]),
-        C=np.concatenate([observer.C, np.zeros(inner)]),
+        B=np.concatenate([observer.B, np.zeros(count)]),
+        C=np.concatenate([observer.C, np.zeros(count)]),
         disturbance=DisturbanceModel(transition=np.ones((1, 1)), output=np.ones(1)),
         state_gain=np.concatenate([observer.state_gain, observer.disturbance_gain[1:]]),
         disturbance_gain=observer.disturbance_gain[:1],
@@ -346,6 +349,7 @@ def with_oscillators_as_states(observer: DisturbanceObserver) -> DisturbanceObse
 
 
 def _stacked(observer: DisturbanceObserver) -> tuple[Array, Array, Array, Array, Array]:
+    """Return A_e, B_e, C_e, L and K_e of plant and disturbance states together."""
     model = observer.disturbance
     order, states = len(observer.A), len(model.output)
     A_e = np.zeros((order + states, order + states))  # np.block takes three times as long
@@ -358,7 +362,7 @@ def _stacked(observer: DisturbanceObserver) -> tuple[Array, Array, Array, Array,
 
 
 def _characteristic(matrix: Array) -> Array:
-    """Return det(I - q^-1 M), monic in q^-1: np.poly, whose loop a search would wait for."""
+    """Return det(I - q^-1 M), monic in q^-1, as ``np.poly`` does, in less time for a search."""
     polynomial = [1.0 + 0.0j]
     for root in np.linalg.eigvals(matrix).tolist():
         shifted = [0.0, *polynomial]

@@ -33,7 +33,7 @@ class Section:
 
 @dataclass(frozen=True, kw_only=True)
 class Chain:
-    """The physical description of a plant: command voltage in, displacement (or neper) out.
+    """Physical description of a plant from command voltage to displacement (or nepers).
 
     label             the member's name in tables
     sampling_rate_Hz  > 0
@@ -53,12 +53,12 @@ class Chain:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fraction:
-    """A sampled plant as B/A in q^-1, enough to compute every margin.
+    """A sampled plant as B/A in q^-1, from which every margin is computed.
 
     label             the member's name in tables
     sampling_rate_Hz  > 0
-    B, A              from the command to the reading; A monic, b_0 = 0, the delay stands in B
-    B_position        likewise to the position in front of the sensor; empty: that is B
+    B, A              from the command to the reading; A monic, b_0 = 0, B includes the delay
+    B_position        the same to the position in front of the sensor; empty: equal to B
     """
 
     label: str
@@ -115,7 +115,7 @@ class Plant(Fraction):
 
     @cached_property
     def poles(self) -> Roots:
-        """Values of z where A vanishes, without those at z = 0."""
+        """Roots of A in z, without the roots at z = 0."""
         return roots_of(self.A)
 
     @property
@@ -123,12 +123,12 @@ class Plant(Fraction):
         """Whole samples of delay: leading taps that are zero."""
         return int(np.argmax(np.append(self.input_taps.any(axis=0), True)))
 
-    def with_late_pole(self, samples: int) -> "Plant":
-        """Return the plant with so many samples of its delay as one pole of the same mean delay.
+    def with_delay_pole(self, samples: int) -> "Plant":
+        """Replace samples of the delay by one pole of the same mean delay, with d - 1 states less.
 
             q^-d  ->  (1 - p) q^-1 / (1 - p q^-1),   p = 1 - 1/d
 
-        Where a loop is slow beside 1/d samples the two are alike, and d - 1 states fewer.
+        The responses agree at frequencies well below 1/d of the sampling rate.
         """
         if not 1 <= samples <= self.delay_samples:
             raise ValueError(f"{samples} of {self.delay_samples} samples of delay")
@@ -173,7 +173,7 @@ class PlantFamily:
 
     @property
     def nominal(self) -> Plant:
-        """The member the controller is computed from."""
+        """The member from which the controller is computed."""
         return self.members[0]
 
     @property
@@ -189,7 +189,7 @@ def plant_from_chain(chain: Chain) -> Plant:
     """Sample a chain behind its zero-order hold.
 
     A first-order section whose sampled pole exp(-2 pi f / fs) is below the precision of float64
-    (f > 5.7 fs) is instantaneous at this rate and leaves no state.
+    (f > 5.7 fs) is instantaneous at this rate and has no state.
     """
     rate_Hz = chain.sampling_rate_Hz
     slow = [
@@ -222,9 +222,10 @@ def family_from_chains(nominal: Chain, variations: Sequence[Chain]) -> PlantFami
 
 
 def cascade(sections: Sequence[Section]) -> tuple[Array, Array, list[int]]:
-    """Return A and B of sections of unit gain one behind the other, and the output state of each.
+    """Return A and B of sections of unit gain in series, and the output state of each.
 
-    A first-order section is one state; one with damping two, of which the first is its output.
+    A first-order section has one state, a section with damping two, the first of which is its
+    output.
     """
     orders = [1 if section.damping is None else 2 for section in sections]
     A, B = np.zeros((sum(orders), sum(orders))), np.zeros(sum(orders))

@@ -19,12 +19,9 @@ from piezoid.numerics.polynomial import (
 
 Poles = NDArray[np.complex128]
 
-_OBSERVER_LEAD = 1.05
-"""The observer's share of the fast poles decays this much faster: none is left unobserved."""
+_OBSERVER_LEAD = 1.05  # ratio of decay rates of the observer's fast poles to the plant's
 _WELL_DAMPED = 0.7
-LIGHT = 0.5  # of critical damping: a pair below it rings
-
-
+LIGHT = 0.5  # damping ratio below which a pair is lightly damped
 INTEGRATOR = np.array([1.0, -1.0])
 OPEN_AT_NYQUIST = np.array([1.0, 1.0])
 _RESIDUAL = 1e-10
@@ -53,13 +50,13 @@ def place_poles(
     H_R  what R must contain, for example 1 + q^-1: no gain at Nyquist
     H_S  what S must contain; 1 - q^-1 is an integrator
 
-    Raises ``DesignError`` where the fixed parts cancel the plant's poles or zeros, or where the
-    equation is solved no better than 1e-10, and ``UnstableLoopError`` for an unstable P.
+    Raises ``DesignError`` if the fixed parts cancel the plant's poles or zeros, or if the residual
+    of the equation exceeds 1e-10, and ``UnstableLoopError`` for an unstable P.
     """
     radius = spectral_radius(np.asarray(P))
     if radius >= 1.0:
         raise UnstableLoopError(
-            f"the wanted polynomial P has a root of magnitude {radius:.9g}",
+            f"the desired polynomial P has a root of magnitude {radius:.9g}",
             needed="every root inside the unit circle",
             remedy="Ask for faster or fewer poles: many slow ones together cannot be resolved.",
         )
@@ -94,16 +91,13 @@ def sampled_poles(section: Section, sampling_rate_Hz: float) -> Array:
 def closed_loop_target(
     dominant: Section, sampling_rate_Hz: float, *, auxiliary_root: float, auxiliary_count: int
 ) -> Array:
-    """Return P = P_D P_F: a dominant pair, and (1 - alpha q^-1)^n to spend the free degrees."""
+    """Return P = P_D P_F: a dominant pair, and (1 - alpha q^-1)^n for the free degrees."""
     auxiliary = from_roots(np.full(auxiliary_count, auxiliary_root)) if auxiliary_count else [1.0]
     return product(sampled_poles(dominant, sampling_rate_Hz), auxiliary)
 
 
 def slow_and_fast(plant: Plant) -> tuple[Poles, Poles]:
-    """Split a plant's poles into the slowest lag or pair, and the others.
-
-    Slow means small |ln z|; a conjugate pair counts as one.
-    """
+    """Split a plant's poles into the slowest lag or pair, of smallest |ln z|, and all others."""
     poles = plant.poles[np.argsort(np.abs(np.log(plant.poles)), kind="stable")]
     count = 1 if abs(poles[0].imag) < 1e-9 else 2
     return poles[:count], poles[count:]
@@ -111,11 +105,7 @@ def slow_and_fast(plant: Plant) -> tuple[Poles, Poles]:
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:
-    """The slowest pair of poles of a plant that rings.
-
-    frequency_Hz  natural
-    damping       ratio, below ``LIGHT``
-    """
+    """A lightly damped mode: natural frequency, and damping ratio below ``LIGHT``."""
 
     frequency_Hz: float
     damping: float
@@ -127,32 +117,32 @@ def ringing_mode(plant: Fraction) -> Mode | None:
     light = s[(s.imag > 0.0) & (-s.real < LIGHT * np.abs(s))]
     if not len(light):
         return None
-    slowest = light[np.argmin(np.abs(light))]
-    natural = float(np.abs(slowest))
-    return Mode(frequency_Hz=natural / (2.0 * np.pi), damping=float(-slowest.real) / natural)
+    lowest = light[np.argmin(np.abs(light))]
+    natural = float(np.abs(lowest))
+    return Mode(frequency_Hz=natural / (2.0 * np.pi), damping=float(-lowest.real) / natural)
 
 
 def light_modes(plant: Plant) -> Poles:
-    """Return the lightly damped pairs beside the slowest lag or pair."""
+    """Return the lightly damped poles other than the slowest lag or pair."""
     _, fast = slow_and_fast(plant)
     return fast[_damping(fast) < LIGHT]
 
 
 def slowest_damping(plant: Plant) -> float:
-    """Return the damping of the plant's slowest pair, 1 of a lag."""
+    """Return the damping ratio of the plant's slowest pair, or 1 for a lag."""
     slow, _ = slow_and_fast(plant)
     return float(_damping(slow).min())
 
 
 def feedback_poles(plant: Plant, slowest: Section, *, mode_damping: float = 0.0) -> Poles:
-    """Return the plant's poles with the slowest lag or pair replaced and further modes damped.
+    """Return the plant's poles with the slowest lag or pair replaced and higher modes damped.
 
-    mode_damping  smallest damping that further modes are given; 0: they stay
+    mode_damping  smallest damping ratio of the higher modes; 0: they stay
     returned      (n,)
     """
     slow, fast = slow_and_fast(plant)
-    replaced = _replacement(slowest, len(slow), plant.sampling_rate_Hz)
-    return np.concatenate([replaced, _at_least(fast, mode_damping)])
+    replacement = _slow_poles(slowest, len(slow), plant.sampling_rate_Hz)
+    return np.concatenate([replacement, _with_min_damping(fast, mode_damping)])
 
 
 def observer_poles(
@@ -165,10 +155,10 @@ def observer_poles(
 ) -> Poles:
     """Return poles of the estimation error, for plant and disturbance states.
 
-    The slowest lag or pair is replaced, fast poles are led by 5 %; one pole belongs to the
-    constant disturbance, a damped pair to each oscillator.
+    The slowest lag or pair is replaced, fast poles decay 5 % faster than the plant's. One pole
+    belongs to the constant disturbance, a damped pair to each oscillator.
 
-    mode_damping  smallest damping that further modes are given; 0: they stay
+    mode_damping  smallest damping ratio of the higher modes; 0: they stay
     returned      (n + w,)
     """
     rate_Hz = plant.sampling_rate_Hz
@@ -178,8 +168,8 @@ def observer_poles(
         for f in oscillation_Hz
     )
     parts = (
-        _replacement(slowest, len(slow), rate_Hz),
-        _at_least(fast, mode_damping) * np.abs(fast) ** (_OBSERVER_LEAD - 1.0),
+        _slow_poles(slowest, len(slow), rate_Hz),
+        _with_min_damping(fast, mode_damping) * np.abs(fast) ** (_OBSERVER_LEAD - 1.0),
         np.array([np.exp(-2.0 * np.pi * disturbance_Hz / rate_Hz)]),
         *pairs,
     )
@@ -187,13 +177,13 @@ def observer_poles(
 
 
 def _damping(poles: Poles) -> Array:
-    """Return the damping of each pole, -Re ln z / |ln z|; 1 of a real one."""
+    """Return the damping ratio of each pole, -Re ln z / |ln z|; 1 for real poles."""
     s = np.log(poles)
     return np.asarray(-s.real / np.abs(s))
 
 
-def _at_least(poles: Poles, damping: float) -> Poles:
-    """Return poles at the same natural frequencies, lightly damped pairs damped at least so."""
+def _with_min_damping(poles: Poles, damping: float) -> Poles:
+    """Raise the damping ratio of lightly damped pairs to a minimum, at the same frequency."""
     s = np.log(poles)
     current = _damping(poles)
     light = (current < LIGHT) & (current < damping)
@@ -203,6 +193,7 @@ def _at_least(poles: Poles, damping: float) -> Poles:
     return np.asarray(np.where(light, np.exp(s_damped), poles))
 
 
-def _replacement(section: Section, count: int, rate_Hz: float) -> Poles:
-    single = section if count == 2 else Section(frequency_Hz=section.frequency_Hz)
-    return section_poles(single, rate_Hz)
+def _slow_poles(section: Section, count: int, rate_Hz: float) -> Poles:
+    """Return the poles of a section, or of a lag at its frequency if one pole is needed."""
+    needed = section if count == 2 else Section(frequency_Hz=section.frequency_Hz)
+    return section_poles(needed, rate_Hz)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.design.family_grid import FamilyGrid, family_grid, worst_place
+from piezoid.design.family_grid import FamilyGrid, family_grid, worst_excess
 from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import (
     INTEGRATOR,
@@ -23,10 +23,10 @@ from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import product
 
-_HOPELESS = (1e3, 1e3)
-_DEEPEST = 0.25
-_LEAST_TIGHTENING_dB = 0.02
-_LEAST_GAIN = 0.95
+_INFEASIBLE = (1e3, 1e3)
+_MIN_RATIO, _MAX_RATIO = 0.25, 0.7  # of the dampings of a band-stop
+_MIN_TIGHTENING_dB = 0.02
+_MIN_IMPROVEMENT = 0.95  # ratio of rejection figures
 _DENOMINATOR_DAMPING = 0.8
 
 
@@ -82,8 +82,7 @@ class ShapedController:
     dominant        the pair of P_D
     auxiliary_root  alpha of P_F = (1 - alpha q^-1)^n
     band_stops      in the order they were added
-    rejection       max over members and f <= bandwidth of |Syp| bandwidth / f: the leading
-                    figure by which designs are compared; smaller is better
+    rejection       max over members and f <= bandwidth of |Syp| bandwidth / f; smaller is better
     excess_dB       <= 0: every member meets every limit on the search's grid
     """
 
@@ -96,7 +95,7 @@ class ShapedController:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The numbers that the search chose, by name."""
+        """Parameters that the search chose, by name."""
         return {
             "dominant_Hz": self.dominant.frequency_Hz,
             "dominant_damping": float(self.dominant.damping or 0.0),
@@ -111,7 +110,7 @@ def place_band_stops(
     auxiliary_root: float,
     band_stops: tuple[BandStop, ...] = (),
 ) -> RstController:
-    """Place P_D P_F with an integrator, no gain at Nyquist, and the given band-stops."""
+    """Place P_D P_F with an integrator, no gain at Nyquist, and band-stops as fixed parts."""
     part_r, part_s, denominators = OPEN_AT_NYQUIST, INTEGRATOR, np.ones(1)
     for stop in band_stops:
         numerator, denominator = band_stop_polynomials(stop, plant.sampling_rate_Hz)
@@ -128,32 +127,31 @@ def place_band_stops(
 
 
 def shape(
-    family: PlantFamily, specification: Specification, *, most_band_stops: int = 3
+    family: PlantFamily, specification: Specification, *, max_band_stops: int = 3
 ) -> ShapedController:
-    """Choose P_D and P_F for the least rejection figure under all limits, and add band-stops
-    while they help.
+    """Search P_D and P_F for the smallest rejection figure under all limits, and add band-stops.
 
-    A band-stop is tried at the frequency where the worst limit, or failing that the rejection,
-    is worst; its depth is what is missing there, 12 dB at most. It is kept where it brings the
-    excess down, or the rejection by 5 % without excess.
+    A band-stop is tried at the frequency that is worst relative to its limit. Its attenuation is
+    the excess there, from 3 to 12 dB. It is kept if it reduces the excess, or the rejection by 5 %
+    at the same excess; the first band-stop that is not kept ends the search.
     """
     grid = family_grid(family, specification)
     best = _best_placement(family.nominal, grid, ())
-    for _ in range(most_band_stops):
-        where = worst_place(grid, best.controller.R, best.controller.S)
-        depth = float(np.clip(10.0 ** (-max(where.excess_dB, 3.0) / 20.0), _DEEPEST, 0.7))
+    for _ in range(max_band_stops):
+        worst = worst_excess(grid, best.controller.R, best.controller.S)
+        ratio = 10.0 ** (-max(worst.excess_dB, 3.0) / 20.0)
         stop = BandStop(
-            part="R" if where.function == "Sup" else "S",
-            frequency_Hz=where.frequency_Hz,
-            numerator_damping=depth * _DENOMINATOR_DAMPING,
+            part="R" if worst.function == "Sup" else "S",
+            frequency_Hz=worst.frequency_Hz,
+            numerator_damping=float(np.clip(ratio, _MIN_RATIO, _MAX_RATIO)) * _DENOMINATOR_DAMPING,
             denominator_damping=_DENOMINATOR_DAMPING,
         )
         placement = _best_placement(family.nominal, grid, (*best.band_stops, stop))
-        # Two more coefficients in R, S and P must buy something.
+        # The band-stop must justify two more coefficients in R, S and P.
         tightened_dB = max(best.excess_dB, 0.0) - max(placement.excess_dB, 0.0)
         is_better = tightened_dB > 0.0
-        if abs(tightened_dB) <= _LEAST_TIGHTENING_dB:
-            is_better = placement.rejection < _LEAST_GAIN * best.rejection
+        if abs(tightened_dB) <= _MIN_TIGHTENING_dB:
+            is_better = placement.rejection < _MIN_IMPROVEMENT * best.rejection
         if not is_better:
             break
         best = placement
@@ -165,7 +163,7 @@ def _best_placement(
 ) -> ShapedController:
     """Search log f0 and zeta of the dominant pair and the auxiliary root for fixed band-stops.
 
-    f0 lies around the reach that the plant's delay allows.
+    The range of f0 follows from the plant's delay.
     """
     reach_Hz = min(0.1 / plant.rest_delay_s, 0.2 * plant.sampling_rate_Hz)
     lower = np.array([np.log(0.02 * reach_Hz), 0.5, 0.02])
@@ -178,7 +176,7 @@ def _best_placement(
     def build(x: Array) -> ShapedController:
         dominant = Section(frequency_Hz=float(np.exp(x[0])), damping=float(x[1]))
         controller = place_band_stops(plant, dominant, float(x[2]), band_stops)
-        worst = worst_place(grid, controller.R, controller.S)
+        worst = worst_excess(grid, controller.R, controller.S)
         return ShapedController(
             controller=controller,
             dominant=dominant,
@@ -192,7 +190,7 @@ def _best_placement(
         try:
             shaped = build(x)
         except DesignError:
-            return _HOPELESS
+            return _INFEASIBLE
         return float(np.log(shaped.rejection)), shaped.excess_dB
 
     return build(search(cost, lower, upper, starts).parameters)

@@ -13,18 +13,19 @@ from piezoid.errors import LabFileError
 from piezoid.numerics.frequency import decibel
 from piezoid.toml_files import read_toml
 
-AT_BANDWIDTH_dB = -3.0
+_AT_BANDWIDTH_dB = -3.0
 MODE_SHARE = 0.15
 _DELAY_SHARE = 0.03
 _CONTROL_LIMIT_dB = 20.0
 
-_SMALLEST, _LARGEST = 1e-30, 1e30  # beyond these nothing on a bench is
-# The attenuation's template begins at a thousandth of the bandwidth: where that lies above Nyquist
-# it asks nothing, and any bandwidth is "met" (1e30 Hz was). Controllers are faster than 2 kHz.
+_SMALLEST, _LARGEST = 1e-30, 1e30  # magnitudes of a number in design.toml
+# The attenuation's template begins at a thousandth of the bandwidth. If that lies above the
+# Nyquist frequency, it limits nothing, and any bandwidth is "met" (1e30 Hz was). Controllers run
+# at more than 2 kHz.
 _FASTEST_Hz = 1e6
 _LARGEST_dB = 1000.0
-_LARGEST_rms = 1000.0  # a kilometre, or a current that changes beyond all numbers
-_LAST_HARMONIC, _MOST_HARMONICS = 999, 8
+_LARGEST_rms = 1000.0  # m or nepers
+_LAST_HARMONIC, _MAX_HARMONICS = 999, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,18 +34,18 @@ class Specification:
 
     bandwidth_Hz        output disturbances are attenuated by 3 dB here, and by 20 dB more for each
                         decade below (template ``attenuation``)
-    modulus_margin      1 / max |Syp|, 0.5 or more is the practice of Landau & Zito
+    modulus_margin      1 / max |Syp|; Landau & Zito recommend 0.5 or more
     delay_margin_s      additional loop delay that must not destabilise; one sample or more
-    templates           further upper limits of Syp, Sup, Syb, Syv
+    templates           additional upper limits of Syp, Sup, Syb, Syv
     voltage_min_V, voltage_max_V   limits of the command
-    voltage_step_V      of the converter; 0 leaves it out of the error
+    voltage_step_V      of the converter; 0: no rounding
     voltage_slew_V_per_s  fastest command that the amplifier follows; None: any
     sensor_noise_rms    of one sample, white; output unit
-    noise_limit_rms     what sensor noise and converter steps may do to the output; None: no limit
+    noise_limit_rms     of the output error by sensor noise and converter steps; None: no limit
     scan_frequency_Hz   of the planned trajectory
-    disturbance_rms     what the linear model leaves at the scan frequency; output unit. Its odd
-                        harmonics are taken to fall as 1/h, as those of hysteresis do
-    resonant_harmonics  harmonics of the scan at which the observer carries an oscillator
+    disturbance_rms     residual of the linear model at the scan frequency, output unit; its odd
+                        harmonics are assumed to fall as 1/h, as in hysteresis
+    resonant_harmonics  harmonics of the scan at which the observer has an oscillator
     """
 
     bandwidth_Hz: float
@@ -81,13 +82,13 @@ class Specification:
 
     @property
     def oscillation_Hz(self) -> tuple[float, ...]:
-        """Frequencies at which the observer carries an oscillator."""
+        """Frequencies of the observer's oscillators."""
         return tuple(h * self.scan_frequency_Hz for h in self.resonant_harmonics)
 
     @property
     def all_templates(self) -> tuple[Template, ...]:
-        """The attenuation template of the bandwidth, then the further ones."""
-        return (attenuation(self.bandwidth_Hz, AT_BANDWIDTH_dB), *self.templates)
+        """The attenuation template of the bandwidth, then the additional templates."""
+        return (attenuation(self.bandwidth_Hz, _AT_BANDWIDTH_dB), *self.templates)
 
 
 def default_specification(
@@ -99,29 +100,29 @@ def default_specification(
     disturbance_rms: float,
     voltage_slew_V_per_s: float | None = None,
 ) -> Specification:
-    """Return a sensible specification for a plant and its family.
+    """Return the default specification for a plant family.
 
     bandwidth          0.15 of the slowest pole or mode, or 0.03 / delay, whichever is less; the
-                       delay is the plant's phase delay at rest, where it is late there at all
+                       delay is the plant's phase delay at rest, if that is positive
     margins            modulus 0.5, delay one sample
-    control            |Sup| <= 20 dB relative to 1/gain of the least sensitive member: the loop
-                       may not spend more than ten times the static drive on any disturbance. An
-                       integrator makes |Sup| = 1/gain at rest, so that a limit below is never met
+    control            |Sup| <= 20 dB relative to 1/gain of the least sensitive member: the drive
+                       that rejects any disturbance is at most ten times the static drive. An
+                       integrator makes |Sup| = 1/gain at rest, so that no lower limit can be met
     scan               a tenth of the bandwidth
     """
     plant = family.nominal
-    late_s = plant.rest_delay_s
+    delay_s = plant.rest_delay_s
     bandwidth_Hz = MODE_SHARE * slowest_Hz(plant)
-    if late_s > 0.0:  # a zero slower than every pole leads at rest
-        bandwidth_Hz = min(bandwidth_Hz, _DELAY_SHARE / late_s)
-    least_gain = min(abs(member.gain) for member in family.members)
-    ceiling_dB = _CONTROL_LIMIT_dB - float(decibel(least_gain))
+    if delay_s > 0.0:  # a zero slower than every pole leads at rest
+        bandwidth_Hz = min(bandwidth_Hz, _DELAY_SHARE / delay_s)
+    min_gain = min(abs(member.gain) for member in family.members)
+    limit_dB = _CONTROL_LIMIT_dB - float(decibel(min_gain))
     nyquist_Hz = 0.5 * plant.sampling_rate_Hz
     control = Template(
         name="control effort",
         function="Sup",
         frequency_Hz=np.array([1e-3, nyquist_Hz]),
-        upper_dB=np.array([ceiling_dB, ceiling_dB]),
+        upper_dB=np.array([limit_dB, limit_dB]),
     )
     return Specification(
         bandwidth_Hz=bandwidth_Hz,
@@ -144,7 +145,7 @@ def slowest_Hz(plant: Plant) -> float:
 def specifications_from_toml(
     text: str, defaults: Mapping[str, Specification], *, source: str = "design.toml"
 ) -> dict[str, Specification]:
-    """Read ``design.toml``, one table per axis, over the defaults of the model.
+    """Read ``design.toml``, one table per axis, which overrides the defaults of the model.
 
         [x]
         bandwidth_Hz = 120
@@ -174,11 +175,11 @@ def specifications_from_toml(
 
 def _from_table(default: Specification, table: dict[str, Any], source: str) -> Specification:
     values = dict(table)
-    further = tuple(_template(t, source) for t in values.pop("template", ()))
-    known_keys = {f.name for f in fields(Specification)} - {"templates"}
+    templates = tuple(_template(t, source) for t in values.pop("template", ()))
+    allowed_keys = {f.name for f in fields(Specification)} - {"templates"}
     for key, value in values.items():
-        if key not in known_keys:
-            names = ", ".join(sorted(known_keys))
+        if key not in allowed_keys:
+            names = ", ".join(sorted(allowed_keys))
             raise _unusable(source, f"unknown key {short(key)}", f"one of {names}")
         if key == "resonant_harmonics":
             values[key] = _harmonics(value, source)
@@ -189,13 +190,13 @@ def _from_table(default: Specification, table: dict[str, Any], source: str) -> S
         elif key.endswith("_rms") and value > _LARGEST_rms:
             raise _unusable(source, f"{key} is {short(value)}", f"at most {_LARGEST_rms:.0f}")
     try:
-        return replace(default, **values, templates=default.templates + further)
+        return replace(default, **values, templates=default.templates + templates)
     except ValueError as fault:
         raise _unusable(source, str(fault), "a value in its range") from fault
 
 
 def _is_number(value: object) -> bool:
-    """Tell whether a number of TOML, which may have thousands of digits, is a usable number."""
+    """Whether a value is a number of usable size; TOML integers may have thousands of digits."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return value == 0 or _SMALLEST <= abs(value) <= _LARGEST
@@ -206,11 +207,9 @@ def _harmonics(value: object, source: str) -> tuple[int, ...]:
     if not all(type(h) is int and 0 < h <= _LAST_HARMONIC for h in harmonics):
         fault = f"resonant_harmonics is {short(value)}"
         raise _unusable(source, fault, f"a list of whole numbers from 1 to {_LAST_HARMONIC}")
-    if len(harmonics) > _MOST_HARMONICS:
+    if len(harmonics) > _MAX_HARMONICS:
         fault = f"resonant_harmonics holds {len(harmonics)} numbers"
-        raise _unusable(
-            source, fault, f"at most {_MOST_HARMONICS}: an observer has no more states"
-        )
+        raise _unusable(source, fault, f"at most {_MAX_HARMONICS}: an observer has no more states")
     return tuple(harmonics)
 
 
@@ -224,7 +223,7 @@ def _template(table: Any, source: str) -> Template:
         raise _unusable(source, f"template: name is {short(template.name)}", "a text")
     if np.abs(template.upper_dB).max() > _LARGEST_dB or template.frequency_Hz[-1] > _LARGEST:
         needed = f"within {_LARGEST_dB:.0f} dB and below {_LARGEST:.0e} Hz"
-        raise _unusable(source, f"template {short(template.name)} leaves what can be met", needed)
+        raise _unusable(source, f"template {short(template.name)} is out of range", needed)
     return template
 
 

@@ -21,8 +21,8 @@ class Template:
 
     name          for messages, for example ``attenuation``
     function      one of Syp, Sup, Syb, Syv
-    frequency_Hz  (knots,)  increasing; between knots the limit is linear in dB over log f;
-                  outside of them there is no limit
+    frequency_Hz  (knots,)  increasing; the limit is linear in dB over log f between knots, and
+                  infinite outside
     upper_dB      (knots,)  relative to 1, V per output unit, 1, output unit per V
     """
 
@@ -43,7 +43,7 @@ class Template:
             raise ValueError(f"template {self.name}: frequencies must be > 0")
 
     def limit_dB(self, frequency_Hz: ArrayLike) -> Array:
-        """Return the limit in dB, +inf where there is no limit, (frequencies,)."""
+        """Return the limit in dB, +inf outside of the knots, (frequencies,)."""
         f = np.asarray(frequency_Hz, dtype=np.float64)
         level = np.interp(np.log(f), np.log(self.frequency_Hz), self.upper_dB)
         inside = (f >= self.frequency_Hz[0]) & (f <= self.frequency_Hz[-1])
@@ -54,11 +54,11 @@ class Template:
 class Violation:
     """Violation of one template by one member of the family, at its worst frequency.
 
-    template      its name
-    member        the plant's label
-    frequency_Hz  where it is worst
+    template      name of the template or margin
+    member        label of the plant
+    frequency_Hz  of the largest excess
     found, limit  in ``unit``: ``dB``, or ``s`` for the delay margin, ``1`` for the modulus margin
-    excess_dB     20 log10 of the ratio by which the limit is missed, > 0
+    excess_dB     20 log10 of the ratio to the limit, > 0
     """
 
     template: str
@@ -71,7 +71,7 @@ class Violation:
 
     @property
     def sentence(self) -> str:
-        """The violation in words."""
+        """The violation as a sentence."""
         at, limit = with_unit(self.frequency_Hz, "Hz"), significant(self.limit, 4)
         return (
             f"{self.template} of the member '{self.member}' is {significant(self.found, 4)} "
@@ -81,9 +81,7 @@ class Violation:
 
 
 def attenuation(bandwidth_Hz: float, level_dB: float) -> Template:
-    """Return the template of an integrating loop: |Syp| rises by 20 dB per decade and reaches
-    ``level_dB`` at ``bandwidth_Hz``.
-    """
+    """Return the template of an integrating loop: |Syp| rises by 20 dB/decade up to a level."""
     return Template(
         name="attenuation",
         function="Syp",
@@ -93,12 +91,12 @@ def attenuation(bandwidth_Hz: float, level_dB: float) -> Template:
 
 
 def delay_limit(frequency_Hz: Array, delay_s: float) -> Array:
-    """Return the limit of |Syb| below which every additional delay up to tau keeps stability.
+    """Return the limit of |Syb| below which every additional delay up to tau preserves stability.
 
         1 / max over t <= tau of |1 - exp(-j w t)|:   1/(2 sin(w tau / 2)), 1/2 from w tau = pi on
 
-    For tau of one sample this is Landau's template; above one sample the smaller delays rule at
-    high frequency, and the plain formula would let them through.
+    For tau of one sample this is Landau's template. Above one sample, delays less than tau
+    determine the limit at high frequency, which the first expression alone would miss.
     """
     angle = np.minimum(np.pi * frequency_Hz * delay_s, 0.5 * np.pi)
     return np.asarray(0.5 / np.maximum(np.sin(angle), 1e-12))
@@ -113,16 +111,14 @@ def violations(
     modulus_margin: float,
     delay_margin_s: float,
 ) -> tuple[Violation, ...]:
-    """Check every member on a fine grid against every limit; worst first."""
+    """Return the violations of every limit by every member on a fine grid, worst first."""
     checks: list[Violation] = []
     for plant in members:
-        reached = margins(plant, R, S)
-        limits = [
-            ("modulus margin", reached.modulus_margin, modulus_margin, reached.modulus_Hz, "1")
-        ]
-        if reached.delay_margin_s is not None:
-            delay_Hz = reached.delay_Hz or reached.modulus_Hz
-            limits.append(("delay margin", reached.delay_margin_s, delay_margin_s, delay_Hz, "s"))
+        m = margins(plant, R, S)
+        limits = [("modulus margin", m.modulus_margin, modulus_margin, m.modulus_Hz, "1")]
+        if m.delay_margin_s is not None:
+            delay_Hz = m.delay_Hz or m.modulus_Hz
+            limits.append(("delay margin", m.delay_margin_s, delay_margin_s, delay_Hz, "s"))
         checks += [
             Violation(
                 template=name,
@@ -144,7 +140,10 @@ def violations(
 def _template_check(
     plant: Fraction, R: ArrayLike, S: ArrayLike, template: Template
 ) -> list[Violation]:
-    """Return where a plant comes nearest to a template, or leaves it most; none without lines."""
+    """Return the largest excess of a plant over a template, which may be negative.
+
+    Returns an empty list if no line of the grid lies within the template.
+    """
     lowest_Hz = float(template.frequency_Hz[0])
     grid = grid_Hz(plant.sampling_rate_Hz, lowest_Hz=min(1.0, lowest_Hz), count=2000)
     knots_Hz = template.frequency_Hz[template.frequency_Hz < 0.5 * plant.sampling_rate_Hz]

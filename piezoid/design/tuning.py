@@ -1,10 +1,10 @@
-"""Choose an observer's poles or noise variances over a plant family."""
+"""Search an observer's poles or noise variances over a plant family."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.design.family_grid import Judgement, family_grid, judge
+from piezoid.design.family_grid import LoopFigures, evaluate_loop, family_grid
 from piezoid.design.observer import (
     DisturbanceModel,
     DisturbanceObserver,
@@ -28,14 +28,14 @@ from piezoid.numerics.arrays import Array
 
 METHODS = ("placed", "kalman")
 DAMPED = "damped by state feedback"  # tried where the slowest mode rings, and the others miss
-_HOPELESS = (1e3, 1e3)
+_INFEASIBLE = (1e3, 1e3)
 _DOUBLINGS = 40
 _LAST_DIGIT = 1e-15
 # Starts of the search, one column each: frequencies relative to the slowest pole of the plant.
-# ``placed`` starts from a quick, a moderate and a slow observer: a slow one is not the most robust
-# with a lightly damped mode. ``DAMPED`` starts where a quick observer lets the feedback damp the
-# mode, which keeps its frequency: of 30 starts over the whole box these led to the quickest loops
-# about a mode at 700 Hz known to 10 %, 504 Hz, where ``placed`` reaches 471 Hz.
+# ``placed`` starts from a fast, a moderate and a slow observer: a slow observer is not the most
+# robust with a lightly damped mode. ``DAMPED`` starts with a fast observer, from which the
+# feedback damps the mode at its frequency. Of 30 starts over the whole box, these led to the
+# highest bandwidth about a mode at 700 Hz known to 10 %: 504 Hz, where ``placed`` reaches 471 Hz.
 _STARTS: dict[str, dict[str, tuple[float, ...]]] = {
     "placed": {
         "feedback_Hz": (1.0, 1.0, 0.6),
@@ -58,8 +58,8 @@ _STARTS: dict[str, dict[str, tuple[float, ...]]] = {
         "disturbance_Hz": (3.1, 4.8, 5.7),
     },
 }
-# A further start where the slowest mode rings, which leaves it nearly as it is: dampings are three
-# times its own.
+# An additional start for a lightly damped slowest mode, which hardly changes the mode: dampings
+# are three times that of the mode.
 _GENTLE = {
     **{"feedback_Hz": 1.0, "observer_Hz": 1.0, "disturbance_Hz": 0.2},
     **{"drift_ratio": 1e-4, "input_ratio": 1e-3},
@@ -74,7 +74,7 @@ def kalman_gain(
     drift_variance: float,
     sensor_variance: float,
 ) -> Array:
-    """Solve the Riccati equation of the extended state for the stationary gain in current form.
+    """Return the stationary Kalman gain of the extended state, in current form.
 
         Pm = A_e Pm A_e' - A_e Pm C_e' (C_e Pm C_e' + r)^-1 C_e Pm A_e' + blkdiag(q_x b b', q_d I)
         L = Pm C_e' (C_e Pm C_e' + r)^-1                                 [Kalman 1960]
@@ -97,37 +97,37 @@ def kalman_gain(
     Q = input_variance * np.outer(drive, drive)
     Q[order:, order:] += drift_variance * np.eye(states)
     try:
-        ahead = _doubled(A_e.T, np.outer(C_e, C_e) / sensor_variance, Q)
+        covariance = _solve_riccati(A_e.T, np.outer(C_e, C_e) / sensor_variance, Q)
     except np.linalg.LinAlgError as fault:
         raise DesignError(
             f"the Riccati equation of '{plant.label}' has no stabilising solution: {fault}",
             needed="a drift variance > 0, and a plant that passes a constant",
             remedy="Raise the drift variance, or place the observer's poles.",
         ) from fault
-    return np.asarray(ahead @ C_e / float(C_e @ ahead @ C_e + sensor_variance))
+    return np.asarray(covariance @ C_e / float(C_e @ covariance @ C_e + sensor_variance))
 
 
-def _doubled(A: Array, G: Array, Q: Array) -> Array:
-    """Return P = A' P (I + G P)^-1 A + Q, each round doubling the horizon.
+def _solve_riccati(A: Array, G: Array, Q: Array) -> Array:
+    """Solve P = A' P (I + G P)^-1 A + Q by doubling the horizon in each iteration.
 
-    A search asks thousands of times; ``scipy.linalg.solve_discrete_are`` takes four times as long.
+    A search solves it thousands of times; ``scipy.linalg.solve_discrete_are`` takes four times as
+    long.
 
     Source: Chu, Fan, Lin & Wang, International Journal of Control 77 (2004).
     """
     P: Array = Q
     for _ in range(_DOUBLINGS):
-        inner = np.linalg.solve(np.eye(len(A)) + G @ P, np.hstack([A, G]))
-        ahead, across = np.hsplit(inner, 2)
-        increment = A.T @ P @ ahead
-        G, A, P = G + A @ across @ A.T, A @ ahead, P + increment
+        inner_a, inner_g = np.hsplit(np.linalg.solve(np.eye(len(A)) + G @ P, np.hstack([A, G])), 2)
+        increment = A.T @ P @ inner_a
+        G, A, P = G + A @ inner_g @ A.T, A @ inner_a, P + increment
         if np.abs(increment).max() <= _LAST_DIGIT * np.abs(P).max():
             return np.asarray(P)
-    raise np.linalg.LinAlgError(f"after {_DOUBLINGS} doublings it is still changing")
+    raise np.linalg.LinAlgError(f"the solution still changes after {_DOUBLINGS} doublings")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchBox:
-    """Parameters of a search by name, their bounds, and where the search starts.
+    """Parameters of a search by name, their bounds, and the starts of the search.
 
     lower, upper  (parameters,)
     starts        (starts, parameters), within the bounds
@@ -140,7 +140,7 @@ class SearchBox:
 
 
 def search_box(plant: Plant, method: str) -> SearchBox:
-    """Return the poles, dampings and variance ratios that a method chooses for a plant."""
+    """Return bounds and starts of the parameters that a method chooses for a plant."""
     slowest, fastest_Hz = slowest_Hz(plant), 0.2 * plant.sampling_rate_Hz
     damping = min(slowest_damping(plant), LIGHT)
     is_gentle = damping < LIGHT
@@ -149,7 +149,7 @@ def search_box(plant: Plant, method: str) -> SearchBox:
     if is_gentle and method != DAMPED:
         for name, multiples in starts.items():
             starts[name] = (*multiples, _GENTLE.get(name, 3.0 * damping))
-    if light_modes(plant).size:  # beside the slowest one
+    if light_modes(plant).size:
         mode_damping = tuple(np.geomspace(0.3, 0.02, count + is_gentle).tolist())
         starts["mode_damping"] = mode_damping[: len(starts["feedback_Hz"])]
         if method != "kalman":
@@ -171,18 +171,18 @@ def search_box(plant: Plant, method: str) -> SearchBox:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TunedObserver:
-    """An observer, the parameters that the search chose, and its judgement on the search's grid.
+    """An observer, the parameters that the search chose, and its figures on the search's grid.
 
     method      ``placed``, ``kalman`` or ``DAMPED``
     observer    the gains
     parameters  by name
-    judgement   excess over the limits and predicted error
+    figures     excess over the limits and predicted error
     """
 
     method: str
     observer: DisturbanceObserver
     parameters: dict[str, float]
-    judgement: Judgement
+    figures: LoopFigures
 
 
 def tune_observer(
@@ -194,19 +194,17 @@ def tune_observer(
     method: str = "placed",
     until_met: bool = False,
 ) -> TunedObserver:
-    """Choose feedback and observer so that every member meets every limit, with the least
-    predicted error.
+    """Search the observer and feedback with the smallest predicted error that meet every limit.
 
-        minimise    max over members of rms(scan disturbance left + sensor noise + converter)
+        minimise    max over members of rms(scan disturbance + sensor noise + converter)
         subject to  templates, modulus margin and delay margin of every member
 
-    model   what the observer computes with; the family's nominal member unless it is too large
+    model   design model of the observer; the family's nominal member unless it is too large
     method  ``placed`` searches poles; ``kalman`` searches noise variances and feedback poles;
             ``DAMPED`` searches poles as ``placed`` does, from loops that damp the slowest mode
-    until_met  take the first choice that meets every limit, to learn whether there is one
+    until_met  stop at the first point that meets every limit, to decide feasibility
 
-    Where no choice meets the limits, the one that misses them least is returned; its judgement
-    says by how much.
+    If no point meets every limit, the point with the smallest excess is returned.
     """
     plant = model or family.nominal
     grid, box = family_grid(family, specification), search_box(plant, method)
@@ -221,9 +219,9 @@ def tune_observer(
             observer = _observer(frame, specification, parameters_of(logarithms), method)
             R, S = feedback_polynomials(observer)
         except DesignError:
-            return _HOPELESS
-        judgement = judge(grid, R, S)
-        return float(np.log(max(judgement.predicted_error, 1e-300))), judgement.excess_dB
+            return _INFEASIBLE
+        figures = evaluate_loop(grid, R, S)
+        return float(np.log(max(figures.predicted_error, 1e-300))), figures.excess_dB
 
     result = search(
         cost, np.log(box.lower), np.log(box.upper), list(np.log(box.starts)), until_met=until_met
@@ -234,7 +232,7 @@ def tune_observer(
         method=method,
         observer=observer,
         parameters=parameters,
-        judgement=judge(grid, *feedback_polynomials(observer)),
+        figures=evaluate_loop(grid, *feedback_polynomials(observer)),
     )
 
 

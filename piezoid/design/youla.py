@@ -6,15 +6,15 @@ becomes a condition around reference polynomials: with P_d,i stable,
 
     Re{P_i conj(P_d,i)} > 0 for all w   implies   P_i stable (it cannot wind around zero)
 
-P_d,i are the polynomials of the design so far, and the problem is solved again until it stops
-gaining. Each step keeps every member stable and every limit met.        [Landau & Zito 2006]
+P_d,i are the polynomials of the previous design, and the problem is solved repeatedly until the
+rejection converges. Each step keeps every member stable and every limit met.  [Landau & Zito 2006]
 
-One convex problem is set up around a closed loop, P_d,i its polynomials,
+Each convex problem uses the closed-loop polynomials P_d,i of the previous design,
 
     |A_i S| <= limit Re{P_i conj(P_d,i)} / |P_d,i|   implies   |A_i S| / |P_i| <= limit
 
-and the left side asks for a cone in the free coefficients of R and S. It is solved on the rows
-that decide.                                                       [Karimi & Galdos 2010]
+where the left side is a second-order cone in the free coefficients of R and S. It is solved on the
+active rows.                                                       [Karimi & Galdos 2010]
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from warnings import catch_warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.design.family_grid import FamilyGrid, family_grid, worst_place
+from piezoid.design.family_grid import FamilyGrid, family_grid, worst_excess
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.rst import INTEGRATOR, OPEN_AT_NYQUIST, RstController
 from piezoid.design.specification import Specification
@@ -31,20 +31,20 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response, polynomial_response
 from piezoid.numerics.polynomial import product
 
-_LEAST_REAL = 0.05
-_SLACK_PRICE = 100.0
+_MIN_REAL = 0.05
+_SLACK_WEIGHT = 100.0
 _TOLERANCE = 1e-7
 
+# The cones are tightened for peaks between grid points, by the first reserve that suffices.
 _RESERVES_dB = (0.05, 0.2, 0.5)
-"""The cones are tightened for what happens between grid points: more where less did not do."""
-_LEAST_GAIN = 0.01
+_MIN_IMPROVEMENT = 0.01
 _TIE = 1e-4
 _EVERY = 10
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cones:
-    """One convex problem in numbers; rows run over members and frequencies together.
+    """Coefficients of one convex problem; rows run over members and frequencies together.
 
     A_S, A_R, B_R  (rows, unknowns) complex, with constants (rows,): the loops' numerators
     real           (rows, unknowns), (rows,)  Re{P_i conj(P_d,i)} / |P_d,i|
@@ -78,8 +78,8 @@ class Cones:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Reached:
-    """A solution: the unknowns, the rejection they reach, and the slack they needed."""
+class Solution:
+    """Solution of a convex problem: the unknowns, the rejection bound and the slack."""
 
     x: Array
     gamma: float
@@ -93,35 +93,35 @@ def solve(
     S: Array,
     count: int,
     reserve: float,
-    deciding: NDArray[np.bool_],
+    active: NDArray[np.bool_],
 ) -> tuple[Array, Array] | None:
-    """Solve one convex problem around the closed loops of R, S; None if the solver fails.
+    """Return R and S that solve one convex problem around a previous loop; None if it fails.
 
-    grid      of members and frequencies, with the limits; its rows are those of the problem
-    plant     the nominal one, for the scale of R
-    R, S      of the loop it is set up around
-    count     free coefficients of R' and of S'
-    reserve   <= 1: share of every limit that may be used
-    deciding  (rows,)  which rows are asked; one problem hands them on to the next
-    returned  R and S
+    grid     of members and frequencies, with the limits; its rows are the rows of the problem
+    plant    nominal, for the scale of R
+    R, S     of the previous loop
+    count    free coefficients of R' and of S'
+    reserve  <= 1: share of every limit that may be used
+    active   (rows,)  rows of the problem that are solved; rows are added in place, for the next
+             problem
 
-    A few hundred of the rows decide. The problem is solved on those, and again with the peaks of
-    what its solution misses, until it misses none (the exchange of Remez).
+    A few hundred rows determine the solution. The problem is solved on these, then on these and
+    the peaks of the violation by its solution, until there is no violation (Remez exchange).
     """
     scale = abs(plant.gain)
     cones = cones_around(grid, scale, R, S, count)
     while True:
-        solution = _solved(cones.at(deciding), count, reserve)
+        solution = _solve_program(cones.at(active), count, reserve)
         if solution is None:
             return None
-        # rows of a real excess that are no better than both their neighbours
+        # local maxima of the excess
         excess = _excess(cones, solution, reserve)
         preceding, following = np.append(-np.inf, excess[:-1]), np.append(excess[1:], -np.inf)
         peaks = (excess > _TOLERANCE) & (excess >= preceding) & (excess >= following)
-        missed = peaks & ~deciding
-        if not missed.any():
+        added = peaks & ~active
+        if not added.any():
             break
-        deciding |= missed
+        active |= added
     s_free = np.concatenate([[1.0], solution.x[: count - 1]])
     r_free = solution.x[count - 1 :] / scale
     return product(OPEN_AT_NYQUIST, r_free), product(INTEGRATOR, s_free)
@@ -154,34 +154,34 @@ def cones_around(grid: FamilyGrid, scale: float, R: Array, S: Array, count: int)
     )
 
 
-def _excess(cones: Cones, solution: Reached, reserve: float) -> Array:
+def _excess(cones: Cones, solution: Solution, reserve: float) -> Array:
     """Return the violation of each row by a solution, relative to the closed loop."""
     real = (cones.real[0] @ solution.x + cones.real[1]) / cones.reference
-    room = reserve * (real + solution.slack)
-    excess = _LEAST_REAL - real
+    allowed = reserve * (real + solution.slack)
+    excess = _MIN_REAL - real
     for (rows, constant), limit in zip(cones.limited, cones.limits[:3], strict=True):
         size = np.abs(rows @ solution.x + constant) / cones.reference
-        excess = np.maximum(excess, size / limit - room)
+        excess = np.maximum(excess, size / limit - allowed)
     size = np.abs(cones.A_S[0] @ solution.x + cones.A_S[1]) / cones.reference
     in_band = np.maximum(size / cones.slope - solution.gamma, 1.0 - real)
-    return np.asarray(np.fmax(excess, in_band))  # above the band nothing is asked of the slope
+    return np.asarray(np.fmax(excess, in_band))  # the slope is nan above the band
 
 
-def _solved(cones: Cones, count: int, reserve: float) -> Reached | None:
-    """Solve the program on some rows; None if the solver fails.
+def _solve_program(cones: Cones, count: int, reserve: float) -> Solution | None:
+    """Solve the second-order cone program on some rows; None if the solver fails.
 
-        minimise    gamma + price slack
-        subject to  real >= least |P_d|,   |size| <= reserve limit (real + slack |P_d|)
+        minimise    gamma + weight slack
+        subject to  real >= min |P_d|,   |size| <= reserve limit (real + slack |P_d|)
                     real >= |P_d|,   |A_i S| <= gamma slope |P_d|     in the band
 
-    A slack on all limits together, at a high price, lets a start that exceeds them come back.
+    One slack of all limits, with a large weight, allows for a start that exceeds them.
     """
     import cvxpy as cp
 
     x, gamma, slack = cp.Variable(2 * count - 1), cp.Variable(), cp.Variable(nonneg=True)
     reference, band = cones.reference, np.isfinite(cones.slope)
     real = cones.real[0] @ x + cones.real[1]
-    constraints = [real >= _LEAST_REAL * reference]
+    constraints = [real >= _MIN_REAL * reference]
 
     def limit(
         size: tuple[Response, Response], is_limited: NDArray[np.bool_], bound: object
@@ -191,23 +191,23 @@ def _solved(cones: Cones, count: int, reserve: float) -> Reached | None:
             parts = [rows.real @ x + constant.real, rows.imag @ x + constant.imag]
             constraints.append(cp.SOC(bound, cp.vstack(parts)))
 
-    room = real + slack * reference
+    relaxed = real + slack * reference
     for size, upper in zip(cones.limited, cones.limits[:3], strict=True):
         is_limited = np.isfinite(upper)
-        limit(size, is_limited, cp.multiply(reserve * upper[is_limited], room[is_limited]))
+        limit(size, is_limited, cp.multiply(reserve * upper[is_limited], relaxed[is_limited]))
     limit(cones.A_S, band, gamma * (cones.slope * reference)[band])
     if band.any():
         constraints.append(real[band] >= reference[band])
-    program = cp.Problem(cp.Minimize(gamma + _SLACK_PRICE * slack), constraints)
+    program = cp.Problem(cp.Minimize(gamma + _SLACK_WEIGHT * slack), constraints)
     try:
         with catch_warnings(action="ignore", category=UserWarning):
-            # An inaccurate answer is judged on the finer grid like any other.
+            # An inaccurate solution is checked on the finer grid like any other.
             program.solve(cp.CLARABEL)
     except cp.SolverError:
         return None
     if program.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         return None
-    return Reached(x=np.array(x.value), gamma=float(gamma.value), slack=float(slack.value))
+    return Solution(x=np.array(x.value), gamma=float(gamma.value), slack=float(slack.value))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -229,7 +229,7 @@ class ConvexController:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The size of the problem and of its solution, by name."""
+        """Number of taps and of iterations, by name."""
         return {"taps": float(self.taps), "iterations": float(len(self.history) - 1)}
 
 
@@ -239,44 +239,44 @@ def optimise(
     start: RstController,
     *,
     taps: int = 10,
-    most_iterations: int = 8,
+    max_iterations: int = 8,
     every: int = _EVERY,
 ) -> ConvexController:
-    """Minimise the rejection figure over R' and S' from a start that stabilises every member.
+    """Minimise the rejection figure over R' and S', from a start that stabilises every member.
 
         minimise    gamma
         subject to  |A_i S| <= gamma (f / bandwidth) |P_d,i|,  Re_i >= |P_d,i|    f <= bandwidth
                     |A_i S| <= Syp_max Re_i,  |A_i R| <= Sup_max Re_i,  |B_i R| <= Syb_max Re_i
         with        Re_i = Re{P_i conj(P_d,i)} / |P_d,i|,  S = H_S S',  R = H_R R',  s'_0 = 1
 
-    every  so many-th row of the grid is asked at first, and others where the answer breaks them
+    every  step of the rows of the grid that are active at first; violated rows are added
 
     Limits that the start exceeds are relaxed together, as little as possible. Each step is
-    checked on a grid ten times finer, and solved again with more reserve where it fails there.
+    checked on a grid ten times finer, and solved again with more reserve if it fails there.
     """
     count = max(taps, len(start.S) - len(INTEGRATOR) + 1, len(start.R) - len(OPEN_AT_NYQUIST) + 1)
     coarse = family_grid(family, specification, count=20 * count)
     fine = family_grid(family, specification, count=200 * count)
-    deciding = np.arange(coarse.A.size) % every == 0
-    best, R, S = worst_place(fine, start.R, start.S), start.R, start.S
+    active = np.arange(coarse.A.size) % every == 0
+    best, R, S = worst_excess(fine, start.R, start.S), start.R, start.S
     history = [best.rejection]
-    while len(history) <= most_iterations:
+    while len(history) <= max_iterations:
         allowed_dB = max(best.excess_dB, 0.0) + _TIE
         for reserve_dB in _RESERVES_dB:
             reserve = 10.0 ** (-reserve_dB / 20.0)
-            step = solve(coarse, family.nominal, R, S, count, reserve, deciding)
+            step = solve(coarse, family.nominal, R, S, count, reserve, active)
             if step is not None:
-                reached = worst_place(fine, *step)
-                if reached.excess_dB <= allowed_dB:
+                worst = worst_excess(fine, *step)
+                if worst.excess_dB <= allowed_dB:
                     break
         else:
             break
-        tightened = max(best.excess_dB, 0.0) - max(reached.excess_dB, 0.0)
-        gained = history[-1] - reached.rejection
-        if tightened <= _TIE and gained <= _LEAST_GAIN * history[-1]:
+        tightened_dB = max(best.excess_dB, 0.0) - max(worst.excess_dB, 0.0)
+        improvement = history[-1] - worst.rejection
+        if tightened_dB <= _TIE and improvement <= _MIN_IMPROVEMENT * history[-1]:
             break
-        (R, S), best = step, reached
-        history.append(reached.rejection)
+        (R, S), best = step, worst
+        history.append(worst.rejection)
     return ConvexController(
         controller=RstController(R=R, S=S, T=np.array([R.sum()])),
         taps=count,

@@ -27,7 +27,7 @@ COLUMNS = (
 )
 SAMPLES = 1000
 
-# Where in the record the inputs are not numbers: one lost reference, three lost measurements.
+# Samples whose inputs are NaN: one lost reference, three lost measurements.
 _LOST_REFERENCE = 601
 _LOST_MEASUREMENT = slice(701, 704)
 
@@ -97,7 +97,7 @@ range: test with `-ffp-contract=off`.
 
 ## 3. Units and DAC codes
 
-{which_voltage}
+{voltage_note}
 - X, Y: reading and reference in m, with the scale, zero and sign of the recordings. Do not zero
   the sensor at power-up: a small shift is taken for hysteresis and costs accuracy.
 - Z: both in A, positive at the bias in use; change the sign of the reading where it is negative.
@@ -165,12 +165,12 @@ def source_digest() -> str:
 
 
 def bundle(file: ParameterFile) -> Mapping[str, bytes]:
-    """Return the files that firmware needs by name; the same input, the same bytes."""
+    """Return the files that firmware needs by name; the same input gives the same bytes."""
     digest = digest_of(file)
     states = [f"{library(name).state_size} ({name})" for name in ("float", "double")]
     sizes = [str(sizeof(library(name).parameters)) for name in ("float", "double")]
     memory = f"{' or '.join(states)} bytes of state and {' or '.join(sizes)} of parameters"
-    voltage = (
+    voltage_note = (
         f"- {DRIVE_VOLTAGE_NOTE} Outputs stay within the drive of the recordings, and within the "
         "converter and amplifier of lab.toml."
     )
@@ -192,13 +192,13 @@ def bundle(file: ParameterFile) -> Mapping[str, bytes]:
         "README.md": _README.format(
             name=plain_ascii(file.name),
             samples=SAMPLES,
-            axes="\n".join(_row(index, axis) for index, axis in enumerate(file.axes)),
+            axes="\n".join(_axis_row(index, axis) for index, axis in enumerate(file.axes)),
             memory=memory,
             guard_names=" | ".join(name for name, _, _ in _GUARDS),
             guard_rules=" | ".join("---" for _ in _GUARDS),
             guards="\n".join(map(_guard_row, file.axes)),
             first=file.axes[0].axis.upper(),
-            which_voltage=fill(voltage, 98, subsequent_indent="  "),
+            voltage_note=fill(voltage_note, 98, subsequent_indent="  "),
             unshipped="".join(
                 f"\nAxis {plain_ascii(axis)} is not included: {plain_ascii(reason, length=600)}\n"
                 for axis, reason in file.unshipped.items()
@@ -227,7 +227,7 @@ alone is not enough, because feedback would control the coupled readings. `golde
 """
 
 
-def _row(index: int, axis: AxisParameters) -> str:
+def _axis_row(index: int, axis: AxisParameters) -> str:
     values = _scalars(axis)
     low_V, high_V, step_V = (values[f"{name}_V"] for name in _OUTPUT)
     codes = ""
@@ -252,7 +252,7 @@ def _scalars(axis: AxisParameters) -> dict[str, float]:
 
 
 def _guard_row(axis: AxisParameters) -> str:
-    """Return the table row of an axis; cells that do not apply to it are empty."""
+    """Return the row of an axis in the table of guards; cells that do not apply are empty."""
     values, is_tip = _scalars(axis), axis.method == "rst"
     cells = [
         text.format(**values, blind_s=values["blind_samples"] / values["sampling_rate_Hz"])
@@ -263,7 +263,8 @@ def _guard_row(axis: AxisParameters) -> str:
     return "| " + " | ".join([axis.axis, *cells]) + " |"
 
 
-# Heading, cell, and whether it applies to tips alone (True), to X and Y alone (False) or to both.
+# Heading and cell of each guard, for tips only (True), for X and Y only (False) or for both
+# (None).
 _GUARDS: tuple[tuple[str, str, bool | None], ...] = (
     ("`stuck_samples`", "{stuck_samples:.0f}", None),
     ("`stuck_voltage_V`", "{stuck_voltage_V:.4g}", None),
@@ -284,10 +285,9 @@ _RANGE_A = ("current_floor_A", "current_ceiling_A", "A")
 
 
 def golden_csv(file: ParameterFile) -> str:
-    """Return the table: per axis SAMPLES rows, from a start at 0 V and the first measurement.
+    """Return the text of golden.csv: SAMPLES rows of each axis, from a start at 0 V.
 
-    The reference swings over nine tenths of the range with growing amplitude, the measurement
-    follows it late and with noise; some of either are no numbers.
+    The initial reading is the first measurement.
     """
     lines = [",".join(COLUMNS)]
     for index, axis in enumerate(file.axes):
@@ -303,9 +303,12 @@ def golden_csv(file: ParameterFile) -> str:
 
 
 def golden_inputs(axis: AxisParameters, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return references and measurements that reach every branch a usual day reaches.
+    """Return references and measurements that execute every branch of ordinary operation.
 
-    returned  (SAMPLES,) and (SAMPLES,)  m, or A where the axis regulates a current
+    The reference is a sine of growing amplitude over nine tenths of the range. The measurement is
+    the delayed reference with noise. Some samples of both are NaN.
+
+    returned  (SAMPLES,) and (SAMPLES,)  m, or A if the axis regulates a current
     """
     swing = np.sin(np.linspace(0, 8 * np.pi, SAMPLES)) * np.linspace(0.1, 1.0, SAMPLES)
     delayed = np.r_[np.zeros(20), swing[:-20]] + rng.normal(0, 0.01, SAMPLES)

@@ -1,8 +1,8 @@
 """piezo_params.h: the parameter file as constants of the shipped structure.
 
-Numbers are printed so that they come back: the shortest decimal that reads as the same double;
-the compiler rounds it once more where pz_real is float, as the library here does. Members are
-named in the initialiser, so a member of another spelling does not compile.
+Numbers are printed as the shortest decimals that read as the same doubles. If pz_real is float,
+the compiler rounds them once more, as the packaged library does. The initialiser names its
+members, so that a misspelt member does not compile.
 """
 
 import ctypes
@@ -17,7 +17,7 @@ from piezoid.export.parameter_file import AxisParameters, ParameterFile, used_va
 from piezoid.runtime.library import PRECISIONS, SEALED, library
 from piezoid.runtime.schema import PARAMETERS, VERSION
 
-_HARMLESS = re.compile(r"[^A-Za-z0-9 .,:;()+=_-]")
+_UNSAFE = re.compile(r"[^A-Za-z0-9 .,:;()+=_-]")
 
 _TOP = """\
 /* Parameters of the piezoid runtime for the stage: {name}
@@ -74,8 +74,7 @@ static const pz_real piezo_decoupling[PIEZO_DECOUPLED][PIEZO_DECOUPLED] = {{
 def c_header(file: ParameterFile, digest: str) -> str:
     """Return the text of ``piezo_params.h``.
 
-    file    what ships
-    digest  of the ``params.json`` it is written to, ``sha256:`` and 64 hexadecimal digits
+    digest  of ``params.json``, ``sha256:`` and 64 hexadecimal digits
     """
     sealed = {}
     for precision in PRECISIONS:
@@ -103,11 +102,11 @@ def c_header(file: ParameterFile, digest: str) -> str:
         tip_axes=sum(1 << i for i, axis in enumerate(file.axes) if axis.method == "rst"),
         **sealed,
     )
-    axes = "".join(_axis(axis) for axis in file.axes)
+    axes = "".join(_initialiser(axis) for axis in file.axes)
     return top + axes + _BOTTOM.format(decoupling=decoupling)
 
 
-def _axis(axis: AxisParameters) -> str:
+def _initialiser(axis: AxisParameters) -> str:
     name = axis.axis.upper()
     constants = ("PZ_SCHEMA_VERSION", "PIEZO_PARAMS_SIZE", f"PIEZO_CHECKSUM_{name}")
     symbols = dict(zip(SEALED, constants, strict=True))
@@ -140,9 +139,9 @@ def _literal(value: Any) -> str:
 
 
 def plain_ascii(text: str, *, length: int = 80) -> str:
-    """Return ``text`` as plain ASCII that ends no comment, line or string, and starts nothing.
+    """Return ``text`` as ASCII that is safe inside C comments, C strings and Markdown.
 
-    Whatever is not a letter, digit, space or plain punctuation becomes ``_``: a star and slash,
-    a backslash, a line end, a quotation mark, a trigraph's question marks.
+    Every character other than letters, digits, spaces and plain punctuation becomes ``_``, for
+    example a star and slash, a backslash, a line end, a quotation mark or a trigraph.
     """
-    return _HARMLESS.sub("_", text.replace("µ", "u"))[:length]
+    return _UNSAFE.sub("_", text.replace("µ", "u"))[:length]

@@ -1,9 +1,9 @@
-"""export_stage: a model and a design in, the parameter file of all axes that can ship out.
+"""Convert a model and a design to the parameter file of all axes that can ship.
 
-A model's operator and a design's loop are written under the runtime's names. Design and runtime
-differ in two places. The runtime keeps the constant part of the disturbance by itself and
-oscillators among the observer's states; and it keeps S without its integrator, which is then exact
-in every precision.
+The model's operator and the design's loops get the runtime's parameter names. Design and runtime
+differ in two points. In the runtime, the constant disturbance is a separate state, and oscillators
+are states of the observer. The runtime stores S without its integrator, which is then exact in
+every precision.
 """
 
 from collections.abc import Mapping
@@ -31,44 +31,44 @@ from piezoid.runtime.schema import MAX_RELAXATIONS
 
 Values = dict[str, ArrayLike | str]
 
-# |S(1)| up to this part of the sum of magnitudes is an integrator with rounded coefficients.
+# |S(1)| relative to the sum of magnitudes, up to which S has an integrator, by rounding.
 _INTEGRATOR = 1e-9
-_MIN_CREEP_SHARE = 1e-6  # a smaller share of creep is none
+_MIN_CREEP_SHARE = 1e-6  # smaller shares of creep are dropped
 
-# A measurement farther beyond the reachable range, as a share of it, is limited.
+# Distance of a measurement from the reachable range, relative to it, beyond which it is limited.
 _MEASUREMENT_MARGIN = 0.25
-# A reference may cross the reachable range in this time at the fastest: a jump in one sample asks
-# the amplifier for what no amplifier gives. A ramp of T leaves 2 / (w T) of itself ringing in a
-# mode: a tenth where T is 20 / w. Above 4 ms a spiral at 100 Hz would be held back.
+# Shortest time in which a reference may cross the reachable range: no amplifier follows a jump in
+# one sample. A ramp of duration T excites a mode with an amplitude of 2 / (w T) of the ramp, which
+# is a tenth for T = 20 / w. More than 4 ms would limit a spiral at 100 Hz.
 _MIN_RANGE_s, _MAX_RANGE_s = 1e-3, 4e-3
 _RINGING = 20.0
-# A sensor is stuck if it shows one number for so long while the drive moves by this share of its
-# range.
+# A sensor is stuck if its reading does not change for this time while the drive moves by this
+# share of its range.
 _STUCK_s = 1e-3
 _STUCK_SHARE = 0.02
-# The observer runs on the model alone for so long: five times the loss of 20 ms that verification
-# runs, and before creep, which grows with the logarithm of time, moves what it cannot see.
+# Time for which the observer runs on the model alone: five times the sensor loss of 20 ms in
+# verification, and short enough for creep, which it does not see, to remain small.
 _BLIND_s = 0.1
 
 
 def export_stage(
     model: ActuatorModel, design: Design, *, design_digest: str, lab: Lab | None = None
 ) -> ParameterFile:
-    """Return the parameters of each designed axis: the recommended loop, and others to compare.
+    """Return the parameters of each designed axis: the recommended loop, and alternative methods.
 
-    An axis that cannot ship does not prevent the others; the file states the reason.
+    An axis that cannot ship does not prevent the export of other axes; the file states the reason.
 
     design_digest  of the design's file, for the chain of digests
-    lab            that of the design, but for what guards a tip
+    lab            as for the design; the guards of a tip may differ
 
-    Raises ``ParameterFileError`` where lab.toml declares another rig than the design was made for,
-    and what stands in the way of the first axis where none can ship, as ``LabFileError`` with
-    the line to write for a tip whose guards are not declared.
+    Raises ``ParameterFileError`` if lab.toml declares another rig than the design was made for,
+    and the first refusal if no axis can ship, for example ``LabFileError`` with the line to write
+    for a tip without declared guards.
     """
-    declared = lab or Lab()
-    if declared.rig_digest != design.rig_digest:
+    lab = lab or Lab()
+    if lab.rig_digest != design.rig_digest:
         raise ParameterFileError(
-            f"{declared.place} declares another rig than the design was made for",
+            f"{lab.place} declares another rig than the design was made for",
             needed="the converters, amplifiers and set point of the design",
             remedy="Run `piezoid design` again, then everything that follows it.",
         )
@@ -76,7 +76,7 @@ def export_stage(
     refused: dict[str, PiezoidError] = {}
     for axis in design.axes:
         try:
-            shipped.append(_axis(model, axis, declared))
+            shipped.append(_export_axis(model, axis, lab))
         except PiezoidError as refusal:
             refused[axis.axis] = refusal
     if not shipped:
@@ -91,51 +91,50 @@ def export_stage(
         sources={
             "model": design.model_digest,
             "design": design_digest,
-            "lab": declared.digest,
-            "control": declared.control_digest,
+            "lab": lab.digest,
+            "control": lab.control_digest,
         },
         unshipped={**design.refused, **unshipped},
         decoupled=decoupled,
     )
 
 
-def _axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisParameters:
-    specification = design.specification
-    rate_Hz = design.recommended.members[0].sampling_rate_Hz
+def _export_axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisParameters:
+    specification, rate_Hz = design.specification, design.sampling_rate_Hz
     if design.output_unit != "m":
         if model.tunnelling is None:
             raise ParameterFileError(
                 f"axis {design.axis} regulates a current, and model.json has no junction",
-                needed="the junction this controller was designed for",
+                needed="the junction for which this controller was designed",
                 remedy="Fit again with the recordings of the tip.",
             )
         loop = loop_plant_of(model.tunnelling)
         return tunnelling_axis(design, tip_guards(lab, specification, rate_Hz, loop))
-    watch = {
+    guards = {
         "blind_samples": max(round(_BLIND_s * rate_Hz), 1),
         "stuck_samples": max(round(_STUCK_s * rate_Hz), 1),
         "stuck_voltage_V": _STUCK_SHARE
         * (specification.voltage_max_V - specification.voltage_min_V),
     }
-    return lateral_axis(model[design.axis], design, watch)
+    return lateral_axis(model[design.axis], design, guards)
 
 
 def lateral_axis(
-    model: AxisModel, design: AxisDesign, further: Mapping[str, ArrayLike | str] | None = None
+    model: AxisModel, design: AxisDesign, guards: Mapping[str, ArrayLike | str] | None = None
 ) -> AxisParameters:
-    """Return X or Y with its recommended loop, and every other method to compare it with.
+    """Return X or Y with its recommended loop, and all other methods as alternatives.
 
-    further  runtime parameters that are not part of the design: ``stuck_samples``, ...
+    guards  runtime parameters that are not part of the design: ``stuck_samples``, ...
 
-    Feedforward alone (``none``, ``mpi``) takes the references as they are: filter and preview
-    belong to the loop they were fitted for.
+    Feedforward alone (``none``, ``mpi``) has neither filter nor preview of the reference, which
+    were fitted for a loop.
     """
     common = {
         **_limits(design),
-        **_range(model, design),
+        **_displacement_limits(model, design),
         **hysteresis_values(model),
-        **creep_values(model, design.recommended.members[0].sampling_rate_Hz),
-        **(further or {}),
+        **creep_values(model, design.sampling_rate_Hz),
+        **(guards or {}),
     }
     plant = design.recommended.members[0]
     gain_m_per_V = float(plant.B.sum() / plant.A.sum())
@@ -192,8 +191,7 @@ def _loop_values(loop: LoopDesign) -> Values:
 
 
 def _limits(design: AxisDesign) -> Values:
-    specification = design.specification
-    rate_Hz = design.recommended.members[0].sampling_rate_Hz
+    specification, rate_Hz = design.specification, design.sampling_rate_Hz
     slew_V_per_s = specification.voltage_slew_V_per_s or 0.0
     return {
         "sampling_rate_Hz": rate_Hz,
@@ -204,33 +202,32 @@ def _limits(design: AxisDesign) -> Values:
     }
 
 
-def _range(model: AxisModel, design: AxisDesign) -> Values:
-    """Return the limits of references and measurements, from the model between voltage limits."""
+def _displacement_limits(model: AxisModel, design: AxisDesign) -> Values:
+    """Return the limits of references and measurements, from the model within voltage limits."""
     specification, operator = design.specification, model.operator
     extremes_V = np.array(
         [specification.voltage_min_V, specification.voltage_max_V, specification.voltage_min_V]
     )
     displacement_m, _ = operator.run(extremes_V, operator.virgin_memory())
     offset = operator.displacement_offset_m
-    reached = offset + model.polarity * (displacement_m - offset)
-    low, high = float(reached.min()), float(reached.max())
+    extremes_m = offset + model.polarity * (displacement_m - offset)
+    low, high = float(extremes_m.min()), float(extremes_m.max())
     margin = _MEASUREMENT_MARGIN * (high - low)
-    rate_Hz = design.recommended.members[0].sampling_rate_Hz
-    # the shortest time in which a reference may cross the range of this plant
+    rate_Hz = design.sampling_rate_Hz
     s = np.log(roots_of(design.recommended.members[0].A)) * rate_Hz
     light = s[-s.real < LIGHT * np.abs(s)]
     ramp_s = _MIN_RANGE_s
     if light.size:
-        needed_s = _RINGING / float(np.abs(light).min())
-        ramp_s = float(np.clip(needed_s, _MIN_RANGE_s, _MAX_RANGE_s))
-    fastest_m_per_s = (high - low) / ramp_s
+        ramp_s = _RINGING / float(np.abs(light).min())
+        ramp_s = float(np.clip(ramp_s, _MIN_RANGE_s, _MAX_RANGE_s))
+    slew_m_per_s = (high - low) / ramp_s
     if specification.voltage_slew_V_per_s is not None:
-        followed_m_per_s = (
+        amplifier_m_per_s = (
             (high - low) * specification.voltage_slew_V_per_s / float(np.ptp(extremes_V))
         )
-        fastest_m_per_s = min(fastest_m_per_s, followed_m_per_s)
+        slew_m_per_s = min(slew_m_per_s, amplifier_m_per_s)
     return {
-        "reference_step_m": fastest_m_per_s / rate_Hz,
+        "reference_step_m": slew_m_per_s / rate_Hz,
         "reference_minimum_m": low,
         "reference_maximum_m": high,
         "displacement_minimum_m": low - margin,
@@ -278,11 +275,11 @@ def function_values(operator: PreisachPlays) -> Values:
 
 
 def creep_values(model: AxisModel, sampling_rate_Hz: float) -> Values:
-    """Return the model's creep under the runtime's names; nothing where it has none.
+    """Return the model's creep under the runtime's names; empty if it has none.
 
-    The ladder of the model and that of the runtime are one: y = m + sum of c_i x_i, where x_i goes
-    by 1 - exp(-T / tau_i) of what it is away from m. Of a ladder that is longer than the
-    runtime's, the largest shares stay.
+    Model and runtime have the same equations: y = m + sum of c_i x_i, where x_i changes by
+    (1 - exp(-T / tau_i)) (m - x_i) per sample. If the model has more elements than the runtime,
+    those with the largest shares are kept.
     """
     rungs = [
         (share, time_s)
@@ -305,29 +302,30 @@ def creep_values(model: AxisModel, sampling_rate_Hz: float) -> Values:
 def observer_values(observer: DisturbanceObserver) -> Values:
     """Return the observer's gains under the runtime's names, oscillators among its states.
 
-    A plant that falls as the drive rises is mirrored, as the runtime mirrors its displacement.
+    If the displacement falls as the drive rises, its sign is reversed, as in the runtime.
     """
-    turn, output = observer.disturbance.transition, observer.disturbance.output
-    if turn[0, 0] != 1.0 or output[0] != 1.0 or turn[0, 1:].any() or turn[1:, 0].any():
+    transition, output = observer.disturbance.transition, observer.disturbance.output
+    is_coupled = transition[0, 1:].any() or transition[1:, 0].any()
+    if transition[0, 0] != 1.0 or output[0] != 1.0 or is_coupled:
         raise ParameterFileError(
-            "the observer's first disturbance state is no constant",
+            "the observer's first disturbance state is not a constant",
             needed="a constant first, then oscillators",
             remedy="Design with piezoid.design.observer.disturbance_model.",
         )
-    inner = with_oscillators_as_states(observer)
-    rest_state = np.linalg.solve(np.eye(len(inner.A)) - inner.A, inner.B)
-    gain = float(inner.C @ rest_state)
+    o = with_oscillators_as_states(observer)
+    rest_state = np.linalg.solve(np.eye(len(o.A)) - o.A, o.B)
+    gain = float(o.C @ rest_state)
     sign = float(np.sign(gain))
     return {
-        "observer_order": len(inner.A),
-        "observer_A": inner.A,
-        "observer_B": inner.B,
-        "observer_C": sign * inner.C,
-        "observer_L": sign * inner.state_gain,
-        "observer_disturbance_L_V_per_m": sign * float(inner.disturbance_gain[0]),
+        "observer_order": len(o.A),
+        "observer_A": o.A,
+        "observer_B": o.B,
+        "observer_C": sign * o.C,
+        "observer_L": sign * o.state_gain,
+        "observer_disturbance_L_V_per_m": sign * float(o.disturbance_gain[0]),
         "observer_rest": rest_state,
-        "feedback_K_V": inner.feedback_gain,
-        "feedback_N_V_per_m": sign * inner.reference_gain,
+        "feedback_K_V": o.feedback_gain,
+        "feedback_N_V_per_m": sign * o.reference_gain,
         "gain_m_per_V": sign * gain,
     }
 
@@ -345,24 +343,24 @@ def reference_values(path: ReferencePath) -> Values:
 def rst_values(R: Array, S: Array, T: Array, antiwindup: Array) -> Values:
     """Return S u = T r - R y and A_0 under the runtime's names, S divided by 1 - q^-1.
 
-    Raises ``ParameterFileError`` where S has no integrator: the runtime's has.
+    Raises ``ParameterFileError`` if S has no integrator.
     """
-    remainder = abs(float(S.sum())) / float(np.abs(S).sum())
-    if remainder > _INTEGRATOR:
+    share = abs(float(S.sum())) / float(np.abs(S).sum())
+    if share > _INTEGRATOR:
         raise ParameterFileError(
-            f"S(1) is {S.sum():.3g}, {remainder:.1e} of its coefficients",
+            f"S(1) is {S.sum():.3g}, {share:.1e} of its coefficients",
             needed="a controller with an integrator, S(1) = 0",
             remedy="Put 1 - q^-1 among the fixed parts of S.",
         )
-    without = np.cumsum(S)[:-1] / S[0]
+    quotient = np.cumsum(S)[:-1] / S[0]
     return {
         "method": "rst",
         "rst_T_count": len(T),
         "rst_T_V": T / S[0],
         "rst_R_count": len(R),
         "rst_R_V": R / S[0],
-        "rst_S_count": len(without),
-        "rst_S": without,
+        "rst_S_count": len(quotient),
+        "rst_S": quotient,
         "rst_A0_count": len(antiwindup),
         "rst_A0": antiwindup,
     }

@@ -26,7 +26,7 @@ _EARLIEST_DATE = (1980, 1, 1, 0, 0, 0)  # of the zip format
 
 @dataclass(frozen=True, kw_only=True)
 class Variable:
-    """One variable of a unit; its value reference is its index among the variables, from 1.
+    """One variable of a unit, whose value reference is its index among the variables, from 1.
 
     causality  ``input``, ``output`` or ``parameter``
     unit       of a real; None: an integer
@@ -57,8 +57,8 @@ class Unit:
     identifier   model identifier, a C name
     description  one sentence
     header       the header that ``fmu2.c`` includes as ``FMU_UNIT``
-    macros       further lines of ``fmu_of_axis.h``
-    sources      C sources beside ``fmu2.c``, name to bytes
+    macros       additional lines of ``fmu_of_axis.h``
+    sources      contents of the C sources other than ``fmu2.c``, by name
     period_s     sampling period
     samples      length of the default experiment
     """

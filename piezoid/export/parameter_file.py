@@ -1,7 +1,7 @@
-"""ParameterFile: everything the runtime consumes, for every axis; the one thing that is verified.
+"""ParameterFile: the runtime parameters of every axis, from which all later steps start.
 
-Whatever follows the design (header, bundle, verification, report) starts from this record, so it
-sees the numbers that ship and no others.
+Header, bundle, verification and report use this record, so that all of them have the numbers that
+ship.
 """
 
 import json
@@ -22,20 +22,20 @@ from piezoid.record_json import to_json as records_to_json
 from piezoid.runtime.library import PRECISIONS, SEALED, Values, complete, library
 from piezoid.runtime.schema import METHODS, PARAMETERS, SCHEMA, Parameter
 
-# What only files of plays behind functions hold.
+# Parameters that only files of plays behind functions contain.
 FUNCTIONS = frozenset({"edge_count", "edge_steps", "edge_V", "play_value_m"})
 
-# What a C enumerator and a file name can both carry.
+# Names that are valid in C enumerators and in file names.
 _AXIS = re.compile(r"[a-z][a-z0-9_]{0,15}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AxisParameters:
-    """One axis: its name and every number of the runtime's schema.
+    """All runtime parameters of one axis.
 
     axis          short lower-case name, ``x``
-    values        by name, in the schema's order, full shapes, read-only; these ship
-    alternatives  the same for further methods, to be compared with; none of them twice
+    values        that ship, by name, in the schema's order, full shapes, read-only
+    alternatives  values of other methods, for comparison; each method once
     """
 
     axis: str
@@ -45,20 +45,19 @@ class AxisParameters:
     def __post_init__(self) -> None:
         if not _AXIS.fullmatch(self.axis):
             raise ParameterFileError(
-                f"an axis is called {self.axis!r}",
+                f"an axis is named {self.axis!r}",
                 needed="a letter, then at most 15 letters, digits or underscores, lower case",
                 remedy="Rename the axis in lab.toml.",
             )
         object.__setattr__(self, "values", complete(self.values))
         object.__setattr__(self, "alternatives", tuple(map(complete, self.alternatives)))
-        every = (self.values, *self.alternatives)
-        for values, precision in product(every, PRECISIONS):
+        for values, precision in product((self.values, *self.alternatives), PRECISIONS):
             library(precision).pack(values)
-        if len({method_of(values) for values in every}) != len(every):
+        if len(set(self.methods)) != len(self.methods):
             raise ParameterFileError(
-                f"axis {self.axis} has two controllers of one method",
-                needed="one for each method",
-                remedy="Leave one of them out.",
+                f"axis {self.axis} has two controllers of the same method",
+                needed="one controller for each method",
+                remedy="Omit one of them.",
             )
 
     @property
@@ -68,11 +67,14 @@ class AxisParameters:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """The method that ships, then those to compare it with."""
+        """The method that ships, then the alternatives."""
         return (self.method, *map(method_of, self.alternatives))
 
     def for_method(self, method: str) -> "AxisParameters":
-        """Return the axis as it would ship with another of its methods, or refuse."""
+        """Return the axis with another of its methods as the one that ships.
+
+        Raises ``ParameterFileError`` for a method without a controller.
+        """
         for values in (self.values, *self.alternatives):
             if method_of(values) == method:
                 return AxisParameters(axis=self.axis, values=values)
@@ -83,12 +85,12 @@ class AxisParameters:
         )
 
     def with_values(self, changed: Mapping[str, ArrayLike | str]) -> "AxisParameters":
-        """Return the axis with some of the values that ship replaced, checked again."""
+        """Return the axis with some of the values that ship replaced, and validated."""
         return replace(self, values=complete({**self.values, **changed}))
 
 
 def method_of(values: Values) -> str:
-    """Return the name of the method a set of values is for, one of ``METHODS``."""
+    """Return the name of the method of a set of values, one of ``METHODS``."""
     return METHODS[int(values["method"])]
 
 
@@ -98,7 +100,7 @@ class Decoupled:
 
         r' = D r,  y' = D y
 
-    axes    names, in the order of rows and columns; all of these displacements must be read
+    axes    names, in the order of rows and columns; all of these displacements must be measured
     matrix  (axes, axes)  D
     """
 
@@ -115,10 +117,10 @@ class ParameterFile:
     """The shipped parameters of a stage.
 
     name       of the stage, any text
-    axes       at least one, names all different, each usable by the runtime in both precisions
-    sources    digests of the records it was made from, by what they are: ``model``, ``design``
-    unshipped  by axis, why the stage's other axes are not among them
-    decoupled  of axes whose drives act on all of their displacements; None: no matrix is in front
+    axes       at least one, with different names, each valid for the runtime in both precisions
+    sources    digests of the records from which it was made: ``model``, ``design``, ...
+    unshipped  reason of each axis that does not ship, by axis
+    decoupled  of axes whose drives act on all of their displacements; None: no matrix
     """
 
     name: str
@@ -132,12 +134,12 @@ class ParameterFile:
         if not names or len(set(names)) != len(names):
             raise ParameterFileError(
                 f"the axes are {names}",
-                needed="at least one axis, each under its own name",
+                needed="at least one axis, with different names",
                 remedy="Give every axis of the stage one controller.",
             )
 
     def axis(self, name: str) -> AxisParameters:
-        """Return the axis of this name, or refuse.
+        """Return the axis of a name; raises ``ParameterFileError`` if there is none.
 
         >>> shipping.parameters.axis("x").method
         'mpi_dob'
@@ -148,7 +150,7 @@ class ParameterFile:
         raise ParameterFileError(
             f"no parameters for axis {name!r}",
             needed=f"one of {', '.join(axis.axis for axis in self.axes)}",
-            remedy="Export that axis as well, or ask for one that is there.",
+            remedy="Export that axis as well, or name one of these.",
         )
 
 
@@ -178,23 +180,23 @@ def to_json(file: ParameterFile) -> bytes:
 
 
 def digest_of(file: ParameterFile) -> str:
-    """Return the digest in the ``params.json`` of this file."""
+    """Return the digest in ``params.json`` of a parameter file."""
     return str(json.loads(to_json(file))["digest"])
 
 
 def from_json(content: bytes, source: str) -> ParameterFile:
-    """Read ``params.json`` back, bit for bit, or say why not.
+    """Read ``params.json``, exactly.
 
     content  the file's bytes
-    source    its name, for the message
+    source   the file's name, for messages
 
-    Raises ``ParameterFileError``: another schema version, one changed bit, a missing or unknown
-    parameter, another unit, numbers the runtime cannot use.
+    Raises ``ParameterFileError`` for another schema version, one changed bit, a missing or unknown
+    parameter, another unit, and numbers that the runtime cannot use.
     """
     record = unseal(content, SCHEMA, source)
     try:
         axes = [
-            (a["axis"], a["parameters"], [other["parameters"] for other in a["alternatives"]])
+            (a["axis"], a["parameters"], [entry["parameters"] for entry in a["alternatives"]])
             for a in record["axes"]
         ]
         name, sources = str(record["name"]), _texts(record["sources"])
@@ -210,9 +212,9 @@ def from_json(content: bytes, source: str) -> ParameterFile:
                 AxisParameters(
                     axis=axis,
                     values=_values(entries, source),
-                    alternatives=tuple(_values(other, source) for other in others),
+                    alternatives=tuple(_values(entries, source) for entries in alternatives),
                 )
-                for axis, entries, others in axes
+                for axis, entries, alternatives in axes
             ),
             sources=sources,
             unshipped=unshipped,
@@ -225,17 +227,17 @@ def from_json(content: bytes, source: str) -> ParameterFile:
 def _texts(table: Any) -> dict[str, str]:
     texts = dict(table)
     if not all(isinstance(value, str) for value in texts.values()):
-        raise TypeError("text beside every name")
+        raise TypeError("text for every name")
     return texts
 
 
 def _shipped() -> list[Parameter]:
-    """Return the parameters in a file: without size and checksum, which depend on precision."""
+    """Return the parameters in a file: all but size and checksum, which depend on precision."""
     return [p for p in PARAMETERS if p.name not in SEALED]
 
 
 def _entries(values: Values) -> dict[str, Any]:
-    straight = values["edge_count"] == 0  # as in files of before there were functions
+    has_functions = values["edge_count"] != 0  # else as in files of earlier versions
     return {
         p.name: {
             "unit": p.unit,
@@ -243,12 +245,12 @@ def _entries(values: Values) -> dict[str, Any]:
             "meaning": p.meaning,
         }
         for p in _shipped()
-        if not (straight and p.name in FUNCTIONS)
+        if has_functions or p.name not in FUNCTIONS
     }
 
 
 def used_values(parameter: Parameter, value: Array) -> Any:
-    """Return the first places of an array up to the last that is not 0, or the number itself."""
+    """Return an array without its trailing zeros along each dimension, or a scalar as it is."""
     numbers = value.astype(np.int64) if parameter.kind == "integer" else value
     if not parameter.shape:
         return numbers

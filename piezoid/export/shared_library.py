@@ -12,18 +12,18 @@ from piezoid.export.bundle import golden_csv, runtime_source
 from piezoid.export.c_header import c_header, plain_ascii
 from piezoid.export.parameter_file import ParameterFile, digest_of
 
-# -O2 and no contraction: what the runtime was verified with. The last keeps the clock out.
+# -O2 without contraction, as in the verification of the runtime.
 _FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fvisibility=hidden")
 
 
 @dataclass(frozen=True, kw_only=True)
 class System:
-    """For whom to compile.
+    """Target system of a compilation.
 
-    name       as a sentence has it
-    compilers  names to look for, the first found is taken
-    flags      beside those of every system
-    package    what installs such a compiler on Debian
+    name       in messages
+    compilers  names of commands; the first that is installed is used
+    flags      in addition to those of every system
+    package    of such a compiler on Debian
     """
 
     name: str
@@ -32,7 +32,7 @@ class System:
     package: str
 
     def compiler(self) -> str | None:
-        """Return the path of the first compiler that is here, or None."""
+        """Return the path of the first compiler that is installed, or None."""
         return next((path for name in self.compilers if (path := shutil.which(name))), None)
 
 
@@ -53,12 +53,13 @@ WINDOWS = System(
 def shared_library(
     sources: Mapping[str, bytes], main: str, system: System, *flags: str
 ) -> bytes | None:
-    """Return the compiled library, or None where no compiler for that system is here.
+    """Return the compiled library, or None if no compiler for that system is installed.
 
-    sources  by name; ``main`` is the one that includes the others
+    sources  by name
+    main     name of the source that includes all others
 
-    The compiler runs in a folder of its own and sees bare names, so no path of this machine and no
-    time enters the library: same sources and compiler, same bytes.
+    The compiler runs in a temporary folder with relative names, so that the library contains no
+    path and no time: the same sources and compiler give the same bytes.
     """
     compiler = system.compiler()
     if compiler is None:

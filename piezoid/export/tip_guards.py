@@ -1,13 +1,14 @@
 """Guards of a tunnelling tip, as runtime parameters: declared in lab.toml or derived from physics.
 
 Without current the position of the surface is unknown, so the tip extends by a step v per sample.
-The current grows by exp(2 kappa dz): by K v nepers per sample, K = 2 kappa dz/du. Until the loop
-answers, N samples pass:
+The current grows by exp(2 kappa dz): by K v nepers per sample, K = 2 kappa dz/du. The loop
+responds after N samples:
 
     N = (delay + 1/(2 pi f_amplifier) + 1/(2 pi f_sensor)) f_s + 2
 
-(one sample to be read, one to be judged). In them the current may grow by a quarter of the smaller
-of two distances, from the floor to the set point and from the set point to the ceiling:
+(one sample for the reading, one for the computation). During this time the current may grow by a
+quarter of the smallest of three: the distances from the floor to the set point and from the set
+point to the ceiling, and a decade:
 
     K v N = min(ln(i_set / i_floor), ln(i_ceiling / i_set), ln 10) / 4
 
@@ -32,17 +33,18 @@ from piezoid.identification.tunnelling.loop_noise import CurrentChain
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab
 
-# Nepers: a decade. With ceilings 26 to 88 times the set point as limits, oscillating loops of an
-# independent simulator's tips came 0.41 nm closer than it; errors of e^3 are no small signals.
-_MAX_ROOM = math.log(10.0)
-_MARGIN = 0.25  # of the smaller distance: growth during an approach before the loop answers
-_CONTACT = 1.0 / 3.0  # of the same: nearer to the set point the loop regulates
-_STUCK_s = 1e-3  # equal readings for so long are a stuck sensor, if noise moves every reading
-_CHANCE = 1e-12  # of one run of equal readings from a sound sensor; a day has 1e9 readings
-_MAX_STUCK = 200  # samples: a sensor that rests longer than this is not watched for being stuck
+# Nepers: a decade. With ceilings of 26 to 88 times the set point as limits, oscillating loops of
+# tips of an independent simulator came 0.41 nm closer than the set point; errors of e^3 are not
+# small signals.
+_MAX_DISTANCE = math.log(10.0)
+_MARGIN = 0.25  # share of the distance by which the current may grow before the loop responds
+_CONTACT = 1.0 / 3.0  # share of the distance from the set point within which the loop regulates
+_STUCK_s = 1e-3  # duration of equal readings of a stuck sensor, if noise moves every reading
+_CHANCE = 1e-12  # probability of a run of equal readings of a sound sensor; 1e9 readings per day
+_MAX_STUCK = 200  # samples, beyond which equal readings are not taken for a stuck sensor
 _WINDOW_s, _CYCLES = 1.0, 4.0  # at least a second, or the longest wait and four returns
-_MAX_DOUBLED = 10  # of the runtime
-_MAX_SAMPLES = 1_000_000  # what the runtime counts to
+_MAX_DOUBLINGS = 10  # of the runtime
+_MAX_SAMPLES = 1_000_000  # of the counters of the runtime
 
 
 def tip_guards(
@@ -57,8 +59,8 @@ def tip_guards(
     Without ``retract_V`` a latched tip goes to the lowest command: a rising drive extends it.
 
     Raises ``LabFileError`` with the line to write if set point, floor or ceiling is missing, and
-    if they are not in this order, the ceiling cannot be read, the tip would retract out of range
-    or approach faster than its loop can answer.
+    if they are not in order, if the ceiling cannot be measured, or if the tip would retract out of
+    range or approach too fast for its loop.
     """
     reference_A, floor_A, ceiling_A = _currents(lab, loop)
     declared = lab.tunnelling
@@ -69,22 +71,24 @@ def tip_guards(
             f"retract_V is {retract_V:g}",
             f"a voltage from {specification.voltage_min_V:g} to {specification.voltage_max_V:g} V",
         )
-    room = min(math.log(reference_A / floor_A), math.log(ceiling_A / reference_A), _MAX_ROOM)
-    steepest = max(
+    distance = min(
+        math.log(reference_A / floor_A), math.log(ceiling_A / reference_A), _MAX_DISTANCE
+    )
+    largest_gain = max(
         loop.gain_interval[1], *(m.gain_nepers_per_V for m in junction_family(loop, lab))
     )
     m_per_V = extension_m_per_V(loop)
-    # N, the largest number of samples before the loop answers an approach
+    # N, the largest number of samples before the loop responds to an approach
     sensor_Hz = min(loop.plant.sensor_pole_Hz, loop.sensor_pole_interval_Hz[0])
     delay_s = max(loop.plant.delay_s, loop.delay_interval_s[1])
     poles_s = (1.0 / loop.plant.amplifier_pole_Hz + 1.0 / sensor_Hz) / (2.0 * math.pi)
     reaction_samples = (delay_s + poles_s) * rate_Hz + 2.0
-    bound_V = _MARGIN * room / reaction_samples / steepest
+    bound_V = _MARGIN * distance / reaction_samples / largest_gain
     step_V = _approach_step_V(lab, bound_V, m_per_V * rate_Hz)
-    longest_s = declared.retract_s * 2.0 ** min(declared.retract_limit, _MAX_DOUBLED)
+    longest_s = declared.retract_s * 2.0 ** min(declared.retract_limit, _MAX_DOUBLINGS)
     distance_m = declared.retract_m + declared.search_m
     window_s = max(_WINDOW_s, longest_s + _CYCLES * distance_m / (step_V * m_per_V * rate_Hz))
-    contact_A = reference_A * math.exp(-_CONTACT * room)
+    contact_A = reference_A * math.exp(-_CONTACT * distance)
     stuck_samples, stuck_current_A = _stuck_sensor(lab, loop, rate_Hz, contact_A)
     bad_samples = max(round(declared.lost_s * rate_Hz), 1)
     return {
@@ -97,19 +101,19 @@ def tip_guards(
         "bad_samples": bad_samples,
         "contact_samples": bad_samples,
         "approach_step_V": step_V,
-        "approach_log_step": step_V * steepest,
-        "contact_log": _CONTACT * room,
+        "approach_log_step": step_V * largest_gain,
+        "contact_log": _CONTACT * distance,
         "search_voltage_V": declared.search_m / m_per_V,
         "trip_limit": declared.retract_limit,
         "trip_samples": min(round(window_s * rate_Hz), _MAX_SAMPLES),
         "stuck_samples": stuck_samples,
         "stuck_current_A": stuck_current_A,
-        "stuck_voltage_V": _CONTACT * room / loop.plant.gain_nepers_per_V,
+        "stuck_voltage_V": _CONTACT * distance / loop.plant.gain_nepers_per_V,
     }
 
 
 def extension_m_per_V(loop: LoopPlant) -> float:
-    """Return dz/du, metres of extension per volt of command: declared, or K / (2 kappa)."""
+    """Return dz/du, the extension per volt of command: declared, or K / (2 kappa)."""
     if loop.rig is not None:
         return loop.rig.drive_gain_m_per_V
     return loop.plant.gain_nepers_per_V / decay_of_barrier(loop.barrier_eV)
@@ -129,67 +133,68 @@ def _currents(lab: Lab, loop: LoopPlant) -> tuple[float, float, float]:
             f"{declared.ceiling_A:g} A",
             "a floor below the set point and a ceiling above it",
         )
-    readable_A = reading_range_A(lab, loop.axis)
-    if readable_A is not None and declared.ceiling_A >= max(map(abs, readable_A)):
+    range_A = reading_range_A(lab, loop.axis)
+    if range_A is not None and declared.ceiling_A >= max(map(abs, range_A)):
         raise _unusable(
             lab,
             f"ceiling_A is {declared.ceiling_A:g}, and {declared.feedback_ohm:g} ohm and the "
-            f"converter read at most {max(map(abs, readable_A)):g} A",
-            "a ceiling that can be read, or the tip never retracts",
+            f"converter read at most {max(map(abs, range_A)):g} A",
+            "a ceiling within the range of the reading, or the tip never retracts",
         )
     return reference_A, declared.floor_A, declared.ceiling_A
 
 
-def _approach_step_V(lab: Lab, bound_V: float, speed_of_V: float) -> float:
-    """Return the step of an approach, declared or the largest; ``speed_of_V`` in m/s per volt."""
-    declared_m_per_s = lab.tunnelling.approach_m_per_s
-    if declared_m_per_s is None:
+def _approach_step_V(lab: Lab, bound_V: float, m_per_s_per_V: float) -> float:
+    """Return the declared step of an approach, or its bound if none is declared."""
+    speed_m_per_s = lab.tunnelling.approach_m_per_s
+    if speed_m_per_s is None:
         return bound_V
-    if declared_m_per_s > bound_V * speed_of_V:
+    if speed_m_per_s > bound_V * m_per_s_per_V:
         raise _unusable(
             lab,
-            f"approach_m_per_s is {declared_m_per_s:g}",
-            f"at most {bound_V * speed_of_V:.3g} m/s, where this loop still answers in time",
+            f"approach_m_per_s is {speed_m_per_s:g}",
+            f"at most {bound_V * m_per_s_per_V:.3g} m/s, so that the loop responds in time",
         )
-    return declared_m_per_s / speed_of_V
+    return speed_m_per_s / m_per_s_per_V
 
 
 def _stuck_sensor(
     lab: Lab, loop: LoopPlant, rate_Hz: float, contact_A: float
 ) -> tuple[int, float]:
-    """Return after how many equal readings a sensor is stuck, and below which current it may rest.
+    """Return the number of equal readings of a stuck sensor, and the current above which it
+    counts.
 
-    A dark sensor is watched too, where its Johnson noise alone moves its readings.
+    The current is -1 A if Johnson noise alone moves the readings of a sensor without current.
     """
-    usual = max(round(_STUCK_s * rate_Hz), 1)
+    min_samples = max(round(_STUCK_s * rate_Hz), 1)
     step_V, ohm = converters_of(lab, loop.axis).reading_step_V, lab.tunnelling.feedback_ohm
     if ohm is None or step_V == 0.0 or lab.tunnelling.floor_A is None:
-        return max(usual, _MAX_STUCK), lab.tunnelling.floor_A or 0.0
-    dark, lit = (
+        return max(min_samples, _MAX_STUCK), lab.tunnelling.floor_A or 0.0
+    without_current, in_contact = (
         _equal_readings(loop, rate_Hz, ohm, step_V / ohm, current_A)
         for current_A in (0.0, contact_A)
     )
-    if dark <= _MAX_STUCK:
-        return max(usual, dark), -1.0
-    return max(usual, min(lit, _MAX_STUCK)), lab.tunnelling.floor_A
+    if without_current <= _MAX_STUCK:
+        return max(min_samples, without_current), -1.0
+    return max(min_samples, min(in_contact, _MAX_STUCK)), lab.tunnelling.floor_A
 
 
 def _equal_readings(
     loop: LoopPlant, rate_Hz: float, ohm: float, step_A: float, current_A: float
 ) -> int:
-    """Return the shortest run of equal readings that a sound sensor never shows.
+    """Return the shortest run of equal readings of negligible probability for a sound sensor.
 
         p = erf(step / (2 sqrt(2) s)),   p^n <= chance
 
-    p  two readings in a row are in one converter step; s  the Johnson and shot noise that came
-    between them, all of it but what a first-order sensor carries over
+    p is the probability that two consecutive readings lie in the same converter step, and s the
+    innovation of the Johnson and shot noise behind a first-order sensor.
     """
     pole_Hz = loop.plant.sensor_pole_Hz
-    carried = math.exp(-2.0 * math.pi * pole_Hz / rate_Hz)
+    pole = math.exp(-2.0 * math.pi * pole_Hz / rate_Hz)
     chain = CurrentChain(bandwidth_Hz=0.5 * math.pi * pole_Hz, feedback_ohm=ohm)
-    fresh_A = math.hypot(chain.johnson_A, chain.shot_A(current_A)) * math.sqrt(1.0 - carried**2)
-    equal = math.erf(step_A / (2.0 * math.sqrt(2.0) * fresh_A))
-    return _MAX_SAMPLES if equal >= 1.0 else math.ceil(math.log(_CHANCE) / math.log(equal))
+    innovation_A = math.hypot(chain.johnson_A, chain.shot_A(current_A)) * math.sqrt(1.0 - pole**2)
+    p = math.erf(step_A / (2.0 * math.sqrt(2.0) * innovation_A))
+    return _MAX_SAMPLES if p >= 1.0 else math.ceil(math.log(_CHANCE) / math.log(p))
 
 
 def _unusable(lab: Lab, fault: str, needed: str) -> LabFileError:

@@ -44,9 +44,10 @@ static const pz_real pz_{axis}_wanted_m[PZ_{upper}_FEEDFORWARD_POINTS] = {{
 def learned_files(
     learned: Learned, converter_V: tuple[float, float] | None = None, bits: int | None = None
 ) -> Mapping[str, bytes]:
-    """Return learning.json and the table: for the runtime, or for a wave generator.
+    """Return learning.json and the table, for the runtime or for a wave generator.
 
-    converter_V, bits  of the drive's converter, where known: an open loop's codes as well
+    converter_V, bits  of the drive's converter, or None; with both, a table of an open loop has
+                       codes as well
     """
     files = {"learning.json": learned.to_json()}
     table = Waveform(
@@ -71,7 +72,7 @@ def learned_files(
         if low_V < converter_V[0] or high_V > converter_V[1] - table.step_V:
             raise ParameterFileError(
                 f"axis {table.axis}: the period takes {low_V:.4g} V to {high_V:.4g} V",
-                needed=f"all of it within the {converter_V[0]:g} V to "
+                needed=f"the whole period within the {converter_V[0]:g} V to "
                 f"{converter_V[1] - table.step_V:.6g} V of the converter's codes",
                 remedy="Scale or move the reference.",
             )
@@ -82,10 +83,10 @@ def learned_files(
 
 
 def read_reference(path: Path, sampling_rate_Hz: float) -> Array:
-    """Return the period that a file holds, m: its one column of a length.
+    """Return the period in a file, m: its only column of a length.
 
-    Raises ``RecordingError`` where there is no such column or several, where a number is missing,
-    and for a time column of another rate.
+    Raises ``RecordingError`` for no such column or several, for a missing number, and for a time
+    column of another rate.
     """
     table = read_table(path)
     lengths = [c for c in table.columns if _dimension(c) is Dimension.LENGTH]
@@ -93,8 +94,8 @@ def read_reference(path: Path, sampling_rate_Hz: float) -> Array:
         headings = ", ".join(c.place for c in table.columns)
         raise RecordingError(
             f"{table.name}: {len(lengths)} columns of a length among {headings}",
-            needed="one, with its unit: the period that is wanted",
-            remedy="Head it for example with wanted [um].",
+            needed="one column of a length, with its unit: the reference of one period",
+            remedy="Name the column, for example, reference [um].",
         )
     wanted_m = np.asarray(lengths[0].si_values)
     missing = np.flatnonzero(~np.isfinite(wanted_m))
@@ -123,5 +124,5 @@ def _dimension(column: Column) -> Dimension | None:
 
 
 def _literals(values: Array) -> str:
-    """Return a literal a line, in the precision of the build."""
+    """Return one literal per line, in the precision of the build."""
     return ",\n".join(f"    PZ_REAL({value:.17g})" for value in values.tolist())

@@ -1,13 +1,13 @@
 """Learn the feedforward table of a periodic motion: from the model, then from recorded periods.
 
-Where no linear filter contracts on all plants that recordings allow, for example at a mode whose
-frequency is less certain than the mode is wide, the response of the table is measured from two
-periods with different tables,
+For harmonics at which no linear filter contracts on all plants that the recordings allow, for
+example at a mode whose frequency is less certain than its width, the response of the table is
+measured from two periods with different tables,
 
     G_h = (Y_h - Y'_h) / (f_h - f'_h)
 
-A small step, to which no plant of the family responds much, is enough. [Kim & Zou 2013] divide
-output by input instead of their changes, which a loop around the table does not allow.
+A small step, to which no plant of the family responds much, is sufficient. [Kim & Zou 2013] divide
+output by input instead of their changes, which is not possible with a loop around the table.
 """
 
 from collections.abc import Mapping
@@ -30,39 +30,40 @@ from piezoid.records.recording import Recording
 from piezoid.targets.waveform import inverse_V
 from piezoid.verification.plant import AxisPlant
 
-SHARE_OF_MEASURED = 0.8
-# Relative uncertainty of a response, with the sector's width: 0.8 (1 + 0.3) contracts
+_MEASURED_SHARE = 0.8  # of the inverse of a measured response
+# Relative uncertainty of a measured response, with the sector's width: 0.8 (1 + 0.3) contracts.
 _MAX_UNCERTAINTY = 0.3
 
 SCHEMA = "piezoid.learning/1"
-_MIN_POINTS = 16  # points of a period
-_ROUNDS = 8  # on the model; more changed nothing, see the waveform target
-_MIN_LEARNT_POWER = 0.9  # of the power of a motion
-_SAME_m = 1e-12  # two references are one where no point differs by more
+_MIN_POINTS = 16  # of a period
+_ROUNDS = 8  # on the model; more rounds do not reduce the error, see the waveform target
+_MIN_LEARNT_POWER = 0.9  # share of the power of a motion
+_TOLERANCE_m = 1e-12  # largest difference of equal references
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Learned:
     """The table of one axis, its convergence and its errors.
 
-    axis              its name
-    closed_loop       whether it goes on top of the controller, or is all of the voltage
-    sampling_rate_Hz  at which points follow each other
-    wanted_m          (points,)  the period, m
-    table_V           (points,)  V
-    contraction       a period leaves at most this share of the error, at full gain, on every
-                      plant that the recordings allow
-    worst_plant       the one that leaves so much
+    axis              name
+    closed_loop       whether the table is added to the output of the controller, or is the whole
+                      voltage
+    sampling_rate_Hz  of the points
+    wanted_m          (points,)  reference of one period
+    table_V           (points,)
+    contraction       largest remaining share of the error after a period, at full gain, over the
+                      plants that the recordings allow
+    worst_plant       plant with that share
     sector            of the hysteresis, half its width over its middle; part of contraction
-    learns_to_Hz      highest harmonic that is learnt
-    model_error_m     rms on the identified plant, what the first table leaves there
-    errors_m          rms of the recorded periods, oldest first, each with the table of then
-    noise_m           rms of the sensor's noise in the mean of the last recording's periods
-    gain              of learning, over the best for the worst plant
-    played_V, read_m  (points,)  the table before this one and its mean recorded period, from which
-                      the next period shows the response; empty before there was one
+    learns_to_Hz      frequency of the highest harmonic that is learnt
+    model_error_m     rms error of the first table on the identified plant
+    errors_m          rms error of each recorded period with its table, oldest first
+    noise_m           rms of the sensor's noise in the mean period of the last recording
+    gain              of learning, relative to the best gain for the worst plant
+    played_V, read_m  (points,)  previous table and its mean recorded period, to measure the
+                      response with the next period; empty without a recording
     response_m_per_V  (harmonics, 2)  real and imaginary part of the measured response of the
-                      table, 0 where no two periods have shown it; empty likewise
+                      table, 0 for harmonics without one; empty without a recording
     sources           digests of model and parameters
     """
 
@@ -86,13 +87,14 @@ class Learned:
 
     def __post_init__(self) -> None:
         freeze(self, "wanted_m", "table_V", "played_V", "read_m")
-        response = np.reshape(self.response_m_per_V, (-1, 2))  # a file has no shape of none
+        # An empty array in a file has lost its shape.
+        response = np.reshape(self.response_m_per_V, (-1, 2))
         object.__setattr__(self, "response_m_per_V", response)
         freeze(self, "response_m_per_V", ndim=2)
         if len(self.wanted_m) != len(self.table_V) or len(self.wanted_m) < _MIN_POINTS:
             raise ValueError(
-                f"{len(self.wanted_m)} points wanted, {len(self.table_V)} in the table; expected "
-                f"as many of each, at least {_MIN_POINTS}"
+                f"{len(self.wanted_m)} points of the reference, {len(self.table_V)} of the table; "
+                f"expected equal numbers of at least {_MIN_POINTS}"
             )
         if not self.sampling_rate_Hz > 0.0 or not self.contraction < 1.0:
             raise ValueError(
@@ -102,7 +104,7 @@ class Learned:
 
     @property
     def frequency_Hz(self) -> float:
-        """Periods a second."""
+        """Periods per second."""
         return self.sampling_rate_Hz / len(self.wanted_m)
 
     def to_json(self) -> bytes:
@@ -118,7 +120,7 @@ class Learned:
 
 
 def learned_from_json(content: bytes, source: str) -> Learned:
-    """Read ``learning.json`` back, or refuse it."""
+    """Read ``learning.json``; refuse a changed bit or another schema."""
     return read_sealed(
         Learned, content, SCHEMA, source, remedy="Learn again from the reference and the periods."
     )
@@ -133,15 +135,16 @@ def first_table(
     gain: float = 1.0,
     sources: Mapping[str, str] | None = None,
 ) -> Learned:
-    """Compute the periodic drive that has converged on the identified plant.
+    """Compute the table of a periodic motion by learning on the identified plant.
 
-    parameters  of the controller it goes on top of; None: it is all of the voltage
+    parameters  of the controller to whose output the table is added; None: the table is the whole
+                voltage
 
-    Raises ``ParameterFileError`` for a reference that the axis cannot follow, ``DesignError``
-    where learning would not contract.
+    Raises ``ParameterFileError`` for a reference that the axis cannot follow, and ``DesignError``
+    if learning does not contract.
     """
     values = None if parameters is None else parameters.values
-    wanted_m = _checked(reference_m, plant, parameters, model)
+    wanted_m = _check_reference(reference_m, plant, parameters, model)
     learner = learning_filter(
         model,
         values,
@@ -162,9 +165,9 @@ def first_table(
     table_V = inverse_V(plant, wanted_m) if values is None else np.zeros(len(wanted_m))
     best_V, smallest_m = table_V, np.inf
     for _ in range(_ROUNDS):
-        error_m = wanted_m - _simulated(model, plant, wanted_m, table_V, parameters)
+        error_m = wanted_m - _simulate_period(model, plant, wanted_m, table_V, parameters)
         if values is None:
-            error_m -= error_m.mean()  # nothing corrects a drift in open loop
+            error_m -= error_m.mean()  # the mean drifts in open loop
         rms_m = float(np.sqrt(np.mean(error_m**2)))
         if rms_m < smallest_m:
             best_V, smallest_m = table_V, rms_m
@@ -194,12 +197,12 @@ def next_table(
     *,
     parameters: AxisParameters | None,
 ) -> Learned:
-    """Refine a table by a recording of the motion under it.
+    """Refine a table by a recording of the motion with it.
 
     period  one period or more of the settled motion, the first row at point 0
 
-    Raises ``RecordingError`` for what is no period of this motion, ``ParameterFileError`` where
-    the next table would leave the axis' limits.
+    Raises ``RecordingError`` for a recording of another motion, and ``ParameterFileError`` if the
+    next table exceeds the limits of the axis.
     """
     learner = learning_filter(
         model,
@@ -209,7 +212,7 @@ def next_table(
         gain=previous.gain,
     )
     points, reference = len(previous.wanted_m), np.fft.rfft(previous.wanted_m)
-    sensed = np.where(learner.moves | (reference == 0.0), learner.sensed, 1.0)
+    sensed = np.where(learner.is_driven | (reference == 0.0), learner.sensed, 1.0)
     measured_m, noise_rms_m = mean_period(
         period,
         previous.axis,
@@ -225,14 +228,14 @@ def next_table(
     if len(previous.response_m_per_V):
         response = previous.response_m_per_V @ np.array([1.0, 1.0j])
     if len(previous.played_V):
-        changed_V, moved_m = previous.table_V - previous.played_V, measured_m - previous.read_m
-        response = measured_response(changed_V, moved_m, noise_rms_m, response, learner)
+        change_V, change_m = previous.table_V - previous.played_V, measured_m - previous.read_m
+        response = measured_response(change_V, change_m, noise_rms_m, response, learner)
     L = np.where(learner.learns, learner.L_V_per_m, learner.probe_V_per_m)
     is_measured = ~learner.learns & (response != 0.0) & (np.abs(learner.probe_V_per_m) > 0.0)
-    L[is_measured] = SHARE_OF_MEASURED / response[is_measured]
+    L[is_measured] = _MEASURED_SHARE / response[is_measured]
     share = learning_shares(error, points, noise_rms_m)
     table_V = previous.table_V + np.fft.irfft(share * L * error, points)
-    _simulated(model, plant, previous.wanted_m, table_V, parameters)
+    _simulate_period(model, plant, previous.wanted_m, table_V, parameters)
     return replace(
         previous,
         table_V=table_V,
@@ -247,11 +250,11 @@ def next_table(
 def refuse_changed(
     previous: Learned, reference_m: ArrayLike, *, sources: Mapping[str, str], closed_loop: bool
 ) -> None:
-    """Refuse another reference, model or loop than the table's, with where it differs most."""
+    """Refuse another reference, model or loop than the table was learnt for."""
     wanted_m, difference = np.asarray(reference_m, dtype=np.float64), ""
     if wanted_m.shape != previous.wanted_m.shape:
         difference = f"has {wanted_m.size} points, that of the table {len(previous.wanted_m)}"
-    elif (difference_m := np.abs(wanted_m - previous.wanted_m)).max() > _SAME_m:
+    elif (difference_m := np.abs(wanted_m - previous.wanted_m)).max() > _TOLERANCE_m:
         largest = with_unit(float(difference_m.max()), "m")
         difference = (
             f"differs from that of the table by up to {largest}, at point "
@@ -261,49 +264,49 @@ def refuse_changed(
         raise RecordingError(
             f"axis {previous.axis}: the reference {difference}",
             needed="the reference for which the table was learnt",
-            remedy="Begin anew without --table, or pass that reference.",
+            remedy="Pass that reference, or start again without --table.",
         )
     if previous.sources != sources or previous.closed_loop != closed_loop:
         loop = f"{'with' if previous.closed_loop else 'without'} a controller"
         raise ParameterFileError(
             f"axis {previous.axis}: the table was learnt "
             + ("of another model" if previous.sources != sources else loop),
-            needed="model and loop of the table that was played",
-            remedy="Pass those, or begin anew without a recorded period.",
+            needed="model and loop of the table",
+            remedy="Pass these, or start again without a recorded period.",
         )
 
 
-def _checked(
+def _check_reference(
     reference_m: ArrayLike, plant: AxisPlant, parameters: AxisParameters | None, model: AxisModel
 ) -> Array:
-    """Return the reference as an array; refuse one that the axis cannot follow."""
+    """Return the reference as an array; refuse a reference that the axis cannot follow."""
     wanted_m = np.asarray(reference_m, dtype=np.float64)
     axis = model.axis
     if wanted_m.ndim != 1 or len(wanted_m) < _MIN_POINTS or not np.isfinite(wanted_m).all():
         raise ParameterFileError(
-            f"axis {axis}: a reference of shape {wanted_m.shape}, "
-            f"{int(np.sum(~np.isfinite(wanted_m)))} of its numbers not finite",
-            needed=f"one period, {_MIN_POINTS} finite numbers or more, one for each sample",
+            f"axis {axis}: a reference of shape {wanted_m.shape} with "
+            f"{int(np.sum(~np.isfinite(wanted_m)))} numbers that are not finite",
+            needed=f"one period of at least {_MIN_POINTS} finite numbers, one for each sample",
             remedy="Pass the period in metres, at the controller's rate.",
         )
     low_m, high_m = (
-        _reach_m(model)
+        _recorded_range_m(model)
         if parameters is None
         else tuple(
             float(parameters.values[f"reference_{end}_m"]) for end in ("minimum", "maximum")
         )
     )
-    least_m, most_m = float(wanted_m.min()), float(wanted_m.max())
-    if least_m < low_m or most_m > high_m:
+    min_m, max_m = float(wanted_m.min()), float(wanted_m.max())
+    if min_m < low_m or max_m > high_m:
         raise ParameterFileError(
-            f"axis {axis}: the reference goes from {with_unit(least_m, 'm')} to "
-            f"{with_unit(most_m, 'm')}",
-            needed=f"all of it within {with_unit(low_m, 'm')} to {with_unit(high_m, 'm')}, the "
+            f"axis {axis}: the reference is from {with_unit(min_m, 'm')} to "
+            f"{with_unit(max_m, 'm')}",
+            needed=f"a reference within {with_unit(low_m, 'm')} to {with_unit(high_m, 'm')}, the "
             "range of the axis",
             remedy="Scale or move the reference.",
         )
-    fastest = float(np.abs(np.diff(wanted_m, append=wanted_m[0])).max())
-    fastest_m_per_s = fastest * plant.sampling_rate_Hz
+    largest_step_m = float(np.abs(np.diff(wanted_m, append=wanted_m[0])).max())
+    slew_m_per_s = largest_step_m * plant.sampling_rate_Hz
     allowed_m_per_s = (
         np.inf
         if plant.slew_V_per_s is None
@@ -312,18 +315,18 @@ def _checked(
     if parameters is not None and float(parameters.values["reference_step_m"]) > 0.0:
         step_m = float(parameters.values["reference_step_m"])
         allowed_m_per_s = min(allowed_m_per_s, step_m * plant.sampling_rate_Hz)
-    if fastest_m_per_s > allowed_m_per_s:
+    if slew_m_per_s > allowed_m_per_s:
         raise ParameterFileError(
-            f"axis {axis}: the reference moves by up to {with_unit(fastest_m_per_s, 'm/s')}, from "
-            "its last point to its first included",
-            needed=f"at most {with_unit(float(allowed_m_per_s), 'm/s')}, as drive and controller "
-            "allow",
-            remedy="Move slower or less far, and let the period end where it begins.",
+            f"axis {axis}: the reference moves at up to {with_unit(slew_m_per_s, 'm/s')}, "
+            "including the step from its last point to its first",
+            needed=f"at most {with_unit(float(allowed_m_per_s), 'm/s')}, the limit of drive and "
+            "controller",
+            remedy="Move slower or less far, and end the period at its first point.",
         )
     return wanted_m
 
 
-def _reach_m(model: AxisModel) -> tuple[float, float]:
+def _recorded_range_m(model: AxisModel) -> tuple[float, float]:
     """Return the range of the hysteresis between the ends of the recorded drive."""
     operator = model.operator
     low_V, high_V = model.voltage_V
@@ -333,14 +336,14 @@ def _reach_m(model: AxisModel) -> tuple[float, float]:
     return float(ends_m.min()), float(ends_m.max())
 
 
-def _simulated(
+def _simulate_period(
     model: AxisModel,
     plant: AxisPlant,
     wanted_m: Array,
     table_V: Array,
     parameters: AxisParameters | None,
 ) -> Array:
-    """Return a settled period under a table on the plant without noise, (points,), m.
+    """Simulate a table on the plant without noise; return the position in a settled period, m.
 
     Raises ``ParameterFileError`` if it exceeds the limits of the drive or of the recordings.
     """
@@ -357,27 +360,28 @@ def _simulated(
     raise ParameterFileError(
         f"axis {model.axis}: the period takes {low_V:.4g} V to {high_V:.4g} V"
         + (f", and the controller met its limits ({', '.join(names)})" if names else ""),
-        needed=f"all of it within {model.voltage_V[0]:.4g} V to {model.voltage_V[1]:.4g} V, as "
-        "recorded, and within the slew of the drive",
+        needed=f"the whole period within the recorded {model.voltage_V[0]:.4g} V to "
+        f"{model.voltage_V[1]:.4g} V, and within the slew of the drive",
         remedy="Scale the reference down, or scan slower.",
     )
 
 
 def measured_response(
-    changed_V: Array,
-    moved_m: Array,
+    change_V: Array,
+    change_m: Array,
     noise_rms_m: float,
-    earlier: Response,
+    previous: Response,
     learner: LearningFilter,
 ) -> Response:
-    """Return the response of every harmonic that is certain enough, (harmonics,).
+    """Measure the response of each harmonic from two tables and their mean periods, (harmonics,).
 
-    changed_V, moved_m  (points,)  between two tables and their mean periods
+    change_V, change_m  (points,)  differences of the tables and of the periods
     noise_rms_m         of one reading of a mean period
-    earlier             (harmonics,)  measured before, or 0; kept where this one is uncertain
+    previous            (harmonics,)  earlier result, or 0; returned for harmonics whose new result
+                        is uncertain
     """
-    points = len(changed_V)
-    df, dy = np.fft.rfft(changed_V), np.fft.rfft(moved_m) / learner.sensed
+    points = len(change_V)
+    df, dy = np.fft.rfft(change_V), np.fft.rfft(change_m) / learner.sensed
     # Noise of both means, and the power that the hysteresis converts from other harmonics.
     noise = np.sqrt(2.0 * points) * noise_rms_m
     converted = learner.sector * np.sqrt(np.mean(np.abs(dy) ** 2))
@@ -385,4 +389,4 @@ def measured_response(
         uncertainty = np.hypot(noise, converted) / np.abs(dy)
         response = dy / df
     is_certain = np.isfinite(response) & (uncertainty < _MAX_UNCERTAINTY) & (response != 0.0)
-    return np.where(is_certain, response, earlier)
+    return np.where(is_certain, response, previous)

@@ -1,4 +1,4 @@
-"""box.toml: limits of the hardware for which a target is made."""
+"""Limits of the hardware for which a target is made, from box.toml."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,16 +17,16 @@ class ControllerHardware:
     """Limits of the hardware; None stands for the value of the stage.
 
     notches              of a PID controller, 0 to 2
-    slew_V_per_s         its slew limit; None: that of the amplifier
-    update_Hz            at which second-order sections are computed; None: the controller's rate
+    slew_V_per_s         slew limit of a PID controller; None: that of the amplifier
+    update_Hz            rate of second-order sections; None: the controller's rate
     table_points         of a hysteresis table
     drift_limit_percent  of the range, for drift compensation
-    frame_half_range_m   from the middle of a frame to its ends; None: 0.7 of the way to the limits
+    frame_half_range_m   of a frame; None: 0.7 of the largest half range
     shape                of the scan, ``triangle`` (rounded corners) or ``sine``
-    frequency_Hz         of its lines to and fro
-    half_range_m         from its middle to its ends; None: 0.7 of the way to the limits
-    rate_Hz              at which points are put out; None: the controller's
-    points               that the waveform memory holds
+    frequency_Hz         of the lines to and fro
+    half_range_m         of the scan; None: 0.7 of the largest half range
+    rate_Hz              of the points of a waveform; None: the controller's rate
+    points               size of the waveform memory
     bits, range_V        of the converter of the wave generator
     """
 
@@ -47,7 +47,7 @@ class ControllerHardware:
 
 @dataclass(frozen=True)
 class _Key:
-    """Allowed values of a key in words, and its conversion, which raises ``ValueError``."""
+    """Description of the allowed values of a key, and conversion, which raises ``ValueError``."""
 
     needed: str
     convert: Callable[[Any], Any]
@@ -122,21 +122,21 @@ def read_hardware(path: Path) -> ControllerHardware:
     values: dict[str, Any] = {}
     for name, table in tables.items():
         if name not in _TABLES or not isinstance(table, Mapping):
-            raise _wrong(path, f"[{name}] is no table of box.toml", f"one of {names}")
+            raise _unusable(path, f"[{name}] is no table of box.toml", f"one of {names}")
         for key, value in table.items():
             spec = _TABLES[name].get(key)
             if spec is None:
                 keys = ", ".join(_TABLES[name])
-                raise _wrong(path, f"{key} is no key of [{name}]", f"one of {keys}")
+                raise _unusable(path, f"{key} is no key of [{name}]", f"one of {keys}")
             try:
                 values[key] = spec.convert(value)
             except ValueError:
-                description = f"{key} of [{name}] is {value!r}"
-                raise _wrong(path, description, spec.needed) from None
+                fault = f"{key} of [{name}] is {value!r}"
+                raise _unusable(path, fault, spec.needed) from None
     return ControllerHardware(**values)
 
 
-def _wrong(path: Path, fault: str, needed: str) -> ParameterFileError:
+def _unusable(path: Path, fault: str, needed: str) -> ParameterFileError:
     return ParameterFileError(
         f"{path}: {fault}", needed=needed, remedy="Correct it, and export again."
     )

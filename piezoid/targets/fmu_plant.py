@@ -1,11 +1,8 @@
-"""The target `fmu`: each axis' controller, and the identified plant that verification runs.
+"""Co-simulation units of the identified plants, for the target `fmu`.
 
-Sources: Functional Mock-up Interface Specification 2.0.4, Modelica Association.
-
-plant_of_axis.h: an identified plant, at rest, as constants of plant_loop.c's structure.
-
-What the header holds is read back from the structure that verification runs, so that there is one
-forward model; numbers are printed as the shortest decimals that read as the same doubles.
+plant_of_axis.h contains an identified plant at rest, as constants of the structure of
+plant_loop.c. The numbers are read from the structure that verification uses, so that there is one
+forward model. They are printed as the shortest decimals that read as the same doubles.
 """
 
 import ctypes
@@ -40,18 +37,19 @@ def plant_units(name: str, plants: Sequence[AxisPlant]) -> Mapping[str, Unit]:
     """
     package = files("piezoid.verification")
     sources = {source: package.joinpath(source).read_bytes() for source in _SOURCES}
-    reading = "What the sensor shows at the sampling instant, noise and rounding in it."
-    position = "In front of the sensor at that instant."
-    noise = "Of the identified noise and lines in the reading; 0: none."
-    seed = "Of the noise: the same seed, the same noise."
+    reading = "Reading at the sampling instant, with noise and rounding."
+    position = "Position in front of the sensor at the sampling instant."
+    noise = "Factor of the identified noise and lines in the reading; 0: none."
+    seed = "Seed of the noise."
     units = {}
     for plant in plants:
         rest_V = plant.rest_voltage_V
-        unit, input_name, what = "m", "disturbance_m", "What moves the stage beside its drive"
+        unit, input_name = "m", "disturbance_m"
+        disturbance = "Motion of the stage that the drive does not cause"
         if isinstance(plant.response, Junction):
             unit, input_name = "A", "withdrawn_m"
-            what = "How far the surface is below where it was at rest"
-        path = f"{what}, at the end of the period; reached in a straight line."
+            disturbance = "Distance of the surface below its position at rest"
+        disturbance += ", at the end of the period; linear during the period."
         units[f"{plant.axis}_plant"] = Unit(
             identifier=f"piezoid_{plant.axis}_plant",
             description=f"Identified plant of axis {plant.axis} of the stage {plain_ascii(name)}, "
@@ -60,7 +58,7 @@ def plant_units(name: str, plants: Sequence[AxisPlant]) -> Mapping[str, Unit]:
             macros="",
             variables=variables(
                 ("voltage_V", "input", "V", rest_V, "The command, held for a period."),
-                (input_name, "input", "m", 0.0, path),
+                (input_name, "input", "m", 0.0, disturbance),
                 (f"measured_{unit}", "output", unit, None, reading),
                 (f"position_{unit}", "output", unit, None, position),
                 ("noise_factor", "parameter", "1", 1.0, noise),
@@ -74,7 +72,10 @@ def plant_units(name: str, plants: Sequence[AxisPlant]) -> Mapping[str, Unit]:
 
 
 def plant_header(plant: AxisPlant) -> str:
-    """Return the text of plant_of_axis.h; ``ParameterFileError`` where the loop has no room."""
+    """Return the text of plant_of_axis.h.
+
+    Raises ``ParameterFileError`` for a plant with more states than plant_loop.c allows.
+    """
     settled = SettledPlant(plant)
     initial = settled.structure
     decay, offset = 1.0, 0.0
@@ -105,8 +106,8 @@ def plant_header(plant: AxisPlant) -> str:
     arrays["hum_Hz"] = np.array([frequency_Hz for frequency_Hz, _ in plant.hums])
     arrays["hum"] = np.array([amplitude for _, amplitude in plant.hums])
     for name, values in arrays.items():
-        inside = ", ".join(map(_number, values.tolist())) or "0.0"
-        lines.append(f"static const double plant_{name}[] = {{{inside}}};")
+        numbers = ", ".join(map(_number, values.tolist())) or "0.0"
+        lines.append(f"static const double plant_{name}[] = {{{numbers}}};")
     members = [f".{name} = {_number(getattr(initial, name))}" for name in _SCALARS]
     members += [
         f".before = {_linear('before', initial.before)}",
@@ -119,8 +120,8 @@ def plant_header(plant: AxisPlant) -> str:
         *("cyclic_cosine_m", "cyclic_sine_m"),
     )
     members += [f".{name} = plant_{name}" for name in shared]
-    inside = "".join(f"    {member},\n" for member in members)
-    return "\n".join([*lines, f"static const pl_plant plant_at_rest = {{\n{inside}}};", ""])
+    initialiser = "".join(f"    {member},\n" for member in members)
+    return "\n".join([*lines, f"static const pl_plant plant_at_rest = {{\n{initialiser}}};", ""])
 
 
 def _arrays(initial: LoopPlant) -> Iterator[tuple[str, Array]]:
@@ -136,9 +137,9 @@ def _arrays(initial: LoopPlant) -> Iterator[tuple[str, Array]]:
     driven = _at(initial.after.B_old, n) + _at(initial.after.B_new, n)
     yield "after_settled", np.asarray(np.linalg.solve(transition, driven), dtype=np.float64)
     for name in ("envelope", "zones"):
-        part: Map = getattr(initial, name)
-        yield f"{name}_knot", _at(part.knot, part.knots)
-        yield f"{name}_slope", _at(part.slope, part.knots + 1 if part.slope else 0)
+        curve: Map = getattr(initial, name)
+        yield f"{name}_knot", _at(curve.knot, curve.knots)
+        yield f"{name}_slope", _at(curve.slope, curve.knots + 1 if curve.slope else 0)
     for name in ("threshold_V", "play_V"):
         yield name, _at(getattr(initial, name), initial.plays)
     yield "weight", _at(initial.weight, 0 if initial.edges else initial.plays)
@@ -156,7 +157,7 @@ def _arrays(initial: LoopPlant) -> Iterator[tuple[str, Array]]:
 
 
 def _at(address: int | None, count: int) -> Array:
-    """Return a copy of so many doubles, none where there is no address."""
+    """Return a copy of the doubles at an address, or an empty array for a null address."""
     if not address or not count:
         return np.zeros(0)
     return np.array((ctypes.c_double * count).from_address(address))
@@ -169,11 +170,12 @@ def _number(value: float) -> str:
 
 
 def _linear(name: str, block: Linear) -> str:
-    pointers = ", ".join(f".{part} = plant_{name}_{part}" for part in ("A", "B_old", "B_new", "C"))
+    arrays = ("A", "B_old", "B_new", "C")
+    pointers = ", ".join(f".{array} = plant_{name}_{array}" for array in arrays)
     direct = ", ".join(_number(float(value)) for value in block.D)
     return f"{{.states = {block.states}, {pointers}, .D = {{{direct}}}}}"
 
 
-def _map(name: str, part: Map) -> str:
+def _map(name: str, curve: Map) -> str:
     pointers = f".knot = plant_{name}_knot, .slope = plant_{name}_slope"
-    return f"{{.knots = {part.knots}, {pointers}, .zero = {part.zero}}}"
+    return f"{{.knots = {curve.knots}, {pointers}, .zero = {curve.zero}}}"

@@ -1,13 +1,13 @@
 """The target `nanonis`: sensitivity, limits, hysteresis tables and drift for a Nanonis controller.
 
-Such a controller moves a scanner without a displacement sensor: positions over a sensitivity are
-voltages, bent by a table for the fast and one for the slow axis. Here a table is taken to hold
-points of one curve, and between them straight lines:
+Such a controller moves a scanner without a displacement sensor. It divides positions by a
+sensitivity, and corrects the voltages by one hysteresis table for the fast axis and one for the
+slow axis. We assume that a table is a polyline:
 
-    voltage = middle + sign y(sign s) / sensitivity,   s of the wanted displacement less the middle
+    voltage = middle + sign y(sign s) / sensitivity,   s = displacement - middle
 
-forward lines with sign +1; where the controller mirrors the table, backward lines with -1. The
-curve is the forward branch of the loop that the identified hysteresis inverts to for this frame.
+with sign +1 on forward lines, and -1 on backward lines if the controller mirrors the table. The
+curve is the forward branch of the inverse of the identified hysteresis for this frame.
 """
 
 import json
@@ -34,8 +34,8 @@ from piezoid.verification.scenarios import raster
 
 _LINE_Hz = 1.0  # to and fro
 _DENSE = 4096  # points of a branch
-_CREPT_s = (10.0, 100.0)  # after a move: a frame
-_REMAINDER = 0.1  # of the bend that a table may leave
+_CREEP_s = (10.0, 100.0)  # after a move: the duration of a frame
+_MAX_RESIDUAL = 0.1  # of a table, relative to the nonlinearity of the branch
 _AXES = ("X", "Y", "Z")
 COLUMNS = ("straight", "table", "exported", "back", "mirrored")
 
@@ -107,9 +107,9 @@ class Table:
     """Sensitivity and hysteresis table of one axis.
 
     sensitivity_m_per_V  of the command, signed
-    middle_V, centre_m   where the frame's middle is
-    half_m               from there to its ends
-    x_m, y_m             (points,)  about the middle, single precision
+    middle_V, centre_m   of the frame
+    half_m               half range of the frame
+    x_m, y_m             (points,)  relative to the middle, single precision
     ends_V               of the whole loop
     """
 
@@ -125,8 +125,8 @@ class Table:
     def voltage_V(self, wanted_m: Array, sign: Array | float = 1.0) -> Array:
         """Return the output that the controller is assumed to compute, (samples,)."""
         s_m = np.asarray(sign) * (wanted_m - self.centre_m)
-        bent_m = np.asarray(sign) * np.interp(s_m, self.x_m, self.y_m)
-        return np.asarray(self.middle_V + bent_m / self.sensitivity_m_per_V)
+        corrected_m = np.asarray(sign) * np.interp(s_m, self.x_m, self.y_m)
+        return np.asarray(self.middle_V + corrected_m / self.sensitivity_m_per_V)
 
 
 def nanonis_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
@@ -152,18 +152,18 @@ def nanonis_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str,
         sections.append(_section(inputs, table, errors_m, loss))
         rows = (f"{x:.9g},{y:.9g}" for x, y in zip(table.x_m, table.y_m, strict=True))
         files[f"{axis.axis}.csv"] = "\n".join(["x_m,y_m", *rows, ""])
-    declared = all(inputs.amplifier_V_per_V.get(table.axis) for table in tables)
+    is_declared = all(inputs.amplifier_V_per_V.get(table.axis) for table in tables)
     files["README.md"] = _README.format(
         name=plain_ascii(inputs.file.name),
         voltages="Volts and m/V are those behind the amplifier that lab.toml declares."
-        if declared
+        if is_declared
         else "Volts and m/V are those of the command: lab.toml declares no gain_V_per_V of the "
         "amplifier for every axis. Multiply volts by yours, divide m/V by it.",
         fast=f"Axis {tables[0].axis} is taken for the fast one"
         + (f", axis {tables[1].axis} for the slow one." if len(tables) > 1 else "."),
         axes="\n".join(sections),
         line=with_unit(_LINE_Hz, "Hz"),
-        crept=f"{_CREPT_s[0]:g} s and {_CREPT_s[1]:g} s after it",
+        crept=f"{_CREEP_s[0]:g} s and {_CREEP_s[1]:g} s after it",
     )
     return {name: text.encode() for name, text in files.items()}, tuple(notes)
 
@@ -182,17 +182,17 @@ def hysteresis_table(inputs: TargetInputs, axis: AxisParameters) -> Table:
     sensitivity = _single(2.0 * half_m / float(branch_V[-1] - branch_V[0]))
     middle_V = 0.5 * (ends_V[0] + ends_V[1])
     y_m = sensitivity * (branch_V - middle_V)
-    knot_m, fitted_m, residual_m = _polyline(forward_m, y_m, points)
-    bend_m = float(np.std(y_m - forward_m))
-    allowed_m = _REMAINDER * bend_m
+    knot_m, fitted_m, residual_m = _fit_polyline(forward_m, y_m, points)
+    nonlinearity_m = float(np.std(y_m - forward_m))
+    allowed_m = _MAX_RESIDUAL * nonlinearity_m
     if residual_m > allowed_m:
         candidates = range(points, _DENSE)
-        enough = next(n for n in candidates if _polyline(forward_m, y_m, n)[2] <= allowed_m)
+        needed = next(n for n in candidates if _fit_polyline(forward_m, y_m, n)[2] <= allowed_m)
         raise ParameterFileError(
-            f"axis {axis.axis}: {points} points leave {with_unit(residual_m, 'm')} rms of a loop "
-            f"that bends by {with_unit(bend_m, 'm')}",
-            needed=f"at most {_REMAINDER:g} of it",
-            remedy=f"What would fit: table_points = {enough} or more, in [nanonis] of box.toml.",
+            f"axis {axis.axis}: a table of {points} points has a residual of "
+            f"{with_unit(residual_m, 'm')} rms, of {with_unit(nonlinearity_m, 'm')} without it",
+            needed=f"a residual of at most {with_unit(allowed_m, 'm')}",
+            remedy=f"Set table_points = {needed} or more in [nanonis] of box.toml.",
         )
     return Table(
         axis=axis.axis,
@@ -206,12 +206,12 @@ def hysteresis_table(inputs: TargetInputs, axis: AxisParameters) -> Table:
     )
 
 
-def _polyline(place_m: Array, value_m: Array, points: int) -> tuple[Array, Array, float]:
-    """Return knots and values of the nearest polyline, and the rms of its residual, m."""
-    knot_m = np.linspace(place_m[0], place_m[-1], points)
-    hats = np.stack([np.interp(place_m, knot_m, unit) for unit in np.eye(points)], axis=1)
-    fitted_m = np.asarray(np.linalg.lstsq(hats, value_m)[0], dtype=np.float64)
-    return knot_m, fitted_m, float(np.sqrt(np.mean((hats @ fitted_m - value_m) ** 2)))
+def _fit_polyline(x_m: Array, y_m: Array, points: int) -> tuple[Array, Array, float]:
+    """Return knots and values of the least-squares polyline, and the rms of its residual, m."""
+    knot_m = np.linspace(x_m[0], x_m[-1], points)
+    basis = np.stack([np.interp(x_m, knot_m, unit) for unit in np.eye(points)], axis=1)
+    fitted_m = np.asarray(np.linalg.lstsq(basis, y_m)[0], dtype=np.float64)
+    return knot_m, fitted_m, float(np.sqrt(np.mean((basis @ fitted_m - y_m) ** 2)))
 
 
 def line_errors_m(
@@ -219,23 +219,23 @@ def line_errors_m(
 ) -> dict[str, dict[str, float]]:
     """Return the error on lines by plant and by ``COLUMNS``, rms in m.
 
-    The last two columns are backward lines: with the same table, and with a mirrored one.
+    The last two columns are backward lines, with the same table and with the mirrored table.
     """
     errors_m = {}
     for plant in inputs.family(axis.axis):
         unit = raster(plant.sampling_rate_Hz, _LINE_Hz, 1.0).x
         wanted_m = table.centre_m + table.half_m * unit
-        forward = np.gradient(unit) > 0.0
+        is_forward = np.gradient(unit) > 0.0
         straight_V = table.middle_V + (wanted_m - table.centre_m) / table.sensitivity_m_per_V
-        mirrored_V = table.voltage_V(wanted_m, np.where(forward, 1.0, -1.0))
+        mirrored_V = table.voltage_V(wanted_m, np.where(is_forward, 1.0, -1.0))
         table_m = last_period(plant, table.voltage_V(wanted_m))
         exported_m = exported_position_m(axis, plant, np.tile(wanted_m, 3))[-len(wanted_m) :]
         lines = (
-            (last_period(plant, straight_V), forward),
-            (table_m, forward),
-            (exported_m, forward),
-            (table_m, ~forward),
-            (last_period(plant, mirrored_V), ~forward),
+            (last_period(plant, straight_V), is_forward),
+            (table_m, is_forward),
+            (exported_m, is_forward),
+            (table_m, ~is_forward),
+            (last_period(plant, mirrored_V), ~is_forward),
         )
         errors_m[plant.label] = {
             name: float(np.std((position_m - wanted_m)[rows]))
@@ -247,7 +247,7 @@ def line_errors_m(
 def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
     """Return the settings of the controller by the names of its published interface.
 
-    None keeps the value that the controller has.
+    A value of null keeps the controller's own value.
     """
     is_declared = all(inputs.amplifier_V_per_V.get(table.axis) for table in tables)
     sensitivities: dict[str, float | None] = {}
@@ -268,7 +268,7 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
     points: dict[str, int | list[float]] = {}
     for axis, table in zip_longest(("Fast", "Slow"), tables[:2]):
         x, y = 2 * ([-1.0, 1.0],) if table is None else (table.x_m.tolist(), table.y_m.tolist())
-        # nanonis_spm writes one of the names with two underscores
+        # nanonis_spm has two underscores in one of the names
         points[f"{axis}_axis_{'_' if axis == 'Fast' else ''}number_points_X"] = len(x)
         points[f"{axis}_axis_points_X"] = x
         points[f"{axis}_axis_number_points_Y"] = len(y)
@@ -288,30 +288,31 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
 
 
 def creep_after_move(inputs: TargetInputs, table: Table) -> tuple[float, float, float]:
-    """Return m/s and m that a stage creeps after a move by half the frame, and m left of them.
+    """Return mean speed and distance of the creep after a move by half the frame.
 
-    From the creep elements that ship: y sum of share_i (1 - exp(-t / tau_i)).
+    The third number is the largest deviation from that mean speed, m. The creep is
+    y sum of share_i (1 - exp(-t / tau_i)), with the elements that ship.
     """
     values = inputs.file.axis(table.axis).values
     rate = np.asarray(values["relaxation_rate"], dtype=np.float64)
     share = np.asarray(values["relaxation_share"], dtype=np.float64)
     rate, share = rate[rate > 0.0], share[rate > 0.0]
     tau_s = -1.0 / (np.log1p(-rate) * float(values["sampling_rate_Hz"]))
-    time_s = np.linspace(*_CREPT_s, 200)
-    moved_m = table.half_m * np.sum(share * (1.0 - np.exp(-time_s[:, None] / tau_s)), axis=1)
-    gone_m = float(moved_m[-1] - moved_m[0])
-    speed = gone_m / (_CREPT_s[1] - _CREPT_s[0])
-    left_m = moved_m - moved_m[0] - speed * (time_s - time_s[0])
-    return speed, gone_m, float(np.abs(left_m).max())
+    time_s = np.linspace(*_CREEP_s, 200)
+    creep_m = table.half_m * np.sum(share * (1.0 - np.exp(-time_s[:, None] / tau_s)), axis=1)
+    distance_m = float(creep_m[-1] - creep_m[0])
+    speed = distance_m / (_CREEP_s[1] - _CREEP_s[0])
+    residual_m = creep_m - creep_m[0] - speed * (time_s - time_s[0])
+    return speed, distance_m, float(np.abs(residual_m).max())
 
 
 def _section(inputs: TargetInputs, table: Table, errors_m: Errors, loss: str) -> str:
-    speed, gone_m, left_m = creep_after_move(inputs, table)
+    speed, distance_m, residual_m = creep_after_move(inputs, table)
     drift = (
-        f"After a move by {with_unit(table.half_m, 'm')} it creeps by {with_unit(gone_m, 'm')} "
-        f"between {_CREPT_s[0]:g} s and {_CREPT_s[1]:g} s; {with_unit(speed, 'm')} a second leave "
-        f"at most {with_unit(left_m, 'm')}"
-        if gone_m
+        f"After a move by {with_unit(table.half_m, 'm')} it creeps by "
+        f"{with_unit(distance_m, 'm')} between {_CREEP_s[0]:g} s and {_CREEP_s[1]:g} s; "
+        f"{with_unit(speed, 'm')} a second leave at most {with_unit(residual_m, 'm')}"
+        if distance_m
         else "No creep ships with this axis, so there is no speed to compensate"
     )
     return _AXIS.format(

@@ -1,6 +1,6 @@
 """A PID controller with notches and limits: its computation, and the search for its settings.
 
-The search looks for the settings that reject slow disturbances most on every plant.
+The search maximises the rejection of slow disturbances over all plants of a family.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,9 +23,9 @@ from piezoid.numerics.polynomial import product, spectral_radius, total
 
 _FILTER_SAMPLES = 2.0  # time constant of the filter of D
 _DECAY = float(np.exp(-1.0 / _FILTER_SAMPLES))
-# Ratios tried; the gain of each is as large as the margins allow. Three times as many leads and
-# twice as many of the others gained 0.2 and 0.6 dB on the bundled stage, 0.5 dB with a notch and
-# 0.8 dB without on a mode at 630 Hz.
+# Ratios of the candidates; the gain of each is as large as the margins allow. Three times as many
+# leads and twice as many other ratios improved the rejection by 0.2 and 0.6 dB on the bundled
+# stage, by 0.5 dB with a notch and 0.8 dB without on a mode at 630 Hz.
 _LEADS_samples = (0.0, *np.geomspace(0.7, 90.0, 24).tolist())  # proportional / integral
 _DERIVATIVES = (0.0, 0.06, 0.12, 0.25, 0.5)  # derivative / (integral lead^2)
 _WIDTHS = (0.3, 0.7, 1.4, 2.0)
@@ -41,7 +41,7 @@ _MIN_LOOP_Hz = 1.0
 class Notch:
     """A band stop, H(s) = (s^2 + 2 z_n w s + w^2) / (s^2 + 2 z_d w s + w^2), w = 2 pi f.
 
-    frequency_Hz  centre, which Tustin's transform keeps
+    frequency_Hz  of the centre, preserved by the prewarped Tustin transform
     depth, width  z_n and z_d; the gain at the centre is depth / width
     """
 
@@ -93,7 +93,7 @@ class Pid:
     def sections(self, rate_Hz: float) -> tuple[tuple[Array, Array], ...]:
         """Return B and monic A in q^-1 of the PID (V/m) and of each notch at a sampling rate.
 
-        The filter of D keeps its time constant, each notch its frequency.
+        The time constant of the filter of D and the frequencies of the notches do not change.
         """
         period_s = 1.0 / rate_Hz
         difference = np.array([1.0, -1.0])
@@ -160,7 +160,7 @@ class PidController:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TunedPid:
-    """Settings, and the margins of every member, recomputed exactly."""
+    """Settings of a PID, and the exact margins of every member of the family."""
 
     pid: Pid
     margins: tuple[Margins, ...]
@@ -168,11 +168,11 @@ class TunedPid:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Grid:
-    """Frequency responses on which the search judges a loop.
+    """Frequency responses and limits for the search.
 
     w         (frequencies,)  rad/s
     plants    (members, frequencies)  B / A
-    efforts   (frequencies,)  V per output unit, the largest |Sup| allowed
+    efforts   (frequencies,)  V per output unit, the largest allowed |Sup|
     """
 
     members: Sequence[Plant]
@@ -191,11 +191,11 @@ def tuned_pid(
 
     Args:
         axis: name, for messages
-        family: plants, the slope sector of the hysteresis included
+        family: plants, with the slope sector of the hysteresis
         blank: limits and converter of the controller; its gains are ignored
-        notches: number of notches it may use
-        specification: both margins and every limit of the control effort; what no recording
-            shows limits a PID as it limits the exported controller
+        notches: largest number of notches
+        specification: both margins, and the limits of the control effort, which guard against
+            unseen modes as for the exported controller
 
     Raises:
         DesignError: no settings reach a loop of 1 Hz
@@ -228,7 +228,7 @@ def tuned_pid(
         f"{gains[0]:.3g} to {gains[-1]:.3g} m/V",
         needed=f"a modulus margin of {specification.modulus_margin:g}, a delay margin of "
         f"{with_unit(specification.delay_margin_s, 's')} and every limit of the control effort on "
-        "every one",
+        "every plant",
         remedy="Use --target waveform, which closes no loop, or record again so that the "
         "intervals are narrower.",
     )
@@ -257,7 +257,7 @@ def _grid(family: PlantFamily, efforts: Sequence[Template]) -> _Grid:
 
 
 def _candidates(nominal: Plant, blank: Pid, notches: int, sign: float) -> Iterator[Pid]:
-    """Yield settings with an integral gain of 1: without notches, and with them on the modes."""
+    """Yield settings with an integral gain of 1, with notches on the modes and without."""
     # frequency and damping of the lightly damped modes, the lowest first
     s = np.log(nominal.poles.astype(np.complex128))
     damping = -s.real / np.abs(s)
@@ -284,7 +284,10 @@ def _candidates(nominal: Plant, blank: Pid, notches: int, sign: float) -> Iterat
 def _largest_gain(
     grid: _Grid, candidate: Pid, best_gain: float, specification: Specification
 ) -> Pid | None:
-    """Return a candidate at its largest gain, None where that is not above a known one."""
+    """Return a candidate with its largest allowed gain, or None if ``best_gain`` is not exceeded.
+
+    ``best_gain`` is the integral gain of the best candidate so far.
+    """
     R, S = candidate.polynomials()
     controller = polynomial_response(R, grid.q) / polynomial_response(S, grid.q)
     open_loop = grid.plants * controller
@@ -296,9 +299,9 @@ def _largest_gain(
             return False
         if (gain * np.abs(controller) > grid.efforts * distance).any():
             return False
-        outside = np.abs(scaled) > 1.0
-        crossed = outside[:, :-1] != outside[:, 1:]
-        delay_s = (np.angle(-scaled) % (2.0 * np.pi) / grid.w)[:, :-1][crossed]
+        is_above = np.abs(scaled) > 1.0
+        is_crossing = is_above[:, :-1] != is_above[:, 1:]
+        delay_s = (np.angle(-scaled) % (2.0 * np.pi) / grid.w)[:, :-1][is_crossing]
         if delay_s.size and delay_s.min() * _GRID_MARGIN < specification.delay_margin_s:
             return False
         return all(
@@ -306,8 +309,8 @@ def _largest_gain(
             for member in grid.members
         )
 
-    slowest = 2.0 * np.pi * _MIN_LOOP_Hz / abs(grid.members[0].gain)
-    low, high = max(best_gain * 1.001, slowest), slowest * _GAIN_RANGE
+    min_gain = 2.0 * np.pi * _MIN_LOOP_Hz / abs(grid.members[0].gain)
+    low, high = max(best_gain * 1.001, min_gain), min_gain * _GAIN_RANGE
     if not is_allowed(low):
         return None
     for _ in range(_BISECTIONS):

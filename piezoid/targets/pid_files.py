@@ -1,4 +1,4 @@
-"""The target `pid`: settings and second-order sections for PID hardware, and the loss."""
+"""The target `pid`: settings and second-order sections for PID hardware, and its errors."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -83,7 +83,7 @@ class PidResult:
 
     @property
     def loss(self) -> str:
-        """The loss in one sentence."""
+        """Errors of the PID and of the exported controller, as a sentence."""
         worst = worst_errors(self.errors_m)
         pid = self.tuned.pid
         is_integral = pid.proportional_V_per_m == pid.derivative_V_s_per_m == 0.0
@@ -96,9 +96,9 @@ class PidResult:
 
 
 def pid_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
-    """Return the folder's files by name, and one sentence about the loss of each axis.
+    """Return the folder's files by name, and one sentence about the errors of each axis.
 
-    Raises ``DesignError`` where no PID stabilises the plants of an axis.
+    Raises ``DesignError`` if no PID stabilises all plants of an axis.
     """
     results = [pid_of(inputs, axis) for axis in inputs.lateral]
     notes = [f"axis {result.axis}: {result.loss}" for result in results]
@@ -132,7 +132,7 @@ def pid_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...
 
 
 def pid_of(inputs: TargetInputs, axis: AxisParameters) -> PidResult:
-    """Search for the settings of one axis and simulate them beside the exported controller."""
+    """Search the settings of one axis, and simulate them and the exported controller."""
     design, model, hardware = inputs.designs[axis.axis], inputs.models[axis.axis], inputs.hardware
     specification, rate_Hz = design.specification, design.sampling_rate_Hz
     bounds = affine_bounds(
@@ -153,10 +153,9 @@ def pid_of(inputs: TargetInputs, axis: AxisParameters) -> PidResult:
         notches=hardware.notches,
         specification=specification,
     )
-    room = reference_range(axis)
-    path_m = room.centre_m + room.radius_m * (
-        constant_angular_velocity(rate_Hz, _SPIRAL_Hz, _TURNS).x
-    )
+    span = reference_range(axis)
+    spiral = constant_angular_velocity(rate_Hz, _SPIRAL_Hz, _TURNS)
+    path_m = span.centre_m + span.radius_m * spiral.x
     errors_m = {}
     for plant in plants:
         approach_m = approach_path(plant, float(path_m[0]))

@@ -25,12 +25,12 @@ class TargetInputs:
     """Exported controller, identified plants and hardware limits.
 
     file         exported parameters
-    plants       identified plants of the axes, those that verification runs
-    drawn        by axis, other plants that the recordings allow
-    models       by axis, the identified model
-    designs      by axis, the designed loops
-    converter_V  ends of the stage's converter; None where lab.toml does not declare them
-    amplifier_V_per_V  by axis, where lab.toml declares it
+    plants       identified plants of the axes, as in verification
+    drawn        other plants that the recordings allow, by axis
+    models       identified models, by axis
+    designs      designed loops, by axis
+    converter_V  range of the stage's converter; None: not declared in lab.toml
+    amplifier_V_per_V  gains that lab.toml declares, by axis
     hardware     limits of the hardware for which targets are made
     """
 
@@ -45,7 +45,7 @@ class TargetInputs:
 
     @property
     def lateral(self) -> tuple[AxisParameters, ...]:
-        """Axes that follow a displacement and have an identified model."""
+        """Axes that control a displacement and have an identified model."""
         return tuple(axis for axis in self.file.axes if axis.axis in self.models)
 
     @property
@@ -54,13 +54,13 @@ class TargetInputs:
         return tuple(axis.axis for axis in self.file.axes if axis.method == "rst")
 
     def family(self, axis: str) -> tuple[AxisPlant, ...]:
-        """Return the identified plant of an axis, then the other plants the recordings allow."""
+        """Return the identified plant of an axis, then other plants that the recordings allow."""
         identified = next(plant for plant in self.plants if plant.axis == axis)
         return (identified, *self.drawn.get(axis, ()))
 
 
 def exported_position_m(axis: AxisParameters, plant: AxisPlant, path_m: Array) -> Array:
-    """Return the position under the exported controller, from the start of the path."""
+    """Simulate the exported controller along a path; return the position, (samples,)."""
     approach_m = approach_path(plant, float(path_m[0]))
     reference_m = np.concatenate([approach_m, path_m])
     record = run_axis(plant, axis, reference_m, rng=np.random.default_rng(SEED))

@@ -1,11 +1,11 @@
 """The target `waveform`: one period of a scan, predistorted, for a wave generator or a DAQ.
 
-The table begins as the exact inverse of the hysteresis and is then corrected, harmonic by
-harmonic, until the identified plant under it moves as wanted:
+The table starts as the exact inverse of the hysteresis. It is then corrected, harmonic by
+harmonic, until the simulated motion of the identified plant converges to the reference:
 
-    u <- u + IFFT(E / G),   E of wanted less position in the last period, G of the linear plant
+    u <- u + IFFT(E / G),   E = FFT(reference - position in the last period), G the linear plant
 
-so amplifier, modes, delay, creep within a period and the converter's steps are in it.
+so that it compensates amplifier, modes, delay, and creep within a period.
 """
 
 from collections.abc import Mapping
@@ -32,18 +32,18 @@ from piezoid.verification.closed_loop import reference_range, run_law
 from piezoid.verification.plant import AxisPlant, Hysteresis
 from piezoid.verification.scenarios import raster
 
-_PERIODS = 3  # the last is looked at: plays have closed their loops after the first
-# Rounds of correction. After eight the identified plants of the bundled stage erred by 0.21 and
-# 0.18 nm, after twenty by 0.21 and 0.16 nm; one with a mode at 630 Hz within 5 % of that as well.
+_PERIODS = 3  # of which the last is used: the loops of the plays are closed after the first
+# Rounds of correction. After eight, the identified plants of the bundled stage had errors of 0.21
+# and 0.18 nm, after twenty of 0.21 and 0.16 nm; a plant with a mode at 630 Hz converged to 5 %.
 _ROUNDS = 8
-_STEP = 0.8  # of the error in a round: less than 1, because a slope may be above the middle one
-_MIN_POINTS = 32  # points of a period: neighbours are up to a tenth of the scan apart
-# Harmonics to which the plant answers with less than this of its gain are left alone. On a plant
-# with a mode at 630 Hz a triangle of 200 Hz erred by 11 nm with 0.1, by 27 nm with 0.3; with 0
-# the drive jumped from end to end.
+_STEP = 0.8  # share of the error in a round; below 1, because slopes may exceed the middle slope
+_MIN_POINTS = 32  # of a period: adjacent points are up to a tenth of the scan apart
+# Harmonics with a response below this share of the plant's gain are not corrected. On a plant with
+# a mode at 630 Hz, a triangle of 200 Hz had an error of 11 nm with 0.1 and of 27 nm with 0.3; with
+# 0 the drive jumped between its limits.
 _BAND = 0.1
 
-# of a scan that would fit: a smaller loop of a hysteresis takes more V per m
+# Share of the proportional range in the advice: a smaller hysteresis loop needs more V per m.
 _FITTING_SHARE = 0.85
 
 _NO_RANGE = (
@@ -86,10 +86,11 @@ _AXIS = """\
 class Waveform:
     """One period for one axis.
 
-    rate_Hz      of its points;  hold: samples of the controller's rate that each is held
-    wanted_m     (points,)
-    voltage_V    (points,)  what the converter puts out: middle + code step
-    code         (points,)  of the converter; None where its ends are not known
+    rate_Hz      of the points
+    hold         samples at the controller's rate for which each point is held
+    wanted_m     (points,)  reference
+    voltage_V    (points,)  output of the converter, middle + code step
+    code         (points,)  of the converter; None if its range is unknown
     """
 
     axis: str
@@ -105,7 +106,7 @@ class Waveform:
 def waveform_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
     """Return the folder's files by name, and one sentence about the error of each axis.
 
-    Raises ``ParameterFileError`` for a scan that the hardware cannot store or put out.
+    Raises ``ParameterFileError`` for a scan that exceeds the memory or the range of the hardware.
     """
     files: dict[str, bytes] = {}
     notes = [f"axis {axis} is not in waveform/: it follows a surface" for axis in inputs.tips]
@@ -155,7 +156,7 @@ def waveform_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str
 
 
 def waveform_of(inputs: TargetInputs, axis: AxisParameters) -> Waveform:
-    """Return one period of one axis, as the converter puts it out where its range is known."""
+    """Return one period of one axis, quantised if the range of the converter is known."""
     hardware, plant = inputs.hardware, inputs.family(axis.axis)[0]
     rate_Hz = hardware.rate_Hz or plant.sampling_rate_Hz
     hold = _hold(axis.axis, plant.sampling_rate_Hz, rate_Hz)
@@ -190,7 +191,7 @@ def waveform_of(inputs: TargetInputs, axis: AxisParameters) -> Waveform:
 
 
 def quantise(waveform: Waveform, range_V: tuple[float, float], bits: int) -> Waveform:
-    """Return the waveform as a converter with this range puts it out, with its codes."""
+    """Return the waveform rounded to the codes of a converter, with the codes."""
     step_V = (range_V[1] - range_V[0]) / 2.0**bits
     middle_V = 0.5 * (range_V[0] + range_V[1])
     code = np.asarray(np.round((waveform.voltage_V - middle_V) / step_V))
@@ -202,10 +203,10 @@ def quantise(waveform: Waveform, range_V: tuple[float, float], bits: int) -> Wav
 def scan_errors_m(
     inputs: TargetInputs, axis: AxisParameters, waveform: Waveform
 ) -> dict[str, dict[str, float]]:
-    """Return errors by plant and column.
+    """Return errors by plant and column, m.
 
-    rms of a straight drive, of the waveform and of the exported controller, each about its mean,
-    and the mean error of the waveform
+    The columns are the rms errors of a drive with constant V/m, of the waveform and of the
+    exported controller, each about its mean, and the mean error of the waveform.
     """
     plants, wanted_m, hold = inputs.family(axis.axis), waveform.wanted_m, waveform.hold
     gain = plant_family(inputs.models[axis.axis], plants[0].sampling_rate_Hz).nominal.gain
@@ -227,53 +228,53 @@ def scan_errors_m(
 
 
 def half_range(axis: AxisParameters, requested_m: float | None, key: str) -> tuple[float, float]:
-    """Return centre and half range of a scan, m, by default 0.7 of the way to the limits.
+    """Return centre and half range of a scan, m; the default is 0.7 of the largest half range.
 
-    Raises ``ParameterFileError`` for a half range beyond the limits, naming the key.
+    Raises ``ParameterFileError`` for a half range beyond the limits, with the key in box.toml.
     """
     span = reference_range(axis)
     half_m = requested_m or span.radius_m
     if half_m > span.farthest_m:
         raise ParameterFileError(
             f"axis {axis.axis}: {key} is {half_m:g} m",
-            needed=f"at most {span.farthest_m:.4g} m: from the middle to its limits",
-            remedy="Set it to that or less.",
+            needed=f"at most {span.farthest_m:.4g} m, the distance from the centre to the limits",
+            remedy="Reduce it in box.toml.",
         )
     return span.centre_m, half_m
 
 
 def _hold(axis: str, plant_Hz: float, rate_Hz: float) -> int:
-    """Return for how many samples of the controller a point is held."""
+    """Return the number of samples of the controller for which a point is held."""
     hold = max(round(plant_Hz / rate_Hz), 1)
     if abs(hold * rate_Hz - plant_Hz) > 1e-9 * plant_Hz:
         rates = ", ".join(f"{plant_Hz / n:g}" for n in (1, 2, 4, 5, 10))
         raise ParameterFileError(
             f"axis {axis}: a generator of {rate_Hz:g} points a second, and a plant sampled at "
             f"{plant_Hz:g} Hz",
-            needed="a rate by which that can be divided",
+            needed=f"a rate that divides {plant_Hz:g} Hz",
             remedy=f"Set rate_Hz of [waveform] to {rates} Hz or the like.",
         )
     return hold
 
 
 def _points(hardware: ControllerHardware, rate_Hz: float) -> int:
-    """Return the points of a period, which the memory must hold."""
+    """Return the number of points of a period; refuse more points than the memory has."""
     points = round(rate_Hz / hardware.frequency_Hz)
     period = f"a period of {hardware.frequency_Hz:g} Hz has {points} points at {rate_Hz:g} Hz"
     if points > hardware.points:
         raise ParameterFileError(
             f"{period}, and the table holds {hardware.points}",
             needed=f"{points} points",
-            remedy=f"What would fit: frequency_Hz of {rate_Hz / hardware.points:.4g} or more, or "
-            f"rate_Hz of {hardware.points * hardware.frequency_Hz:.4g} or less, in [waveform] of "
+            remedy=f"Set frequency_Hz to {rate_Hz / hardware.points:.4g} or more, or "
+            f"rate_Hz to {hardware.points * hardware.frequency_Hz:.4g} or less, in [waveform] of "
             "box.toml.",
         )
     if points < _MIN_POINTS:
         raise ParameterFileError(
             period,
             needed=f"at least {_MIN_POINTS}",
-            remedy=f"What would fit: frequency_Hz of {rate_Hz / _MIN_POINTS:.4g} or less, in "
-            "[waveform] of box.toml.",
+            remedy=f"Set frequency_Hz to {rate_Hz / _MIN_POINTS:.4g} or less in [waveform] of "
+            "box.toml.",
         )
     return points
 
@@ -286,38 +287,38 @@ def check_range(
     key: str,
     table: str,
 ) -> None:
-    """Refuse a scan whose voltages leave a range; name the key, in box.toml, of its half range."""
+    """Refuse a scan whose voltages exceed a range, with the key and table of its half range."""
     low_V, high_V = float(voltage_V.min()), float(voltage_V.max())
     if range_V[0] <= low_V and high_V <= range_V[1]:
         return
     middle_V, half_V = 0.5 * (low_V + high_V), 0.5 * (high_V - low_V)
     share = min(range_V[1] - middle_V, middle_V - range_V[0]) / half_V
-    fits = (
-        f"{key} of {_FITTING_SHARE * share * half_m:.3g} or less"
+    remedy = (
+        f"Set {key} to {_FITTING_SHARE * share * half_m:.3g} or less in {table} of box.toml."
         if share > 0.0
-        else f"hardware that puts out {middle_V:.4g} V, about which the scan lies"
+        else f"Use hardware whose range includes {middle_V:.4g} V, the middle of the scan."
     )
     raise ParameterFileError(
         f"axis {axis}: +-{with_unit(half_m, 'm')} takes {low_V:.4g} V to {high_V:.4g} V, and "
         f"hardware and stage allow {range_V[0]:.6g} V to {range_V[1]:.6g} V",
-        needed="all of the period within them",
-        remedy=f"What would fit: {fits}, in {table} of box.toml.",
+        needed="the whole period within this range",
+        remedy=remedy,
     )
 
 
 def inverse_V(plant: AxisPlant, wanted_m: Array) -> Array:
-    """Return the voltage that makes the hysteresis alone move so, its loop closed."""
+    """Return the periodic voltage for which the hysteresis alone follows a periodic reference."""
     response = plant.response
     assert isinstance(response, Hysteresis)
     operator = response.operator
     offset_m = operator.displacement_offset_m
     inner_m = response.polarity * (wanted_m - offset_m) / plant.measured_gain + offset_m
-    twice_V, _ = operator.inverse_run(np.tile(inner_m, 2), operator.virgin_memory())
-    return np.asarray(twice_V[len(wanted_m) :])
+    voltage_V, _ = operator.inverse_run(np.tile(inner_m, 2), operator.virgin_memory())
+    return np.asarray(voltage_V[len(wanted_m) :])
 
 
 def last_period(plant: AxisPlant, voltage_V: Array, hold: int = 1) -> Array:
-    """Return where a plant is at each point of the last period, (points,)."""
+    """Simulate a plant with a periodic voltage; return its position in the last period."""
     table_V = iter(np.tile(np.repeat(voltage_V, hold), _PERIODS).tolist())
     samples = _PERIODS * hold * len(voltage_V)
     record = run_law(

@@ -1,31 +1,31 @@
 """Four figures of the largest error: bound, probable, worst found, and simulated.
 
-The bound of a certificate adds up worst cases that no stage shows together. The probable error
-follows from runs of the compiled controller along references of many kinds, on stages drawn from
-the uncertainty of the model:
+The bound of a certificate adds up worst cases that no stage combines. The probable error follows
+from runs of the compiled controller along references of four kinds, on stages drawn from the
+uncertainty of the model:
 
     plays, dead zones and envelope   from the fit's covariance
     modes, poles and delays          between the ends of their intervals
     discrepancy of the class         as large as in held-out recordings, times exp(0.64 z)
     history of the drive             any turning points within the range
 
-Of n largest errors of such runs the one at place ceil((n + 1) p) bounds the next with probability
-p, if the stage is one like those that were drawn [Vovk, Gammerman & Shafer 2005]. Whether stages
-are is measured: ``python -m benchmarks.probable_bounds``. It is no guarantee.
+Of the n largest errors of such runs, the error of rank ceil((n + 1) p) bounds the next with
+probability p, if the stage and the drawn stages are exchangeable [Vovk, Gammerman & Shafer 2005].
+``python -m benchmarks.probable_bounds`` measures the coverage. The figure is no guarantee.
 
-The worst is sought from the largest of these: other references on its stage, then stages at the
-ends of every interval on its reference, twice.
+The search for the worst error starts from the largest of these errors. It tries other references
+on the same stage, then stages at the ends of every interval with the same reference, twice.
 
-A tip regulates a current, and its error is the height that the logarithm of the current shows
-while the surface moves. Its bound is that of the linear loop.
+A tip regulates a current, and its error is the height that corresponds to the logarithm of the
+current while the surface moves. Its bound is that of the linear loop.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from piezoid.design.certificate import Certificate, peak_gain, without_difference
+from piezoid.design.certificate import Certificate, divide_by_difference, peak_gain
 from piezoid.design.design import Design, LoopDesign
 from piezoid.design.feasibility import noise_rms
 from piezoid.design.hysteresis_bounds import draw_replicates
@@ -41,15 +41,16 @@ from piezoid.verification.closed_loop import approach_path, reference_range, run
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction, varied_plant
 from piezoid.verification.verification import ErrorBound
 
-PROBABILITY, DRAWN = 0.95, 59  # runs at each speed: the third largest of them bounds the next
-SPEEDS = (1.0, 0.3, 0.1)  # of the fastest reference that is certified, or of a full scan
-SOUGHT, ROUNDS = 10, 2  # other references, then other stages, so often
-USUAL = 20  # of the references, on the identified stage
-LASTS_s = 0.5
-REACH = 0.95  # of the way from the middle of the references to their ends
-# A spiral on strangers' stages shows 0.5 to 2 times the discrepancy on 21 of 29: see PRIOR there.
-SPREAD, MOST = 0.64, 4.0
-TIP_m_per_s, TIP_m = 0.25e-6, 5e-9  # a surface of 0.1 nm rms under a spiral of 10 Hz; its height
+_PROBABILITY, DRAWN = 0.95, 59  # runs at each speed: the third largest of them bounds the next
+_SPEEDS = (1.0, 0.3, 0.1)  # of the fastest reference that is certified, or of a full scan
+_TRIALS, _ROUNDS = 10, 2  # of other references, then of other stages
+_NOMINAL_RUNS = 20  # of the references, on the identified stage
+_DURATION_s = 0.5
+_REACH = 0.95  # of the distance from the middle of the references to their ends
+# On 21 of 29 stages of an independent simulator, a spiral shows 0.5 to 2 times the discrepancy.
+_SPREAD, _MAX_SCALE = 0.64, 4.0
+# A surface of 0.1 nm rms under a spiral of 10 Hz, and its height.
+_TIP_m_per_s, _TIP_m = 0.25e-6, 5e-9
 _OUTSIDE = Status.VOLTAGE_LIMITED | Status.REFERENCE_LIMITED | Status.VOLTAGE_STEP
 _SIGMAS = 3.0
 _TURNS, _TARGETS, _SINES = 6, 12, 5
@@ -67,10 +68,10 @@ def error_bounds(
 ) -> tuple[ErrorBound, ...]:
     """Return the four figures of every axis at three speeds.
 
-    design      that the file was exported from
+    design      from which the file was exported
     plants      identified, of all axes of the file
     variations  of tips, stages of other gains, as ``stage_plants`` returns them
-    threads     so many runs at once; what is found does not depend on it
+    threads     number of parallel runs; the result does not depend on it
     """
     executor = Executor(threads=threads)
     rows: list[ErrorBound] = []
@@ -85,14 +86,15 @@ def error_bounds(
         else:
             scan_Hz = specification.scan_frequency_Hz
             task = _LateralTask(axis, plant, model[axis.axis], loop.certificate, scan_Hz)
-        for number, share in enumerate(SPEEDS):
+        for number, share in enumerate(_SPEEDS):
             rng = np.random.default_rng([seed, index, number])
-            rows.extend(_at_speed(axis.axis, task, share * task.fastest_m_per_s, rng, executor))
+            row = _bound_at_speed(axis.axis, task, share * task.fastest_m_per_s, rng, executor)
+            rows += [] if row is None else [row]
     return tuple(rows)
 
 
-def conformal_quantile(largest_m: Sequence[float], probability: float = PROBABILITY) -> float:
-    """Return the bound of the next number with this probability; infinite for too few numbers.
+def conformal_quantile(largest_m: Sequence[float], probability: float = _PROBABILITY) -> float:
+    """Return the bound of the next number with a probability; infinite for too few numbers.
 
     >>> conformal_quantile(np.arange(1.0, 20.0), 0.95)
     19.0
@@ -101,53 +103,52 @@ def conformal_quantile(largest_m: Sequence[float], probability: float = PROBABIL
     return float(np.sort(largest_m)[rank - 1]) if rank <= len(largest_m) else float(np.inf)
 
 
-def _at_speed(
+def _bound_at_speed(
     name: str, task: "_Task", slew: float, rng: np.random.Generator, executor: Executor
-) -> Iterator[ErrorBound]:
-    """Yield the row of one speed, none where nothing stays within the conditions."""
+) -> ErrorBound | None:
+    """Return the figures at one speed; None if no run stays within the conditions."""
 
     def run(case: tuple[AxisPlant, Array, int]) -> float | None:
         plant, path, noise = case
         return task.error(plant, path, np.random.default_rng(noise))
 
-    def path() -> Array:
-        return _path(rng, slew, task.reach_m, task.nominal.sampling_rate_Hz)
+    def draw_path() -> Array:
+        return _draw_path(rng, slew, task.reach_m, task.nominal.sampling_rate_Hz)
 
     def seeded(runs: Sequence[tuple[AxisPlant, Array]]) -> list[tuple[AxisPlant, Array, int]]:
         return [(plant, reference, int(rng.integers(2**31))) for plant, reference in runs]
 
-    cases = seeded([(task.draw(rng, False), path()) for _ in range(DRAWN)])
+    cases = seeded([(task.draw(rng, False), draw_path()) for _ in range(DRAWN)])
     errors = executor.map(run, cases)
     completed = [(e, case) for e, case in zip(errors, cases, strict=True) if e is not None]
     if not completed:
-        return
-    usual = executor.map(
-        run, [(task.nominal, reference, noise) for _, reference, noise in cases[:USUAL]]
-    )
-    worst_m, worst = max(completed, key=lambda case_error: case_error[0])
-    for _ in range(ROUNDS):
+        return None
+    nominal_cases = [(task.nominal, path, noise) for _, path, noise in cases[:_NOMINAL_RUNS]]
+    nominal_errors = executor.map(run, nominal_cases)
+    worst_m, worst = max(completed, key=lambda error_case: error_case[0])
+    for _ in range(_ROUNDS):
         for pairs in (
-            [(worst[0], path()) for _ in range(SOUGHT)],
-            [(task.draw(rng, True), worst[1]) for _ in range(SOUGHT)],
+            [(worst[0], draw_path()) for _ in range(_TRIALS)],
+            [(task.draw(rng, True), worst[1]) for _ in range(_TRIALS)],
         ):
             neighbours = seeded(pairs)
             for error, case in zip(executor.map(run, neighbours), neighbours, strict=True):
                 if error is not None and error > worst_m:
                     worst_m, worst = error, case
-    yield ErrorBound(
+    return ErrorBound(
         axis=name,
         slew_m_per_s=slew,
         bound_m=task.bound(slew),
         probable_m=conformal_quantile([error for error, _ in completed]),
-        probability=PROBABILITY,
+        probability=_PROBABILITY,
         worst_found_m=worst_m,
-        simulated_m=float(np.median([error for error in usual if error is not None])),
+        simulated_m=float(np.median([error for error in nominal_errors if error is not None])),
         runs=len(completed),
     )
 
 
 class _LateralTask:
-    """How stages of a lateral axis are drawn, and the error on them."""
+    """Draws of stages of a lateral axis, and the errors on them."""
 
     def __init__(
         self,
@@ -159,8 +160,8 @@ class _LateralTask:
     ) -> None:
         self.nominal, self._axis, self._span = plant, axis, reference_range(axis)
         self._model, self._certificate = model, certificate
-        self.reach_m = REACH * self._span.farthest_m
-        # What a certificate takes as well.
+        self.reach_m = _REACH * self._span.farthest_m
+        # The same speed as in a certificate.
         self.fastest_m_per_s = 2.0 * np.pi * scan_Hz * self._span.farthest_m
         if certificate is not None:
             self.fastest_m_per_s = certificate.reference_slew_m_per_s * (1.0 - 1e-9)
@@ -180,9 +181,9 @@ class _LateralTask:
         assert isinstance(response, Hysteresis)
         discrepancy = response.discrepancy
         if discrepancy is not None:
-            scaled = min(float(np.exp(SPREAD * size)), MOST) * discrepancy.weight_m
-            discrepancy = replace(discrepancy, weight_m=scaled)
-        # random turning points in the range, possibly after an end of the range
+            scale = min(float(np.exp(_SPREAD * size)), _MAX_SCALE)
+            discrepancy = replace(discrepancy, weight_m=scale * discrepancy.weight_m)
+        # random turning points in the range, possibly after one or both ends of the range
         ends_V = self._model.voltage_V
         first_V = tuple(ends_V)[: int(rng.integers(3))]
         turns_V = tuple(rng.uniform(*ends_V, int(rng.integers(_TURNS))).tolist())
@@ -190,7 +191,7 @@ class _LateralTask:
         return replace(plant, label="drawn", response=response)
 
     def error(self, plant: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
-        """Return the largest error on a path, m; None outside of the conditions."""
+        """Return the largest error on a path, m; None if a limit of the controller acts."""
         reference = self._span.centre_m + path
         approach = approach_path(plant, float(reference[0]))
         drive = np.concatenate([np.zeros(len(approach)), path])
@@ -201,23 +202,23 @@ class _LateralTask:
             rng=rng,
             disturbance=plant.motion_m(len(drive), drive) if plant.motions else None,
         ).after(len(approach))
-        outside = np.any(run.status & np.uint32(_OUTSIDE))
-        return None if outside else float(np.abs(run.error).max())
+        is_outside = np.any(run.status & np.uint32(_OUTSIDE))
+        return None if is_outside else float(np.abs(run.error).max())
 
     def bound(self, slew: float) -> float | None:
-        """Return the bound of the error at a speed, m; None without a guarantee."""
-        proven = self._certificate
-        if proven is None:
+        """Return the bound of the error at a speed, m; None without a useful guarantee."""
+        certificate = self._certificate
+        if certificate is None:
             return None
-        bounded_m = proven.guaranteed_at(slew) + proven.noise_error_m
-        usable = proven.is_guaranteed and bounded_m < self._model.quality.range_m
-        return bounded_m if usable else None
+        bound_m = certificate.guaranteed_at(slew) + certificate.noise_error_m
+        is_useful = certificate.is_guaranteed and bound_m < self._model.quality.range_m
+        return bound_m if is_useful else None
 
 
 class _TipTask:
-    """The same of a tip, whose error is a height."""
+    """Draws of stages of a tip, whose errors are heights."""
 
-    reach_m, fastest_m_per_s = TIP_m, TIP_m_per_s
+    reach_m, fastest_m_per_s = _TIP_m, _TIP_m_per_s
 
     def __init__(
         self,
@@ -237,37 +238,37 @@ class _TipTask:
 
     def error(self, plant: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
         response = self._response
-        still = np.zeros(round(LASTS_s * plant.sampling_rate_Hz))
-        height_m = np.concatenate([still, path])
+        pause = np.zeros(round(_DURATION_s * plant.sampling_rate_Hz))
+        height_m = np.concatenate([pause, path])
         run = run_axis(
             plant,
             self._axis,
             np.full(len(height_m), response.current_A),
             rng=rng,
             disturbance=response.decay_per_m * height_m,
-        ).after(len(still))
+        ).after(len(pause))
         if np.any(run.status & np.uint32(Status.RETRACTED)):
             return None
-        decades = np.log(run.position / response.current_A)
-        return float(np.abs(decades).max()) / response.decay_per_m
+        nepers = np.log(run.position / response.current_A)
+        return float(np.abs(nepers).max()) / response.decay_per_m
 
     def bound(self, slew: float) -> float | None:
         loop = self._loop
-        S = without_difference(loop.S)
-        late_s = max(
+        S = divide_by_difference(loop.S)
+        gain = max(
             peak_gain(product(m.A, S), closed_loop_polynomial(m, loop.R, loop.S))
             for m in loop.members
         )
         noise_m = self._noise_ln / self._response.decay_per_m
-        return late_s * slew / self.nominal.sampling_rate_Hz + noise_m
+        return gain * slew / self.nominal.sampling_rate_Hz + noise_m
 
 
 _Task = _LateralTask | _TipTask
 
 
-def _path(rng: np.random.Generator, slew: float, reach_m: float, rate_Hz: float) -> Array:
-    """Return a path about 0, at most so far and so fast: sines, triangles, ramps or many sines."""
-    samples = round(LASTS_s * rate_Hz)
+def _draw_path(rng: np.random.Generator, slew: float, reach_m: float, rate_Hz: float) -> Array:
+    """Draw a sine, a triangle, ramps or a multisine about 0, of limited amplitude and speed."""
+    samples = round(_DURATION_s * rate_Hz)
     t = np.arange(samples) / rate_Hz
     amplitude_m = reach_m * rng.uniform(0.1, 1.0)
     kind = rng.integers(4)
@@ -280,12 +281,12 @@ def _path(rng: np.random.Generator, slew: float, reach_m: float, rate_Hz: float)
             rng.uniform(-amplitude_m, amplitude_m, _TARGETS), samples // _TARGETS + 1
         )[:samples]
     else:
-        several_Hz = rng.uniform(0.5, 100.0, _SINES)
+        frequency_Hz = rng.uniform(0.5, 100.0, _SINES)
         phase = rng.uniform(0.0, 2.0 * np.pi, _SINES)
-        sines = np.sin(2.0 * np.pi * np.outer(t, several_Hz) + phase)
+        sines = np.sin(2.0 * np.pi * np.outer(t, frequency_Hz) + phase)
         targets = amplitude_m / _SINES * sines.sum(axis=1)
-    step, at, path = slew / rate_Hz, 0.0, np.empty(samples)
+    step, position, path = slew / rate_Hz, 0.0, np.empty(samples)
     for k, target in enumerate(targets.tolist()):
-        at += min(max(target - at, -step), step)
-        path[k] = at
+        position += min(max(target - position, -step), step)
+        path[k] = position
     return path

@@ -1,6 +1,6 @@
-"""Run the compiled controller against a plant, sample by sample, with the exported values.
+"""Simulate the compiled controller with the exported values and a plant, sample by sample.
 
-Also the references that an axis may be given, and the approach from rest to a first reference.
+This module also has the range of an axis' references, and the approach from rest to a path.
 """
 
 import ctypes
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-_REACH = 0.7  # of the way from the middle of the references to their ends
-_LED_s, _STAYED_s = 0.4, 0.2  # nine periods of the slowest loop an outsider's stage got (45 Hz)
+_REACH = 0.7  # of the distance from the middle of the references to their ends
+_APPROACH_s, _PAUSE_s = 0.4, 0.2  # nine periods of the slowest loop (45 Hz) of simulated stages
 _STEP = ctypes.CFUNCTYPE(
     ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_double
 )
 
 
 class Fault(IntEnum):
-    """Fault of a sensor: its reading instead of the measured value."""
+    """Fault of a sensor, by its reading instead of the measured value."""
 
     SOUND = 0
-    FROZEN = 1  # the last reading, again and again
-    DEAD = 2  # its offset and its noise
-    REVERSED = 3  # a current of the wrong sign
-    FULL = 4  # the end of its range
+    FROZEN = 1  # repeats the last reading
+    DEAD = 2  # offset and noise only
+    REVERSED = 3  # current of the wrong sign
+    FULL = 4  # end of the range
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,27 +115,27 @@ def run_axis(
     reset_at: int | None = None,
     precision: str = "double",
 ) -> LoopRecord:
-    """Run one axis from rest, with the values that ship.
+    """Simulate one axis from rest, with the exported parameters.
 
-    reference    (samples,)  m (junction: A); given to the runtime as much ahead as it previews
-    disturbance  (samples,)  m at the response's output (junction: nepers, taken from ln i)
-    added_m       (samples,)  m added to the position behind everything else that moves the axis
+    reference    (samples,)  m (junction: A); passed to the runtime ahead by its preview
+    disturbance  (samples,)  m at the response's output (junction: nepers, subtracted from ln i)
+    added_m      (samples,)  m added to position and reading
     fault        (samples,)  a ``Fault`` in every sample; NaN: the reading is NaN
-    reset_at     before this sample an operator resets the controller; None: never
+    reset_at     sample before which the controller is reset; None: never
     precision    of the runtime, ``double`` or ``float``
 
-    Raises ``ParameterFileError`` where plant and parameters are of another sampling rate.
+    Raises ``ParameterFileError`` if plant and parameters have different sampling rates.
     """
-    asked_Hz = float(parameters.values["sampling_rate_Hz"])
-    if asked_Hz != plant.sampling_rate_Hz:
+    rate_Hz = float(parameters.values["sampling_rate_Hz"])
+    if rate_Hz != plant.sampling_rate_Hz:
         raise ParameterFileError(
-            f"axis {plant.axis}: parameters for {asked_Hz:g} Hz, a plant sampled at "
+            f"axis {plant.axis}: parameters for {rate_Hz:g} Hz, a plant sampled at "
             f"{plant.sampling_rate_Hz:g} Hz",
             needed="one sampling rate",
             remedy="Make the plant for the rate of the parameter file.",
         )
     samples = len(reference)
-    settled = SettledPlant(plant, _at_first(disturbance))
+    settled = SettledPlant(plant, _first_value(disturbance))
     preview = int(parameters.values["preview_samples"])
     ahead = np.minimum(np.arange(samples) + preview, samples - 1)
     controller = Controller(parameters.values, precision=precision)
@@ -147,7 +147,7 @@ def run_axis(
     run = LoopRun(state=state, parameters=values, samples=samples)
     run.reset, run.reset_at = controller.reset_address, samples if reset_at is None else reset_at
     setattr(run, f"step_{precision}", function)
-    record = _run(
+    record = _run_loop(
         settled, run, reference[ahead], plant.noise(samples, rng) + added, disturbance, fault
     )
     return replace(
@@ -163,7 +163,7 @@ def run_law(
     rng: np.random.Generator,
     disturbance: Array | None = None,
 ) -> LoopRecord:
-    """Run one lateral axis from rest under a control law in Python; its status is always 0.
+    """Simulate one lateral axis from rest with a control law in Python; the status is always 0.
 
     law          called once a sample with reference and reading, m; returns V
     reference    (samples,)  m
@@ -174,15 +174,15 @@ def run_law(
     state = np.zeros(2, dtype=np.uint32)  # the loop reads the status from the second word
     run = LoopRun(state=state.ctypes.data, samples=samples, reset_at=samples)
     run.step_double = ctypes.cast(step, ctypes.c_void_p).value
-    settled = SettledPlant(plant, _at_first(disturbance))
-    return _run(settled, run, reference, plant.noise(samples, rng), disturbance, None)
+    settled = SettledPlant(plant, _first_value(disturbance))
+    return _run_loop(settled, run, reference, plant.noise(samples, rng), disturbance, None)
 
 
-def _at_first(disturbance: Array | None) -> float:
+def _first_value(disturbance: Array | None) -> float:
     return 0.0 if disturbance is None else float(disturbance[0])
 
 
-def _run(
+def _run_loop(
     settled: SettledPlant,
     run: LoopRun,
     reference: Array,
@@ -216,19 +216,19 @@ def _run(
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceRange:
-    """References that an axis may be given: at most ``farthest_m`` away from ``centre_m``."""
+    """Allowed references of an axis: at most ``farthest_m`` away from ``centre_m``."""
 
     centre_m: float
     farthest_m: float
 
     @property
     def radius_m(self) -> float:
-        """Radius of paths."""
+        """Radius of the paths in scenarios."""
         return _REACH * self.farthest_m
 
 
 def reference_range(axis: AxisParameters) -> ReferenceRange:
-    """Return the middle of the references of an axis, and how far their ends are from it."""
+    """Return the range of the allowed references of an axis."""
     low_m, high_m = (float(axis.values[f"reference_{end}_m"]) for end in ("minimum", "maximum"))
     return ReferenceRange(centre_m=0.5 * (low_m + high_m), farthest_m=0.5 * (high_m - low_m))
 
@@ -236,10 +236,10 @@ def reference_range(axis: AxisParameters) -> ReferenceRange:
 def approach_path(plant: AxisPlant, begin_m: float) -> Array:
     """Return the reference from rest to the start of a path, and a pause there, (samples,).
 
-    Half a cosine, as a user would approach: the hysteresis of the approach is part of the error,
-    the transient of a jump is not.
+    The approach is half a cosine, as by a user: its hysteresis is part of the error, the transient
+    of a jump would not be.
     """
     rest_m, rate_Hz = rest_position(plant), plant.sampling_rate_Hz
-    share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, round(_LED_s * rate_Hz)))
-    stayed_m = np.full(round(_STAYED_s * rate_Hz), begin_m)
-    return np.concatenate([rest_m + (begin_m - rest_m) * share, stayed_m])
+    share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, round(_APPROACH_s * rate_Hz)))
+    pause_m = np.full(round(_PAUSE_s * rate_Hz), begin_m)
+    return np.concatenate([rest_m + (begin_m - rest_m) * share, pause_m])

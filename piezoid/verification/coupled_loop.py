@@ -2,9 +2,9 @@
 
     y'_i = P_i u_i + sum_(j != i) T_ij P_j u_j,   T_ij = [D G]_ij / [D G]_jj
 
-P_i is the identified axis with its hysteresis and its compiled controller. The loops are run one
-after the other with the motion of the others added, until nothing changes: waveform relaxation
-[Lelarasmee, Ruehli & Sangiovanni-Vincentelli 1982].
+P_i is the identified axis with its hysteresis and its compiled controller. The loops are simulated
+one after the other with the coupled motion of the other axes added, until it converges: waveform
+relaxation [Lelarasmee, Ruehli & Sangiovanni-Vincentelli 1982].
 """
 
 import numpy as np
@@ -15,11 +15,11 @@ from piezoid.verification.closed_loop import approach_path, run_axis
 from piezoid.verification.scenario_runner import ScenarioRunner
 from piezoid.verification.verification import CouplingRow
 
-_PERIODS = 4  # of the motion; the first does not count
+_PERIODS = 4  # of the motion; the first is discarded
 _TOLERANCE = 1e-3  # of the motion, between two iterations
 _MAX_ITERATIONS = 12
 _DIVERGED = 1e3  # times the motion
-# Of the gain at rest: below it an axis hardly answers its drive, and T_ij is not defined by it
+# Of the gain at rest: T_ij is regularised at frequencies where the axis hardly responds.
 _MIN_GAIN = 0.05
 
 
@@ -30,7 +30,7 @@ def coupling_rows(runner: ScenarioRunner, coupled: CoupledStage | None) -> tuple
         return ()
     axes, D = decoupled.axes, decoupled.matrix
     samples = round(_PERIODS * runner.rate_Hz / runner.limits.judged_Hz)
-    # Responses are on the lines of twice the record: no wrap-around.
+    # Lines of twice the record, to avoid circular convolution.
     f = np.asarray(np.arange(samples + 1) * runner.rate_Hz / (2 * samples))
     level_V = float(np.sqrt(coupled.levels_V[0] * coupled.levels_V[-1]))
     G = coupled.response(np.clip(f, *coupled.band_Hz), level_V)
@@ -38,7 +38,7 @@ def coupling_rows(runner: ScenarioRunner, coupled: CoupledStage | None) -> tuple
     rows = []
     for k, driven in enumerate(axes):
         percent = _amplitudes(runner, axes, k, D, _transmission(D @ G))
-        without = _amplitudes(runner, axes, k, np.eye(len(axes)), _transmission(G))
+        without_percent = _amplitudes(runner, axes, k, np.eye(len(axes)), _transmission(G))
         if percent is None:
             continue
         rows += [
@@ -47,7 +47,7 @@ def coupling_rows(runner: ScenarioRunner, coupled: CoupledStage | None) -> tuple
                 answers=axis,
                 frequency_Hz=runner.limits.judged_Hz,
                 percent=float(percent[i]),
-                without_percent=None if without is None else float(without[i]),
+                without_percent=None if without_percent is None else float(without_percent[i]),
             )
             for i, axis in enumerate(axes)
             if i != k
@@ -66,7 +66,7 @@ def _transmission(response: ComplexArray) -> ComplexArray:
 def _amplitudes(
     runner: ScenarioRunner, axes: tuple[str, ...], driven: int, D: Array, T: ComplexArray
 ) -> Array | None:
-    """Return the amplitude of every axis in percent of the driven one; None if unstable."""
+    """Return the amplitude of each axis in percent of the driven axis; None if it diverges."""
     samples = len(T) - 1
     time_s = np.arange(samples) / runner.rate_Hz
     sine = np.sin(2.0 * np.pi * runner.limits.judged_Hz * time_s)
@@ -76,7 +76,7 @@ def _amplitudes(
     )
     coupled_m = np.zeros_like(reference_m)
     for _ in range(_MAX_ITERATIONS):
-        # the motion of each axis by its drive while the others move as well
+        # the motion of each axis by its drive, with the coupled motion of the other axes
         driven_m = np.empty_like(reference_m)
         for i, axis in enumerate(axes):
             plant = runner.plants[axis]
@@ -91,9 +91,10 @@ def _amplitudes(
             position_m = record.after(len(approach)).position
             driven_m[i] = position_m - coupled_m[i] - runner.centre_m[axis]
         lines = np.fft.rfft(driven_m, 2 * samples, axis=1)
-        passed = np.fft.irfft(np.einsum("fij,jf->if", T, lines), 2 * samples, axis=1)[:, :samples]
-        change_m = float(np.abs(passed - coupled_m).max())
-        coupled_m = passed
+        previous_m = coupled_m
+        coupled_m = np.fft.irfft(np.einsum("fij,jf->if", T, lines), 2 * samples, axis=1)
+        coupled_m = coupled_m[:, :samples]
+        change_m = float(np.abs(coupled_m - previous_m).max())
         if change_m > _DIVERGED * amplitude_m:
             return None
         if change_m < _TOLERANCE * amplitude_m:

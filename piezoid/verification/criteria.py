@@ -1,4 +1,4 @@
-"""Acceptance criteria: from measured numbers and limits to verdicts."""
+"""Acceptance criteria: verdicts on measured figures and their limits."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -19,9 +19,9 @@ SHAPE_ERROR = "shape error of the shipped controller"
 HOLD_TIME = "time without sensor until the output is held"
 SHAPE_RATIO = "shape error, ratio to no compensation"
 _SETTLED = 0.02  # of the largest step
-_BEFORE_NEXT_s = 5e-3  # a loop that previews its reference moves before the next step
-_RECOVERED = 0.5  # nepers, within which the current is back at its set point
-_AFTERWARDS = 0.25  # of a record, its end: where a fault must be forgotten
+_BEFORE_NEXT_s = 5e-3  # a loop with preview moves before the next step
+_RECOVERED = 0.5  # nepers, within which the current has recovered
+_AFTERWARDS = 0.25  # share of a record, at its end, in which a fault must have no effect
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,18 +29,18 @@ class Limits:
     """Acceptance limits; every number may be replaced for an application.
 
     aligned_percent     of the diameter, shape error of the shipped controller, up to judged_Hz
-    judged_Hz           above it, spirals are compared with no compensation only
+    judged_Hz           frequency above which spirals are compared with no compensation only
     settling_s          after the largest step, to 2 % of it
     overshoot_percent   of the largest step
     varied_percent      of the diameter, shape error with any plant the uncertainty allows
     fault_percent       of the diameter, largest distance from the path with a failed sensor
-    coupling_percent    of the motion of a coupled axis, amplitude of another one, at judged_Hz
+    coupling_percent    of the motion of a coupled axis, amplitude of another axis, at judged_Hz
     ln_current          standard deviation of ln i, up to judged_Hz
     blind_s             after which a stage without a sensor is held at constant voltage
-    closest_m           how much closer to the surface a tip comes than its set point holds it
-                        and a step of the surface puts it; a gap is 0.4 to 1 nm wide
-    recovery_s          after a fault that ends, time until the current recovers at its set point
-    approach_s          the same from 200 nm, or after a reset
+    closest_m           largest approach of a tip to the surface beyond its set point and the step
+                        of the surface; a gap is 0.4 to 1 nm wide
+    recovery_s          time until the current recovers after the end of a fault
+    approach_s          time until the current recovers from 200 nm away, or after a reset
     """
 
     aligned_percent: float = 1.0
@@ -59,14 +59,13 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """One number against its limit.
+    """A figure and its limit.
 
-    name      what was judged
-    scenario  in which scenario, or in all
-    value     measured, not more than the limit if passed
-    limit     allowed
-    unit      of both
-    passed    value <= limit
+    name      of the figure
+    scenario  name of the scenario, or ``all``
+    value     measured
+    limit     largest allowed value
+    unit      of value and limit
     """
 
     name: str
@@ -115,23 +114,23 @@ def none_of(name: str, scenario: str, count: int) -> Verdict:
 def shape_verdict(
     scenario: str, tracking: Tracking, radius_m: float, limit_percent: float
 ) -> Verdict:
-    """Judge the error that remains after the best common delay."""
+    """Compare the shape error of a path, in percent of its diameter, with its limit."""
     error_percent = 100.0 * tracking.aligned_rms_m / (2.0 * radius_m)
     return verdict(SHAPE_ERROR, scenario, error_percent, limit_percent, "% of the diameter")
 
 
 def step_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
-    """Judge overshoot and settling time of one axis after its largest step.
+    """Compare overshoot and settling time of one axis after its largest step with their limits.
 
-    The last 5 ms before the next step do not count.
+    The last 5 ms before the next step are ignored.
     """
     jumps = np.diff(record.reference)
-    at = int(np.abs(jumps).argmax()) + 1
-    size = float(jumps[at - 1])
-    later = np.flatnonzero(jumps[at:])
-    end = at + int(later[0]) + 1 if len(later) else len(jumps) + 1
+    start = int(np.abs(jumps).argmax()) + 1
+    size = float(jumps[start - 1])
+    next_jumps = np.flatnonzero(jumps[start:])
+    end = start + int(next_jumps[0]) + 1 if len(next_jumps) else len(jumps) + 1
     end -= int(_BEFORE_NEXT_s * record.sampling_rate_Hz)
-    progress = 1.0 + (record.position[at:end] - record.reference[at:end]) / size
+    progress = 1.0 + (record.position[start:end] - record.reference[start:end]) / size
     outside = np.flatnonzero(np.abs(progress - 1.0) > _SETTLED)
     settled_s = (int(outside[-1]) + 1 if len(outside) else 0) / record.sampling_rate_Hz
     overshoot = max(100.0 * (float(progress.max()) - 1.0), 0.0)
@@ -145,14 +144,15 @@ def step_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Ve
 def fault_verdicts(
     scenario: str, error_m: Array, healthy: Tracking, radius_m: float, limits: Limits
 ) -> tuple[Verdict, Verdict]:
-    """Judge how far a failed sensor led the stage away, and that it came back.
+    """Compare the error during and after the failure of a sensor with its limits.
 
     error_m  (samples,)  distance from the path
-    healthy  the same path with a sound sensor; what may ship with one is not asked to be less
+    healthy  the same path without a fault. The error after the fault is relative to its largest
+             error, or to the allowed shape error if that is larger
     """
-    usual_m = max(healthy.max_m, limits.aligned_percent / 100.0 * 2.0 * radius_m)
+    baseline_m = max(healthy.max_m, limits.aligned_percent / 100.0 * 2.0 * radius_m)
     largest_percent = 100.0 * float(error_m.max()) / (2.0 * radius_m)
-    ratio = float(error_m[-int(_AFTERWARDS * len(error_m)) :].max()) / usual_m
+    ratio = float(error_m[-int(_AFTERWARDS * len(error_m)) :].max()) / baseline_m
     name, allowed = "largest distance from the path", limits.fault_percent
     return (
         verdict(name, scenario, largest_percent, allowed, "% of the diameter"),
@@ -161,7 +161,7 @@ def fault_verdicts(
 
 
 def current_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
-    """Judge the current of a tunnelling axis: how steady, and that the tip never retracted."""
+    """Compare the deviation of ln i of a tunnelling axis, and its retracts, with their limits."""
     deviation = float(np.std(np.log(record.position)))
     retracted = int(np.sum((record.status & Status.RETRACTED) != 0))
     return (
@@ -173,13 +173,16 @@ def current_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple
 def hold_verdicts(
     scenario: str, record: LoopRecord, lost_at: int, limits: Limits
 ) -> tuple[Verdict, ...]:
-    """Judge whether a stage without a sensor is held soon, and then does not move."""
-    reports_blind = (record.status & np.uint32(Status.BLIND | Status.LATCHED)) > Status.LATCHED
-    at = int(np.argmax(reports_blind)) if reports_blind.any() else len(reports_blind)
+    """Compare the time until a stage without a sensor is held, and its motion then, with limits.
+
+    lost_at  sample from which the sensor fails
+    """
+    is_held = (record.status & np.uint32(Status.BLIND | Status.LATCHED)) > Status.LATCHED
+    start = int(np.argmax(is_held)) if is_held.any() else len(is_held)
     changes = int(
-        np.count_nonzero(np.diff(record.voltage_V[at:])) + np.count_nonzero(~reports_blind[at:])
+        np.count_nonzero(np.diff(record.voltage_V[start:])) + np.count_nonzero(~is_held[start:])
     )
-    blind_s = (at - lost_at) / record.sampling_rate_Hz
+    blind_s = (start - lost_at) / record.sampling_rate_Hz
     return (
         verdict(HOLD_TIME, scenario, blind_s, limits.blind_s, "s"),
         none_of("samples that moved while the output was held", scenario, changes),
@@ -189,12 +192,12 @@ def hold_verdicts(
 def recovery_verdict(
     scenario: str, nepers: Array, rate_Hz: float, allowed_s: float, *, is_far: bool
 ) -> Verdict:
-    """Judge how long the current deviates from its set point after a fault.
+    """Compare the time until the current recovers after a fault with its limit.
 
     nepers  (samples,)  ln(i / i_set) since the end of the fault, longer than ``allowed_s``
     """
-    off = np.flatnonzero(np.abs(nepers) > _RECOVERED)
-    recovery_s = (int(off[-1]) + 1 if len(off) else 0) / rate_Hz
+    outside = np.flatnonzero(np.abs(nepers) > _RECOVERED)
+    recovery_s = (int(outside[-1]) + 1 if len(outside) else 0) / rate_Hz
     name = "time until the current recovers" + (" from far away" if is_far else "")
     return verdict(name, scenario, recovery_s, allowed_s, "s")
 
@@ -217,10 +220,10 @@ def limits_from_toml(text: str, source: str = "limits.toml") -> Limits:
 def limits_from(table: Mapping[str, object], source: str) -> Limits:
     """Return the default limits with replacements from a table.
 
-    table  by the names of ``Limits``
-    source  where it was read, for the message
+    table   values by the names of ``Limits``
+    source  name of the table, for the message
 
-    Raises ``LabFileError`` for an unknown name and for anything but a positive number.
+    Raises ``LabFileError`` for an unknown name and for a value that is not a positive number.
     """
     names = [field.name for field in fields(Limits)]
     values: dict[str, float] = {}

@@ -1,10 +1,9 @@
 """Prove by abstract interpretation that the exported C never exceeds a limit, for any input.
 
 Frama-C's EVA (Bühler 2017, *Structuring an abstract interpreter through value and state
-abstractions*) runs the runtime with this stage's own parameters on *sets* of numbers: every
-reference and every reading is any number there is, NaN and the infinities included, in every step,
-and the loop goes on until no step adds a value that was not there. What holds of those sets holds
-of every run.
+abstractions*) interprets the runtime with the parameters of this stage on *sets* of numbers. In
+every step, reference and reading are the set of all numbers, with NaN and infinities. The loop is
+iterated until no step adds a value to the sets. A property of these sets holds in every run.
 """
 
 import csv
@@ -23,7 +22,7 @@ from piezoid.numerics.executor import SERIAL, Executor
 from piezoid.verification.rebuild import check_bundle
 
 TOOL = "frama-c"
-LIMIT_s = 600  # an axis takes 6 to 25 s of a free core: a machine with much else to do has time
+LIMIT_s = 600  # an axis takes 6 to 25 s of an idle core; a loaded machine takes longer
 PRECISIONS: Mapping[str, str] = {"double": "", "float": "-DPZ_REAL_FLOAT"}
 _ANALYSIS = (
     *("-no-unicode", "-machdep", "gcc_x86_64"),
@@ -33,9 +32,9 @@ _ANALYSIS = (
     # The table of pz_check has 75 rows; a loop over it is followed row by row.
     *("-eva-auto-loop-unroll", "100", "-eva-split-return-function", "is_finite:0:1,pz_start:0"),
 )
-_ROUNDED = 1 + 1e-5  # bounds are wider by so much: sums of a few floats are off by 1e-6 of them
+_ROUNDED = 1 + 1e-5  # factor of the bounds: sums of a few floats have relative errors of 1e-6
 _VALID = ("Valid", "Considered valid")
-# Of these the tool knows what they do; of any other function it must have read the body.
+# The tool has built-in specifications of these functions; it must read the body of any other.
 _SPECIFIED = frozenset({"memset", "Frama_C_nondet"})
 _UNSPECIFIED = re.compile(
     r"using specification for function (\w+)|Neither code nor.* function (\w+)"
@@ -44,15 +43,15 @@ _UNSPECIFIED = re.compile(
 
 @dataclass(frozen=True, kw_only=True)
 class LimitProof:
-    """One axis in one precision, for every input and any number of samples.
+    """Proof for one axis in one precision, for every input and any number of samples.
 
     axis       name
     precision  ``double`` or ``float``
-    tool       with its version; empty where it is not on this machine
-    claims     what was to be proved, in words
-    alarms     places where an error or a step beyond a bound could not be excluded
-    why_not    why there is no answer; empty where there is one
-    seconds    of a core, the one number here that differs from run to run
+    tool       with its version; empty if it is not installed
+    claims     properties to be proved, in words
+    alarms     places where a fault or the violation of a claim cannot be excluded
+    why_not    reason for a missing result; empty if there is a result
+    seconds    of a core, the only number here that differs from run to run
     """
 
     axis: str
@@ -92,9 +91,9 @@ def prove(
 ) -> tuple[LimitProof, ...]:
     """Prove the bundle's C for every axis of a parameter file, in both precisions.
 
-    contents  the bundle's files as they were found; by default made of the parameter file
+    contents  the bundle's files to be checked; by default made of the parameter file
 
-    Raises ``ParameterFileError`` for a bundle that is not this parameter file's.
+    Raises ``ParameterFileError`` for a bundle that was not made of this parameter file.
     """
     bundle_files = check_bundle(file, contents)
     jobs = [(index, real) for index in range(len(file.axes)) for real in PRECISIONS]
@@ -111,11 +110,11 @@ def prove_axis(
     *,
     limit_s: float = LIMIT_s,
 ) -> LimitProof:
-    """Prove these sources, whatever they are, with the parameters of one axis.
+    """Prove the claims for any sources of the runtime, with the parameters of one axis.
 
     contents  at least ``piezoid_runtime.h``, ``piezoid_runtime.c`` and ``piezo_params.h``
     index     of the axis in ``piezo_params``
-    limit_s   after which the tool is stopped, and nothing is proved
+    limit_s   after which the tool is stopped without a result
     """
     if which(TOOL) is None:
         return LimitProof(axis=axis.axis, precision=precision, tool="")
@@ -127,7 +126,7 @@ def prove_axis(
         lines = _harness(claims)
         (folder / "harness.c").write_text("\n".join(lines) + "\n", encoding="utf-8")
         flags = f"-DAXIS={index} {PRECISIONS[precision]}".strip()
-        alarms, why_not = _analysed(folder, flags, lines, limit_s)
+        alarms, why_not = _analyse(folder, flags, lines, limit_s)
         times = folder / "time.txt"  # absent where the tool was stopped before it could write it
         words = times.read_text(encoding="utf-8").split() if times.is_file() else []
         version = run(
@@ -144,11 +143,11 @@ def prove_axis(
         )
 
 
-def _analysed(
+def _analyse(
     folder: Path, flags: str, harness: Sequence[str], limit_s: float
 ) -> tuple[tuple[str, ...], str]:
-    """Return the alarms, and a reason if the analysis gave no answer."""
-    # The tool looks where PWD says, not where it was started: every path is a whole one.
+    """Run the tool; return its alarms, and a reason if there is no result."""
+    # The tool resolves paths relative to PWD, not to its working directory: paths are absolute.
     sources = [str(folder / name) for name in ("harness.c", "piezoid_runtime.c")]
     table = folder / "proved.csv"
     command = (
@@ -172,26 +171,26 @@ def _analysed(
         return (), f"no body of {', '.join(unread)}"
     if "done for function main" not in completed.stdout:
         return (), "the analysis did not come to its end"
-    # Every claim must stand in the table of all properties, and be reached.
+    # Every claim must be in the table of all properties, and be reachable.
     with table.open(encoding="utf-8", newline="") as opened:
         rows = list(csv.DictReader(opened, delimiter="\t", quoting=csv.QUOTE_NONE))
-    stated = {str(k) for k, line in enumerate(harness, start=1) if "//@ check" in line}
+    claimed = {str(k) for k, line in enumerate(harness, start=1) if "//@ check" in line}
     states = {row["line"]: row["status"] for row in rows if row["file"] == "harness.c"}
-    silent = sorted(stated - set(states), key=int)
-    dead = sorted((line for line in stated & set(states) if "ead" in states[line]), key=int)
+    missing = sorted(claimed - set(states), key=int)
+    dead = sorted((line for line in claimed & set(states) if "ead" in states[line]), key=int)
     alarms = tuple(
         "{file}:{line} ({function}) {property kind}: {property}".format_map(row)
         for row in rows
         if "ead" not in row["status"] and row["status"] not in _VALID
     )
-    if not alarms and (silent or dead):  # behind an operation that must fail nothing is reached
-        lines = ", ".join(f"harness.c:{line}" for line in (*silent, *dead))
+    if not alarms and (missing or dead):  # no code is reachable behind an operation that must fail
+        lines = ", ".join(f"harness.c:{line}" for line in (*missing, *dead))
         return (), f"never reached: {lines}"
     return alarms, ""
 
 
 def _harness(claims: Mapping[str, str]) -> list[str]:
-    """Return the program that is proved: a start from anything, then steps without an end."""
+    """Return the program that is proved: a start with any values, then endless steps."""
     checks = [f"        //@ check {condition};" for condition in claims.values()]
     return [
         '#include "piezo_params.h"',
@@ -224,7 +223,7 @@ _WITHIN = "\\is_finite({0}) && p->voltage_minimum_V <= {0} <= p->voltage_maximum
 
 
 def _claims(axis: AxisParameters) -> dict[str, str]:
-    """Return the claims after every step: text, and the condition in ACSL."""
+    """Return the claims after every step: the condition in ACSL by its text."""
     common = {
         "the voltage put out is finite and inside the limits": _WITHIN.format("u"),
         "the state's voltages are inside the limits": " && ".join(
@@ -256,8 +255,8 @@ def _claims(axis: AxisParameters) -> dict[str, str]:
     limited = {"the reference stays in its range": f"\\is_finite(state.reference_m) && {within}"}
     if not axis.method.startswith("mpi"):
         return {**common, **limited}
-    # A bound of every play: |z_i| <= max |gamma(u)| + r_i, gamma at most as steep as the sum of
-    # its weights' magnitudes.
+    # A bound of every play: |z_i| <= max |gamma(u)| + r_i; the slope of gamma is at most the sum
+    # of the magnitudes of its weights.
     threshold_V = np.asarray(values["play_threshold_V"], dtype=float)[: int(values["play_count"])]
     weight = np.asarray(values["envelope_weight"], dtype=float)[: int(values["envelope_count"])]
     steepest = float(np.abs(weight).sum()) if weight.size else 1.0

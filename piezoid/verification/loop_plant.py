@@ -1,4 +1,4 @@
-"""Fill the structures of plant_loop.c from an AxisPlant, sampled exactly and settled at rest."""
+"""Convert an AxisPlant to the structures of plant_loop.c, sampled exactly and settled at rest."""
 
 import ctypes
 from functools import cache
@@ -19,12 +19,13 @@ from piezoid.operators.play import play_columns
 from piezoid.operators.preisach_plays import PreisachPlays, straight_between
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction
 
-SUBSTEPS = 4  # per sample: amplifier and mechanics are exact, the response is straight in between
+SUBSTEPS = 4  # per sample; amplifier and mechanics are exact, the response linear in a substep
 _PLAYS, _EXPONENTIAL, _PLUGGED = range(3)
-_QUICK = 36.0  # time constants in a substep: what is left of a step is the last bit of a double
-MAX_STATES = 64
+# Time constants in a substep, after which a step response has settled to the last bit of a double.
+_INSTANTANEOUS = 36.0
+_MAX_STATES = 64
 
-RESPOND = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)
+_RESPOND = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)
 
 
 def _fields(kind: Any, names: str) -> tuple[tuple[str, Any], ...]:
@@ -73,7 +74,7 @@ class LoopPlant(ctypes.Structure):
         *_fields(_POINTER, "cyclic_cosine_m cyclic_sine_m"),
         *_fields(_REAL, "cyclic_per_m"),
         *_fields(_REAL, "polarity voltage_offset_V displacement_offset_m current_A current_most"),
-        ("respond", RESPOND),
+        ("respond", _RESPOND),
         *_fields(_REAL, "slew_step driven w"),
         *_fields(_REAL, "reading_zero reading_lsb reading_least reading_most"),
     )
@@ -107,7 +108,7 @@ def rest_position(plant: AxisPlant) -> float:
 
 
 class SettledPlant:
-    """A plant as ``pl_plant``, settled at its rest voltage, and the arrays it points to.
+    """A plant as ``pl_plant``, settled at its rest voltage, and the arrays that it references.
 
     structure  of the C loop; it must not outlive this object
     """
@@ -125,13 +126,13 @@ class SettledPlant:
         c.late_V = self.address(np.full(c.late, rest_V))
         if isinstance(response, Junction):
             c.kind, c.current_A = _EXPONENTIAL, response.current_A
-            c.current_most = response.most_A or 0.0
+            c.current_most = response.saturation_A or 0.0
             disturbance += gain * rest_V
         elif isinstance(response, Hysteresis):
             c.kind = _PLAYS
             self._fill_hysteresis(response)
         else:
-            c.kind, c.respond = _PLUGGED, RESPOND(response.begin(rest_V))
+            c.kind, c.respond = _PLUGGED, _RESPOND(response.begin(rest_V))
             self._arrays.append(c.respond)
         if plant.cyclic is not None:
             c.cyclic_orders = len(plant.cyclic.cosine_m)
@@ -151,7 +152,7 @@ class SettledPlant:
         return float(self.structure.w) * gain
 
     def address(self, array: Array) -> int:
-        """Return the address of an array, and keep the array."""
+        """Return the address of an array, and keep a reference to the array."""
         self._arrays.append(array)
         return int(array.ctypes.data)
 
@@ -183,19 +184,20 @@ class SettledPlant:
             irreversible_m = float(operator.plays.weight[1:] @ states_V[1:])
         c.envelope, c.zones = self._map(envelope), self._map(zones)
         if response.activation_s > 0.0:
-            instants_per_s = plant.sampling_rate_Hz * SUBSTEPS
+            substeps_per_s = plant.sampling_rate_Hz * SUBSTEPS
             c.irreversible_m = irreversible_m
-            c.activation_step = float(np.exp(-1.0 / (response.activation_s * instants_per_s)))
+            c.activation_step = float(np.exp(-1.0 / (response.activation_s * substeps_per_s)))
             c.activation_m = response.activation_m
-        second = response.discrepancy
-        if second is not None:
-            c.second_powers, c.second_plays = second.weight_m.shape
-            c.second_threshold_V = self.address(second.threshold_V)
-            c.second_weight_m = self.address(np.ascontiguousarray(second.weight_m))
-            virgin_V = np.zeros(len(second.threshold_V))
-            _, states_V = play_columns(past_V - second.centre_V, second.threshold_V, virgin_V)
+        discrepancy = response.discrepancy
+        if discrepancy is not None:
+            centre_V, threshold_V = discrepancy.centre_V, discrepancy.threshold_V
+            c.second_powers, c.second_plays = discrepancy.weight_m.shape
+            c.second_threshold_V = self.address(threshold_V)
+            c.second_weight_m = self.address(np.ascontiguousarray(discrepancy.weight_m))
+            virgin_V = np.zeros(len(threshold_V))
+            _, states_V = play_columns(past_V - centre_V, threshold_V, virgin_V)
             c.second_play_V = self.address(np.array(states_V))
-            c.second_centre_V, c.second_reach_V = second.centre_V, second.reach_V
+            c.second_centre_V, c.second_reach_V = centre_V, discrepancy.reach_V
 
     def _map(self, zones: DeadZones) -> Map:
         slope = self.address(np.ascontiguousarray(zones.slope))
@@ -206,10 +208,10 @@ class SettledPlant:
         self, A: Array, previous: Array, present: Array, C: Array, D: tuple[float, float], w: float
     ) -> Linear:
         """Return a block at rest under a constant input, x = A x + (previous + present) w."""
-        if len(A) > MAX_STATES:
+        if len(A) > _MAX_STATES:
             raise ParameterFileError(
                 f"the plant has {len(A)} states in one block",
-                needed=f"at most {MAX_STATES}, what the loop has room for",
+                needed=f"at most {_MAX_STATES}",
                 remedy="Fit a model with fewer modes, or give the controller a higher rate.",
             )
         x = np.array(np.linalg.solve(np.eye(len(A)) - A, (previous + present) * w))
@@ -224,9 +226,10 @@ _Sampled = tuple[Array, Array, Array, Array, tuple[float, float]]
 
 
 def _before_hysteresis(plant: AxisPlant, rate_Hz: float, gain: float) -> _Sampled:
-    """Return amplifier and remaining fractional delay behind a held command."""
+    """Return amplifier and fractional delay, for a held command."""
     whole_s = int(plant.delay_s * plant.sampling_rate_Hz) / plant.sampling_rate_Hz
-    sections = plant.amplifier or (Section(frequency_Hz=_QUICK * rate_Hz / (2.0 * np.pi)),)
+    instantaneous_Hz = _INSTANTANEOUS * rate_Hz / (2.0 * np.pi)
+    sections = plant.amplifier or (Section(frequency_Hz=instantaneous_Hz),)
     A, B, outputs = cascade(sections)
     system = ContinuousSystem(
         A=A,
@@ -241,11 +244,11 @@ def _before_hysteresis(plant: AxisPlant, rate_Hz: float, gain: float) -> _Sample
 
 
 def _after_hysteresis(plant: AxisPlant, rate_Hz: float) -> _Sampled:
-    """Return mechanics and sensor behind a signal that is linear between substeps.
+    """Return mechanics and sensor, for an input that is linear between substeps.
 
     x[k+1] = e^(A h) x[k] + G_1 w[k] + G_2 (w[k+1] - w[k])
     """
-    # A and B behind the response, and the rows C, D of position and sensed position
+    # The rows of C and D are the position and the sensed position.
     if plant.measured is not None:
         scale = plant.measured_gain / rest_gain(plant.measured)
         sensor = [first_order(section.frequency_Hz) for section in plant.sensor]

@@ -24,19 +24,19 @@ class Hysteresis:
     """The identified operator as the response of a lateral axis.
 
     operator       rising with the drive
-    history_V      turning points of the drive before every run; none: the axis is de-poled
-    pasts_V        alternatives of that history, for comparison
-    polarity       -1 where the displacement falls as the drive rises
-    discrepancy    a second hysteresis beside it; None: the operator is all
-    low_V, high_V  the drive is clipped to them
-    activation_s, activation_m  with which time constant its irreversible part follows, and the lag
-                   beyond which it follows faster; 0: at once
+    history_V      turning points of the drive before every run; empty: the axis is de-poled
+    histories_V    alternative histories, for comparison
+    polarity       -1 if the displacement falls as the drive rises
+    discrepancy    a second hysteresis that is added; None: none
+    low_V, high_V  range to which the drive is clipped
+    activation_s, activation_m  time constant of the irreversible part, and the lag above which it
+                   follows faster; 0: without delay
     """
 
     operator: Operator
     polarity: int = 1
     history_V: tuple[float, ...] = ()
-    pasts_V: tuple[tuple[float, ...], ...] = ()
+    histories_V: tuple[tuple[float, ...], ...] = ()
     discrepancy: Discrepancy | None = None
     low_V: float = -np.inf
     high_V: float = np.inf
@@ -62,22 +62,22 @@ class Junction:
 
     current_A          at rest
     gain_nepers_per_V  > 0: positive drive extends the tip
-    decay_per_m        k: what a metre of height takes from ln i
-    most_A             at which the amplifier in front of the sensor's pole is full; None: never
+    decay_per_m        k: decrease of ln i per metre of height
+    saturation_A       of the amplifier in front of the sensor's pole; None: it does not saturate
     """
 
     current_A: float
     gain_nepers_per_V: float
     decay_per_m: float
-    most_A: float | None = None
+    saturation_A: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CustomResponse:
-    """Any other response, for example a laboratory's truth.
+    """Any other response, for example of a simulated stage.
 
-    begin  called before every run with the voltage at which the axis rests; returns what answers
-           each drive voltage, one after the other, with a displacement in metres
+    begin  called before every run with the voltage at which the axis rests; returns the function
+           from each successive drive voltage to a displacement in metres
     """
 
     begin: Callable[[float], Respond]
@@ -88,31 +88,31 @@ Response = Hysteresis | Junction | CustomResponse
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AxisPlant:
-    """One axis from the drive's converter to the measuring one.
+    """One axis from the converter of the drive to the converter of the sensor.
 
         u, held -> delay -> amplifier -> response -> mechanics -> position
         position -> sensor -> + noise -> converter -> measured
 
-    axis              its name
-    label             which plant this is: ``identified``, ``draw 3``, ...
+    axis              name
+    label             of the plant: ``identified``, ``draw 3``, ...
     sampling_rate_Hz  of both converters
-    rest_voltage_V    where every run begins, settled
-    delay_s           converters and computation, >= 0, any fraction of a sample
-    amplifier         sections in front of the response; none: as quick as a substep
-    drive_modes       behind them, gain 1 at rest
-    mechanics, sensor sections behind it
-    measured          a system in place of mechanics. Only its shape counts, its gain at rest is
-                      the response's; None: as the sections say
-    measured_gain     by how much more it moves at rest than the response: what crept
+    rest_voltage_V    at which every run begins, settled
+    delay_s           of converters and computation, >= 0, any fraction of a sample
+    amplifier         sections in front of the response; empty: instantaneous
+    drive_modes       systems between amplifier and response, gain 1 at rest
+    mechanics, sensor sections behind the response
+    measured          a system instead of the mechanics, normalised to ``measured_gain`` at rest;
+                      None: the mechanics are sections
+    measured_gain     gain at rest of ``measured``: 1 plus the creep
     slew_V_per_s      fastest change of the amplifier's output; None: any
     noise_rms         of one reading, m (junction: A)
     noise_bandwidth_Hz   first-order bandwidth of that noise; None: white
-    reading_zero      what nothing is read as: the offset of the sensor
-    reading_step      of the measuring converter, 0 rounds nothing
-    reading_range     its ends
-    motions           further causes of motion
+    reading_zero      offset of the sensor
+    reading_step      of the sensor's converter; 0: no rounding
+    reading_range     of the sensor's converter
+    motions           motions that the drive does not cause
     hums              frequency in Hz and amplitude of lines in the reading
-    cyclic            what the sensor says of a position; None: the position
+    cyclic            periodic error of the sensor; None: none
     """
 
     axis: str
@@ -145,17 +145,17 @@ class AxisPlant:
             )
         if self.measured is not None and (self.mechanics or self.measured.delay_s):
             raise ValueError(
-                f"axis {self.axis}: measured dynamics stand in place of mechanics, and their "
-                "delay in delay_s"
+                f"axis {self.axis}: measured dynamics replace mechanics, and delay_s includes "
+                "their delay"
             )
 
     def noise(self, samples: int, rng: np.random.Generator) -> Array:
-        """Return the sensor's noise as its converter sees it, (samples,).
+        """Return the sensor's noise and hum at the input of its converter, (samples,).
 
             n[k+1] = p n[k] + sqrt(1 - p^2) s e[k],   p = exp(-2 pi f / fs)
 
-        First-order noise sampled exactly: all of its power is there, also what a sensor faster
-        than half the sampling rate folds down.
+        This is first-order noise sampled exactly: it has its whole power, with the aliases of
+        frequencies above half the sampling rate.
         """
         white = rng.standard_normal(samples)
         time_s = np.arange(samples) / self.sampling_rate_Hz
@@ -166,45 +166,48 @@ class AxisPlant:
         if self.noise_bandwidth_Hz is None:
             return np.asarray(self.noise_rms * white + hum)
         pole = float(np.exp(-2.0 * np.pi * self.noise_bandwidth_Hz / self.sampling_rate_Hz))
-        kicks = np.sqrt(1.0 - pole**2) * white
-        kicks[:1] = white[:1]
-        return np.asarray(self.noise_rms * recursive_filter([1.0], [1.0, -pole], kicks) + hum)
+        innovation = np.sqrt(1.0 - pole**2) * white
+        innovation[:1] = white[:1]
+        coloured = recursive_filter([1.0], [1.0, -pole], innovation)
+        return np.asarray(self.noise_rms * coloured + hum)
 
     def motion_m(self, samples: int, other_drive: Array) -> Array:
         """Return the motion that the drive does not cause, (samples,).
 
-        other_drive  (samples,)  drive of another axis, -1 to 1; motions without a speed follow it
+        A motion with a speed is a sine of its largest range and speed.
+
+        other_drive  (samples,)  drive of another axis, -1 to 1, which motions without a speed
+                     follow
         """
         time_s = np.arange(samples) / self.sampling_rate_Hz
-        moved_m = np.zeros(samples)
+        motion_m = np.zeros(samples)
         for motion in self.motions:
-            far_m = motion.half_range_m
-            if motion.fastest_m_per_s > 0.0:  # to and fro, as steep as it may be
-                turn = motion.fastest_m_per_s / far_m * time_s
-                moved_m += far_m * np.sin(turn)
+            if motion.fastest_m_per_s > 0.0:
+                phase = motion.fastest_m_per_s / motion.half_range_m * time_s
+                motion_m += motion.half_range_m * np.sin(phase)
             else:
-                moved_m += far_m * other_drive
-        return moved_m
+                motion_m += motion.half_range_m * other_drive
+        return motion_m
 
 
 def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
-    """Return the identified plant of one lateral axis, resting in the middle of its model.
+    """Return the identified plant of one lateral axis, at rest in the middle of its model.
 
-    Everything that fit and diagnosis put into the model: ``loop_model`` says where it acts. What
-    stands behind the hysteresis is one system, so that the position is what a sensor without
-    noise shows. The noise of the recordings is taken for that of every reading.
+    The plant has all effects of the model at the points that ``loop_model`` defines. All dynamics
+    behind the hysteresis are one system, so that the position is the reading of a sensor without
+    noise. Every reading has the noise of the recordings.
     """
     loop = loop_model(model, sampling_rate_Hz)
     front_Hz = _poles_Hz(loop.front)
     low_V, high_V = loop.drive_range_V
     time_s, strain_m = loop.activation
-    # Two histories over the full range: one with a last turn a quarter below its upper end, and
-    # one that comes to rest straight from there. A controller can infer one extreme from its first
-    # reading, and not turns within turns; on a stage that starts from the state of the inverse the
-    # error would be too small.
-    least_V, most_V = model.voltage_V
-    pasts_V = ((most_V, least_V, most_V - 0.25 * (most_V - least_V)), (least_V, most_V))
-    readings = [e for e in model.extensions if isinstance(e, PeriodicError)]
+    # Two histories over the full range: one with a last turning point a quarter below its upper
+    # end, and one that comes to rest directly from that end. A controller can infer one extreme
+    # from its first reading, but not nested turning points. On a stage that starts from the state
+    # of the inverse the error would be too small.
+    start_V, end_V = model.voltage_V
+    histories_V = ((end_V, start_V, end_V - 0.25 * (end_V - start_V)), (start_V, end_V))
+    periodic_errors = [e for e in model.extensions if isinstance(e, PeriodicError)]
     return AxisPlant(
         axis=model.axis,
         label="identified",
@@ -212,8 +215,8 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
         response=Hysteresis(
             operator=model.operator,
             polarity=model.polarity,
-            history_V=pasts_V[0],
-            pasts_V=pasts_V,
+            history_V=histories_V[0],
+            histories_V=histories_V,
             discrepancy=model.discrepancy,
             low_V=low_V,
             high_V=high_V,
@@ -235,7 +238,7 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
             if e.motion_m > 0.0
         ),
         hums=tuple((e.reading_Hz, e.reading_m) for e in loop.effects if e.reading_Hz > 0.0),
-        cyclic=readings[0] if readings else None,
+        cyclic=periodic_errors[0] if periodic_errors else None,
     )
 
 
@@ -248,9 +251,9 @@ def junction_axis_plant(
     noise_rms_A: float = 0.0,
     modes: Sequence[DriveMode] = (),
 ) -> AxisPlant:
-    """Return the identified plant of a tunnelling axis, resting at its set point and 0 V.
+    """Return the identified plant of a tunnelling axis, at rest at its set point and 0 V.
 
-    modes  of the drive; of several records that show the same one, one
+    modes  of the drive, each once
     """
     return AxisPlant(
         axis=axis,
@@ -273,7 +276,7 @@ def junction_axis_plant(
 def varied_plant(
     plant: AxisPlant, model: AxisModel, operator: Operator, *, slower: float, sharper: float
 ) -> AxisPlant:
-    """Return a plant with another operator, its poles and modes elsewhere in their intervals.
+    """Return a plant with another operator, and with poles and modes moved in their intervals.
 
     slower, sharper  from -1 to 1, as ``at_corner`` takes them
     """
@@ -289,9 +292,9 @@ def varied_plant(
 
 
 def with_gain(plant: AxisPlant, factor: float, label: str) -> AxisPlant:
-    """Return a plant that moves, or multiplies its current, by a factor more.
+    """Return a plant with the gain of its response multiplied by a factor.
 
-    Raises ``TypeError`` for a plugged response: its gain is its own.
+    Raises ``TypeError`` for a ``CustomResponse``.
     """
     response = plant.response
     if isinstance(response, Junction):
@@ -301,19 +304,20 @@ def with_gain(plant: AxisPlant, factor: float, label: str) -> AxisPlant:
     elif isinstance(response, Hysteresis):
         changed = replace(response, operator=response.operator.multiplied(factor))
     else:
-        raise TypeError("a plugged response has no gain to change")
+        raise TypeError("a custom response has no gain to change")
     return replace(plant, response=changed, label=label)
 
 
 def with_histories(plant: AxisPlant) -> tuple[AxisPlant, ...]:
-    """Return the plant as each of its possible pasts left it; itself where it has but one."""
+    """Return the plant with each of its alternative histories; the plant itself if it has none."""
     response = plant.response
-    if not isinstance(response, Hysteresis) or not response.pasts_V:
+    if not isinstance(response, Hysteresis) or not response.histories_V:
         return (plant,)
     return tuple(
-        replace(plant, response=replace(response, history_V=past_V)) for past_V in response.pasts_V
+        replace(plant, response=replace(response, history_V=history_V))
+        for history_V in response.histories_V
     )
 
 
-def _poles_Hz(declared: ContinuousSystem) -> tuple[float, ...]:
-    return tuple(-float(pole) / (2.0 * np.pi) for pole in np.diag(declared.A))
+def _poles_Hz(system: ContinuousSystem) -> tuple[float, ...]:
+    return tuple(-float(pole) / (2.0 * np.pi) for pole in np.diag(system.A))

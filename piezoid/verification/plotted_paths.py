@@ -1,4 +1,4 @@
-"""Paths for the report: spirals, rasters and steps, thinned to a few hundred points."""
+"""Traces of spirals, rasters and steps for the report, thinned to a few hundred points."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ MOTION_POINTS = 1000  # of 0.8 s of steps: a loop of 350 Hz settles within three
 MOTION_KINDS = ("raster", "steps")  # of scenarios plotted over time
 SPIRAL_POINTS = 300
 SPIRALS_Hz = (10.0, 100.0)  # compared spirals that are plotted
-UNCOMPENSATED = "none"  # method plotted beside the one that ships
+UNCOMPENSATED = "none"  # method plotted with the shipped method
 _DECIMALS = 12  # a picometre
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """One axis along one path, about the path's centre.
+    """Trace of one axis along one path, relative to the path's centre.
 
-    scenario         its name
+    scenario         name
     duration_s       of the path
     reference_m      (points,)
-    shipped_m        (points,)  position under the controller that ships
-    uncompensated_m  (points,)  under a static gain; empty where it was not run
+    shipped_m        (points,)  position with the shipped controller
+    uncompensated_m  (points,)  position with a static gain; empty if that was not simulated
     """
 
     scenario: str
@@ -40,10 +40,10 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class SpiralTrace:
-    """Positions on a spiral about its centre, and the shape error there.
+    """Trace of a spiral relative to its centre, with its shape error.
 
     method, frequency_Hz   as in the comparison
-    axes                   that moved; with a single axis, y is the path of the missing one
+    axes                   that moved; with a single axis, y is the path of the missing axis
     x_m, y_m               (points,)
     shape_error_m          (points,)  distance from the path after the best common delay, rms from
                            this point to the next
@@ -67,7 +67,7 @@ def spiral_trace(
     radius_m: float,
     frequency_Hz: float,
 ) -> SpiralTrace:
-    """Thin the run of one spiral, records by axis, to ``SPIRAL_POINTS`` positions."""
+    """Thin the records of one spiral, by axis, to ``SPIRAL_POINTS`` positions."""
     reference, position = (
         np.stack([getattr(record, name) - centre_m[axis] for axis, record in records.items()])
         for name in ("reference", "position")
@@ -96,15 +96,17 @@ def motion_of(
     scenario: str, shipped: LoopRecord, uncompensated: LoopRecord | None, centre_m: float
 ) -> Motion:
     """Thin the runs of one axis in one scenario to ``MOTION_POINTS`` positions."""
-    at = _evenly(len(shipped.reference), MOTION_POINTS)
-    compared = () if uncompensated is None else _rounded(uncompensated.position[at] - centre_m)
+    rows = _evenly(len(shipped.reference), MOTION_POINTS)
+    uncompensated_m: tuple[float, ...] = ()
+    if uncompensated is not None:
+        uncompensated_m = _rounded(uncompensated.position[rows] - centre_m)
     return Motion(
         scenario=scenario,
         axis=shipped.axis,
         duration_s=len(shipped.reference) / shipped.sampling_rate_Hz,
-        reference_m=_rounded(shipped.reference[at] - centre_m),
-        shipped_m=_rounded(shipped.position[at] - centre_m),
-        uncompensated_m=compared,
+        reference_m=_rounded(shipped.reference[rows] - centre_m),
+        shipped_m=_rounded(shipped.position[rows] - centre_m),
+        uncompensated_m=uncompensated_m,
     )
 
 

@@ -18,9 +18,9 @@ from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
 from piezoid.runtime.library import PRECISIONS
 
-SAMPLES = 6000  # of each axis, after those of an ordinary day hostile ones
-_HOSTILE = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e30, -1e30, 1e-42)
-_SECONDS = 60  # after which a build or a run counts as failed
+SAMPLES = 6000  # of each axis: ordinary samples, then invalid and extreme samples
+_INVALID = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e30, -1e30, 1e-42)
+_TIMEOUT_s = 60  # of a build or a run
 
 _HOST = ("cc", "gcc", "clang")
 _FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
@@ -29,8 +29,8 @@ _LIBRARY = "rdimon.specs"
 _TARGET_FLAGS = (
     *("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"),
     *(f"--specs={_LIBRARY}", "-nostartfiles", "-DPZ_BOARD", "-DPZ_REAL_FLOAT"),
-    # a step then calls nothing of the C library and jumps through no table, so that
-    # benchmarks/longest_path.py can bound it
+    # A step then calls no function of the C library and has no jump table, so that
+    # benchmarks/longest_path.py can bound its execution time.
     *("-g", "-fno-jump-tables", "-fno-tree-loop-distribute-patterns"),
 )
 _EMULATOR = "qemu-system-arm"
@@ -43,16 +43,16 @@ _EMULATED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Proof:
-    """One build of the bundle, stepped through the same inputs as the packaged library.
+    """Comparison of one build of the bundle with the packaged library on the same inputs.
 
-    build                    compiler, flags and precision, or why nothing was built
-    is_built                 False: no compiler or emulator here, nothing is said
-    samples                  steps compared, of all axes together
-    differing                steps whose voltage or status was not the same in every bit
-    instructions_per_sample  by axis, mean; empty where they were not counted
-    most_instructions        of any sample, by axis, hostile ones included; likewise
-    stack_bytes              deepest stack of a step, None where it was not measured
-    state_bytes              of one axis, None likewise
+    build                    compiler, flags and precision, or the reason for a missing build
+    is_built                 False: no compiler or emulator is installed
+    samples                  number of steps compared, over all axes
+    differing                number of steps whose voltage or status differs in any bit
+    instructions_per_sample  mean by axis; None if not counted
+    most_instructions        maximum over all samples by axis; None if not counted
+    stack_bytes              deepest stack of a step; None if not measured
+    state_bytes              of one axis; None if not measured
     """
 
     build: str
@@ -66,7 +66,7 @@ class Proof:
 
     @property
     def passed(self) -> bool:
-        """Whether all answers are equal; a build that was not made is no failure."""
+        """Whether all outputs are equal; a missing build is no failure."""
         return not self.is_built or (self.samples > 0 and self.differing == 0)
 
 
@@ -90,28 +90,28 @@ def write_build_files(
 
 
 def replay_inputs(axis: AxisParameters, seed: int) -> tuple[Array, Array]:
-    """Return references and measurements: an ordinary day, then hostile ones.
+    """Return references and measurements: those of golden.csv, then invalid and extreme samples.
 
-    One in five of the hostile samples is no number, infinite, enormous or the smallest there is;
-    the rest jumps anywhere within twice the range.
+    One in five of the latter is NaN, infinite, very large or subnormal; the others are random
+    within twice the range.
     """
     rng = np.random.default_rng([seed, SAMPLES])
     signals = []
-    for usual in golden_inputs(axis, np.random.default_rng(seed)):
-        finite = usual[np.isfinite(usual)]
-        centre, half = (finite.max() + finite.min()) / 2, finite.max() - finite.min()
-        wild = centre + half * rng.uniform(-1.0, 1.0, SAMPLES - len(usual))
-        bad = rng.random(len(wild)) < 0.2
-        wild[bad] = rng.choice(_HOSTILE, int(bad.sum()))
-        signals.append(np.concatenate([usual, wild]))
+    for ordinary in golden_inputs(axis, np.random.default_rng(seed)):
+        finite = ordinary[np.isfinite(ordinary)]
+        centre, span = (finite.max() + finite.min()) / 2, finite.max() - finite.min()
+        extreme = centre + span * rng.uniform(-1.0, 1.0, SAMPLES - len(ordinary))
+        is_invalid = rng.random(len(extreme)) < 0.2
+        extreme[is_invalid] = rng.choice(_INVALID, int(is_invalid.sum()))
+        signals.append(np.concatenate([ordinary, extreme]))
     return signals[0], signals[1]
 
 
-def expected_answers(file: ParameterFile, real: str) -> bytes:
-    """Return the answers of the packaged library, in the format of replay.c."""
+def expected_outputs(file: ParameterFile, real: str) -> bytes:
+    """Return the outputs of the packaged library, in the format of replay.c."""
     number = PRECISIONS[real][1]
     record = np.dtype([("voltage_V", np.dtype(number)), ("status", "<u4")])
-    answers = []
+    contents = []
     for index, axis in enumerate(file.axes):
         reference, measured = replay_inputs(axis, index)
         controller = Controller(axis.values, precision=real)
@@ -120,8 +120,8 @@ def expected_answers(file: ParameterFile, real: str) -> bytes:
             outputs = controller.run(reference, measured)
         rows = np.empty(len(reference), dtype=record)
         rows["voltage_V"], rows["status"] = outputs.voltage_V, outputs.status
-        answers.append(rows.tobytes())
-    return b"".join(answers)
+        contents.append(rows.tobytes())
+    return b"".join(contents)
 
 
 def compare(
@@ -131,21 +131,21 @@ def compare(
 
     build  compiler, flags and precision, for the record
 
-    Raises ``RuntimeLibraryError`` where it fails or answers another number of samples.
+    Raises ``RuntimeLibraryError`` if it fails or writes outputs of another number of samples.
     """
     printed = run_program(command, folder)
-    answers = (folder / "answers.bin").read_bytes()
-    expected = expected_answers(file, real)
-    if len(answers) != len(expected):
+    outputs = (folder / "answers.bin").read_bytes()
+    expected = expected_outputs(file, real)
+    if len(outputs) != len(expected):
         raise RuntimeLibraryError(
-            f"{command[0]} wrote {len(answers)} bytes of answers",
-            needed=f"{len(expected)}, one for every sample",
+            f"{command[0]} wrote {len(outputs)} bytes of outputs",
+            needed=f"{len(expected)} bytes, for all samples",
             remedy="Run it by hand in a folder with the bundle's files.",
         )
     samples = SAMPLES * len(file.axes)
     shape = (samples, len(expected) // samples)
     rows = [
-        np.frombuffer(content, dtype=np.uint8).reshape(shape) for content in (answers, expected)
+        np.frombuffer(content, dtype=np.uint8).reshape(shape) for content in (outputs, expected)
     ]
     numbers = [[int(word) for word in line.split()] for line in printed.splitlines()]
     counted = [(file.axes[axis].axis, total, peak) for axis, total, peak, *_ in numbers if total]
@@ -165,15 +165,15 @@ def compare(
 def run_program(command: Sequence[str], folder: Path) -> str:
     """Run a program in a folder and return its output.
 
-    Raises ``RuntimeLibraryError`` with the program's own words where it fails.
+    Raises ``RuntimeLibraryError`` with the program's error output if it fails.
     """
     completed = run(
-        command, cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=False
+        command, cwd=folder, capture_output=True, text=True, timeout=_TIMEOUT_s, check=False
     )
     if completed.returncode != 0:
-        words = (completed.stderr or completed.stdout)[:800]
+        printed = (completed.stderr or completed.stdout)[:800]
         raise RuntimeLibraryError(
-            f"{' '.join(command)} ended with {completed.returncode}: {words}",
+            f"{' '.join(command)} ended with {completed.returncode}: {printed}",
             needed="a build that compiles and runs",
             remedy="Compare the bundle with a fresh export, and the compiler with C99.",
         )
@@ -183,10 +183,10 @@ def run_program(command: Sequence[str], folder: Path) -> str:
 def rebuild(file: ParameterFile, contents: Mapping[str, bytes] | None = None) -> tuple[Proof, ...]:
     """Compile the bundle with the host's compiler, in both precisions, and compare.
 
-    contents  the bundle's files as they were found; by default made of the parameter file
+    contents  the bundle's files to be checked; by default made of the parameter file
 
-    Raises ``ParameterFileError`` for a bundle that is not this parameter file's, and
-    ``RuntimeLibraryError`` for one that does not compile or run.
+    Raises ``ParameterFileError`` for a bundle that was not made of this parameter file, and
+    ``RuntimeLibraryError`` for a bundle that does not compile or run.
     """
     bundle_files = check_bundle(file, contents)
     compiler = next((path for name in _HOST if (path := which(name))), None)
@@ -214,7 +214,7 @@ def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
     missing = [name for name in (_TARGET, _EMULATOR) if which(name) is None]
     if not missing:
         library_path = run_program((_TARGET, f"-print-file-name={_LIBRARY}"), Path.cwd()).strip()
-        missing += [_LIBRARY] if library_path == _LIBRARY else []  # a path where there is one
+        missing += [_LIBRARY] if library_path == _LIBRARY else []  # the compiler has no path of it
     if missing:
         reason = f"Cortex-M4F: no {' and no '.join(missing)} on this machine"
         return Proof(build=reason, is_built=False)
@@ -226,7 +226,7 @@ def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
 
 
 def build_for_cortex_m4(folder: Path, contents: Mapping[str, bytes], file: ParameterFile) -> None:
-    """Compile ``replay.elf`` in a folder, its inputs beside it."""
+    """Write the inputs of ``replay.elf`` into a folder, and compile it there."""
     write_build_files(folder, contents, file, "float")
     for name in ("board.c", "board.ld"):
         (folder / name).write_bytes(target_source(name))
@@ -236,13 +236,16 @@ def build_for_cortex_m4(folder: Path, contents: Mapping[str, bytes], file: Param
 
 
 def check_bundle(file: ParameterFile, contents: Mapping[str, bytes] | None) -> Mapping[str, bytes]:
-    """Compare the files of a bundle with those made from this file, and return them."""
+    """Return the bundle of a parameter file.
+
+    Raises ``ParameterFileError`` if the given contents differ from it.
+    """
     expected = bundle(file)
     for name, content in expected.items():
         if contents is not None and contents.get(name) != content:
             raise ParameterFileError(
-                f"bundle/{name} is not what this parameter file and this version make",
-                needed="a bundle nobody edited, of the same parameters and runtime",
+                f"bundle/{name} differs from the bundle of this parameter file and version",
+                needed="an unedited bundle of the same parameters and runtime",
                 remedy="Export again; change params.json's sources, never the bundle.",
             )
     return expected

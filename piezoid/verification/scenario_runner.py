@@ -1,4 +1,4 @@
-"""Run the axes of a parameter file along paths, and collect the results."""
+"""Simulate the axes of a parameter file along paths, and collect the results."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -32,12 +32,12 @@ class AxisRun:
 
 @dataclass(kw_only=True, eq=False)
 class ScenarioRunner:
-    """Parameters and plants by axis, and the results so far.
+    """Parameters and plants by axis, and the accumulated results.
 
     plants               identified, by axis
-    run_count            runs so far; it numbers the noise
+    run_count            number of runs, from which the seed of the noise follows
     outside_voltages     samples of all runs whose voltage was not finite or outside the limits
-    lateral, tunnelling  names of the axes that follow a displacement, and that regulate a current
+    lateral, tunnelling  names of the axes that control a displacement, and a current
     centre_m, radius_m   of the paths
 
     Raises ``ParameterFileError`` for an axis without a plant.
@@ -78,9 +78,9 @@ class ScenarioRunner:
         self.radius_m = min((span.radius_m for span in ranges.values()), default=0.0)
 
     def methods(self) -> tuple[str, ...]:
-        """Return the methods that every lateral axis has; the first one ships."""
-        first, *following = [self.file.axis(name).methods for name in self.lateral]
-        return tuple(m for m in first if all(m in methods for methods in following))
+        """Return the methods that every lateral axis has, the shipped method first."""
+        first, *others = [self.file.axis(name).methods for name in self.lateral]
+        return tuple(m for m in first if all(m in methods for methods in others))
 
     def histories(self) -> list[dict[str, AxisPlant]]:
         """Return all plants by axis with each possible history of the drive."""
@@ -92,7 +92,7 @@ class ScenarioRunner:
         ]
 
     def run(self, runs: Sequence[AxisRun]) -> dict[str, LoopRecord]:
-        """Run axes simultaneously, each with independent noise; returns records by axis."""
+        """Simulate axes, each with independent noise; return their records by axis."""
         numbered = list(enumerate(runs, self.run_count + 1))
         self.run_count += len(runs)
         records = self.executor.map(self._run, numbered)
@@ -109,31 +109,30 @@ class ScenarioRunner:
         plants: Mapping[str, AxisPlant] | None = None,
         fault: Array | None = None,
     ) -> dict[str, LoopRecord]:
-        """Run all lateral axes along a path: the first follows x, the second y, and so on.
+        """Simulate all lateral axes along a path; they follow x and y alternately.
 
-        Args:
-            path: unit path
-            method: of the controller; None: the one that ships
-            plants: by axis; None: the identified ones
-            fault: of the sensors, (samples,)
+        path    of radius 1
+        method  of the controller; None: the shipped method
+        plants  by axis; None: the identified plants
+        fault   (samples,)  of all sensors
         """
         signals, runs = (path.x, path.y), []
         for index, name in enumerate(self.lateral):
             axis, plant = self.file.axis(name), (plants or self.plants)[name]
-            crosstalk = plant.motion_m(len(path.x), signals[(index + 1) % 2])
+            motion_m = plant.motion_m(len(path.x), signals[(index + 1) % 2])
             runs.append(
                 AxisRun(
                     axis=axis if method is None else axis.for_method(method),
                     plant=plant,
                     reference=self.centre_m[name] + self.radius_m * signals[index % 2],
-                    disturbance=crosstalk if plant.motions else None,
+                    disturbance=motion_m if plant.motions else None,
                     fault=fault,
                 )
             )
         return self.run(runs)
 
     def track(self, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]) -> Tracking:
-        """Compare records with the path, about its centre."""
+        """Return the tracking errors of records along a path."""
         return track(
             {name: r.reference - self.centre_m[name] for name, r in records.items()},
             {name: r.position - self.centre_m[name] for name, r in records.items()},

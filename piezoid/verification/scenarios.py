@@ -1,4 +1,4 @@
-"""Scenarios that every verification runs: the tuple SCENARIOS. Add further ones there."""
+"""Scenarios of every verification: paths and faults of the lateral axes, in ``SCENARIOS``."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from piezoid.numerics.arrays import Array, frozen, same_length
 
 _CLV_CAP = 3.0
 _TABLE = 20001
-_ROUNDED = 0.1  # of a raster line, at either end, is turned on a parabola
+_ROUNDED = 0.1  # share of a raster line, at either end, that is a parabola
 
 COMPARED_Hz = (1.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 _TURNS = 5.0
@@ -37,7 +37,7 @@ class Path:
 
 
 def constant_angular_velocity(rate_Hz: float, frequency_Hz: float, turns: float) -> Path:
-    """Return an Archimedean spiral from the middle outwards, `frequency_Hz` turns a second.
+    """Return an Archimedean spiral from the centre, of ``frequency_Hz`` turns per second.
 
     theta = 2 pi f t,   r = theta / (2 pi turns)
     """
@@ -46,19 +46,19 @@ def constant_angular_velocity(rate_Hz: float, frequency_Hz: float, turns: float)
 
 
 def constant_linear_velocity(rate_Hz: float, frequency_Hz: float, turns: float) -> Path:
-    """Return an Archimedean spiral of constant speed, `frequency_Hz` turns a second at its rim.
+    """Return an Archimedean spiral of constant speed, ``frequency_Hz`` turns/s at its rim.
 
         ds/dtheta = p / (2 pi) sqrt(1 + theta^2),   dtheta/dt at most 3 times that at the rim
 
-    The cap keeps the turns near the middle, where the radius is small, from being infinitely fast.
+    The cap limits the angular velocity near the centre.
     """
     end = 2.0 * np.pi * turns
     theta = np.linspace(0.0, end, _TABLE)
-    fastest = 2.0 * np.pi * frequency_Hz * np.sqrt(1.0 + end**2) / np.sqrt(1.0 + theta**2)
-    turning = np.minimum(fastest, 2.0 * np.pi * frequency_Hz * _CLV_CAP)
-    spent_s = np.concatenate([[0.0], np.cumsum(np.diff(theta) * 2 / (turning[1:] + turning[:-1]))])
-    time_s = np.arange(int(spent_s[-1] * rate_Hz) + 1) / rate_Hz
-    return _spiral(np.interp(time_s, spent_s, theta), turns)
+    uncapped = 2.0 * np.pi * frequency_Hz * np.sqrt(1.0 + end**2) / np.sqrt(1.0 + theta**2)
+    rate = np.minimum(uncapped, 2.0 * np.pi * frequency_Hz * _CLV_CAP)
+    elapsed_s = np.concatenate([[0.0], np.cumsum(np.diff(theta) * 2 / (rate[1:] + rate[:-1]))])
+    time_s = np.arange(int(elapsed_s[-1] * rate_Hz) + 1) / rate_Hz
+    return _spiral(np.interp(time_s, elapsed_s, theta), turns)
 
 
 def _spiral(theta: Array, turns: float) -> Path:
@@ -67,9 +67,9 @@ def _spiral(theta: Array, turns: float) -> Path:
 
 
 def raster(rate_Hz: float, frequency_Hz: float, lines: float) -> Path:
-    """Return to-and-fro lines in x, `frequency_Hz` of them a second, while y creeps from -1 to 1.
+    """Return a raster of ``frequency_Hz`` lines to and fro in x per second, with rounded ends.
 
-    It begins in the middle, so its first half second of a line leads in; the ends are rounded.
+    It begins at the centre. In the first quarter y moves to -1, then slowly to 1.
     """
     count = round(lines * rate_Hz / frequency_Hz)
     phase = np.arange(count) * frequency_Hz / rate_Hz
@@ -78,15 +78,15 @@ def raster(rate_Hz: float, frequency_Hz: float, lines: float) -> Path:
     width = 0.5 * _ROUNDED
     corner_distance = np.minimum(folded, 0.5 - folded)
     straight = np.sign(0.25 - folded) * (0.25 - corner_distance)
-    cut = np.maximum(width - corner_distance, 0.0) ** 2 / (2.0 * width)
-    bent = np.sign(0.25 - folded) * (0.25 - corner_distance - cut)
-    x = np.where(corner_distance < width, bent, straight) / (0.25 - 0.5 * width)
+    rounding = np.maximum(width - corner_distance, 0.0) ** 2 / (2.0 * width)
+    parabola = np.sign(0.25 - folded) * (0.25 - corner_distance - rounding)
+    x = np.where(corner_distance < width, parabola, straight) / (0.25 - 0.5 * width)
     y = np.linspace(0.0, 1.0, count)
     return Path(x=x, y=np.where(y < 0.25, -4.0 * y, (8.0 * y - 5.0) / 3.0))
 
 
 def steps(rate_Hz: float, hold_s: float) -> Path:
-    """Return steps of x up and down, held; y does the same half a hold later."""
+    """Return steps of x up and down, each held; y has the same steps half a hold later."""
     levels = np.array([0.0, 0.5, 0.0, -0.5, 0.0, 0.9, -0.9, 0.0])
     hold = round(hold_s * rate_Hz)
     x = np.repeat(levels, hold)
@@ -95,14 +95,14 @@ def steps(rate_Hz: float, hold_s: float) -> Path:
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """One motion of the stage and how it is judged.
+    """One motion of the stage, and the conditions of its simulation.
 
-    name          as in tables
+    name          in tables
     kind          ``spiral``, ``raster`` or ``steps``
     frequency_Hz  of turns or lines
-    path          makes the path at a sampling rate
+    path          function from a sampling rate to the path
     is_compared   run with every method of the file, for the table
-    is_varied     run with the plants that the uncertainty allows, not with the identified one
+    is_varied     run with the plants that the uncertainty allows, not with the identified plant
     fault         reading of the sensor from the middle on: NaN, or 1 for the last reading; None:
                   no fault
     fault_s       duration of the fault; infinite: permanent
@@ -122,8 +122,8 @@ class Scenario:
         if self.fault is None:
             return None
         fault = np.zeros(samples)
-        lasts = samples if np.isinf(self.fault_s) else round(self.fault_s * rate_Hz)
-        fault[samples // 2 : samples // 2 + lasts] = self.fault
+        duration = samples if np.isinf(self.fault_s) else round(self.fault_s * rate_Hz)
+        fault[samples // 2 : samples // 2 + duration] = self.fault
         return fault
 
 

@@ -1,11 +1,11 @@
 """Faults of a tunnelling tip: the tuple TIP_TRIALS, run on the junction above a surface.
 
-The tip's extension z and the surface's height h are followed beside the current, so that a tip in
-the surface is seen even where the amplifier is full. A tip is
+The simulation records the tip's extension z and the surface's height h as well as the current, so
+that a tip in the surface is detected even when the amplifier saturates. A tip is
 
     c = z - z_0 + h - max(h_jump, 0)
 
-closer to the surface than its set point held it and the fault itself put it.
+closer to the surface than at its set point, without the step of the surface.
 """
 
 import math
@@ -28,14 +28,14 @@ from piezoid.verification.verification import CurrentRow
 _WAVES = 40
 
 _ROUGHNESS_m = 0.1e-9
-_WAVELENGTH = 0.5  # shortest of the surface, as a part of the radius
+_WAVELENGTH = 0.5  # shortest of the surface, as a share of the radius
 _DEFAULT_RADIUS_m = 1e-6  # of the path of a tip without lateral axes
 
-_EVENT_s = 0.1  # when the trial begins; before, the loop settles
-_SEEN_s = 1e-4  # from a step of the surface to the fault of the sensor: two samples see the step
-_SATURATION = 1.1  # of the ceiling: where the amplifier saturates, unless the converter does first
+_EVENT_s = 0.1  # start of the event, after the loop has settled
+_FAULT_DELAY_s = 1e-4  # from a step of the surface to the fault of the sensor: two samples
+_SATURATION = 1.1  # times the ceiling: saturation of the amplifier, unless the converter is first
 _OFFSET_A = 3e-12  # of a good transimpedance amplifier
-_LATCHED_AFTER_s = 1.0  # a permanent fault has latched by then
+_LATCHED_AFTER_s = 1.0  # time by which a permanent fault has latched
 _MAX_APPROACH = 0.9  # of the drive's range
 
 
@@ -45,7 +45,7 @@ class RoughSurface:
 
     rms_m       roughness, > 0
     shortest_m  wavelength, > 0; the longest is ten times that
-    seed        which surface
+    seed        of the random waves
     """
 
     rms_m: float
@@ -66,7 +66,7 @@ class RoughSurface:
 def judge_tips(
     runner: ScenarioRunner, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
 ) -> None:
-    """Judge every tip while the stage moves it over a rough surface."""
+    """Add current figures and verdicts of every tip while the stage moves over a rough surface."""
     for name, record in run_tips(runner, path, records, runner.plants).items():
         junction = _junction(runner.plants[name])
         deviation, retracted = criteria.current_verdicts(scenario.name, record, runner.limits)
@@ -89,7 +89,7 @@ def run_tips(
     records: Mapping[str, LoopRecord],
     plants: Mapping[str, AxisPlant],
 ) -> dict[str, LoopRecord]:
-    """Run every tip above a rough surface, along the positions of the lateral axes."""
+    """Simulate every tip above a rough surface, along the positions of the lateral axes."""
     radius_m = runner.radius_m or _DEFAULT_RADIUS_m
     positions_m = [r.position - runner.centre_m[name] for name, r in records.items()]
     ideal_m = [radius_m * path.x, radius_m * path.y]
@@ -111,16 +111,16 @@ def run_tips(
 
 @dataclass(frozen=True, kw_only=True)
 class TipTrial:
-    """One event at a tip at its set point, or during its approach.
+    """One event for a tip at its set point, or during its approach.
 
-    name       as in tables
-    steps_m    sudden steps of the surface, one run for each; > 0 towards the tip
-    fault      what the sensor shows from then on: a ``Fault``, or NaN
+    name       in tables
+    steps_m    steps of the surface, one run for each; > 0 towards the tip
+    fault      of the sensor from the event on: a ``Fault``, or NaN
     fault_s    duration of the fault; infinite: permanent
-    drift_m_per_s   of the surface, all the time
-    away_m     initial distance from the surface, beyond that of the set point
+    drift_m_per_s   of the surface, during the whole run
+    away_m     initial distance from the surface, in addition to that of the set point
     gain       of the junction, relative to the identified gain
-    cause      status with which the tip must latch; None: the tip recovers by itself
+    cause      status with which the tip must latch; None: the tip must recover by itself
     """
 
     name: str
@@ -134,7 +134,7 @@ class TipTrial:
 
 
 _SIZES_m = (1e-10, 3e-10, 1e-9, 2e-9)
-_A_LITTLE_m = (-3e-11, 3e-11)  # a sensor that stops in mid-motion: the loop has an error to act on
+_SMALL_STEPS_m = (-3e-11, 3e-11)  # before a frozen reading, which then has an error to control
 
 TIP_TRIALS: tuple[TipTrial, ...] = (
     TipTrial(name="surface steps up", steps_m=_SIZES_m),
@@ -143,14 +143,14 @@ TIP_TRIALS: tuple[TipTrial, ...] = (
     TipTrial(name="reading NaN for 1.25 ms", fault=math.nan, fault_s=1.25e-3),
     TipTrial(name="reading NaN for 20 ms", fault=math.nan, fault_s=0.02),
     TipTrial(
-        name="reading frozen for 20 ms", steps_m=_A_LITTLE_m, fault=Fault.FROZEN, fault_s=0.02
+        name="reading frozen for 20 ms", steps_m=_SMALL_STEPS_m, fault=Fault.FROZEN, fault_s=0.02
     ),
     TipTrial(name="amplifier full for 20 ms", fault=Fault.FULL, fault_s=0.02),
     *(
         TipTrial(name=name, steps_m=steps_m, fault=fault, fault_s=math.inf, cause=cause)
         for name, steps_m, fault, cause in (
             ("reading NaN for good", (0.0,), math.nan, Status.BAD_MEASUREMENT),
-            ("reading frozen for good", _A_LITTLE_m, Fault.FROZEN, Status.STUCK_SENSOR),
+            ("reading frozen for good", _SMALL_STEPS_m, Fault.FROZEN, Status.STUCK_SENSOR),
             ("amplifier dead", (0.0,), Fault.DEAD, Status.NO_CURRENT),
             ("amplifier full for good", (0.0,), Fault.FULL, Status.MEASUREMENT_LIMITED),
             ("bias reversed", (0.0,), Fault.REVERSED, Status.WRONG_SIGN),
@@ -164,7 +164,7 @@ TIP_TRIALS: tuple[TipTrial, ...] = (
 
 
 def judge_trials(runner: ScenarioRunner, trials: Sequence[TipTrial]) -> None:
-    """Run every trial on every tip, and judge the worst of its runs."""
+    """Run every trial on every tip, and add the verdicts on the worst of its runs."""
     for name in runner.tunnelling:
         for trial in trials:
             verdicts = [
@@ -191,9 +191,9 @@ def _trial_verdicts(
     duration_s = recovers_from_s + (1.5 * _LATCHED_AFTER_s if trial.cause else 1.1 * allowed_s)
     samples = round(duration_s * rate_Hz)
     fault = np.zeros(samples)
-    start = round((_EVENT_s + (_SEEN_s if any(trial.steps_m) else 0.0)) * rate_Hz)
-    lasts = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
-    fault[start : start + lasts] = trial.fault
+    start = round((_EVENT_s + (_FAULT_DELAY_s if any(trial.steps_m) else 0.0)) * rate_Hz)
+    duration = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
+    fault[start : start + duration] = trial.fault
     height_m = _height(axis, junction, trial, step_m, np.arange(samples) / rate_Hz)
     run = AxisRun(
         axis=axis,
@@ -209,8 +209,8 @@ def _trial_verdicts(
     distance = "closer to the surface than the set point"
     verdicts = [verdict(distance, trial.name, max(closer_m, 0.0), limits.closest_m, "m")]
     if cause:
-        at_s = duration_s if reset_s is None else reset_s
-        final_status = record.status[round((at_s - 0.1) * rate_Hz) : round(at_s * rate_Hz) - 1]
+        end_s = duration_s if reset_s is None else reset_s
+        final_status = record.status[round((end_s - 0.1) * rate_Hz) : round(end_s * rate_Hz) - 1]
         expected = np.uint32(Status.LATCHED | Status.RETRACTED | cause)
         silent = int(np.sum((final_status & expected) != expected))
         verdicts.append(none_of("faults not latched with their cause", trial.name, silent))
@@ -223,25 +223,27 @@ def _trial_verdicts(
 
 
 def _plant(plant: AxisPlant, axis: AxisParameters, trial: TipTrial) -> AxisPlant:
-    """Return the junction with an amplifier that saturates and has an offset."""
+    """Return the plant of a trial, with an amplifier that saturates and has an offset."""
     junction = _junction(plant)
     saturation_A = _SATURATION * float(axis.values["current_ceiling_A"])
     low_A, high_A = plant.reading_range
     low_A, high_A = max(low_A, -saturation_A), min(high_A, saturation_A)
-    far_V = float(axis.values["voltage_minimum_V"])
+    retracted_V = float(axis.values["voltage_minimum_V"])
     return replace(
         plant,
         response=replace(
-            junction, gain_nepers_per_V=trial.gain * junction.gain_nepers_per_V, most_A=high_A
+            junction,
+            gain_nepers_per_V=trial.gain * junction.gain_nepers_per_V,
+            saturation_A=high_A,
         ),
         reading_range=(low_A, high_A),
         reading_zero=_OFFSET_A,
-        rest_voltage_V=far_V if trial.away_m else plant.rest_voltage_V,
+        rest_voltage_V=retracted_V if trial.away_m else plant.rest_voltage_V,
     )
 
 
 def _lost_surface(axis: AxisParameters, junction: Junction, step_m: float) -> Status | None:
-    """Return the status after a step of the surface that exceeds the search range."""
+    """Return the status after a step beyond the search range, or None if the step is smaller."""
     search_V = float(axis.values["search_voltage_V"])
     contact_m = float(axis.values["contact_log"]) / junction.decay_per_m
     search_m = search_V * junction.gain_nepers_per_V / junction.decay_per_m

@@ -1,4 +1,4 @@
-"""Tracking error of a run: rms, largest error, and the shape error after the best delay."""
+"""Tracking errors of a run: rms, largest error, and shape error after the best common delay."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,23 +9,23 @@ from piezoid.numerics.arrays import Array
 from piezoid.verification.scenarios import Path
 
 _LONGEST_DELAY_s = 5e-3
-_QUARTER = 0.25  # of a turn: beyond it another delay would fit as well
+_QUARTER = 0.25  # of a turn, beyond which the best delay is not unique
 _ITERATIONS = 12
 _ANGLES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tracking:
-    """Errors along a path; they are distances in the plane.
+    """Errors along a path, as distances in the plane.
 
     rms_m          sqrt(mean(e_x^2 + e_y^2))
     rms_percent    of the path's diameter
-    max_m          the largest
+    max_m          largest distance
     aligned_rms_m  shape error, rms: distance from the path after the best common delay
-    delay_s        that delay, positive where the stage is late
-    radial_rms_m   of |position| - |reference|, about the middle of the path
-    pitch_error    standard deviation of the distance between neighbouring turns, relative to the
-                   pitch; None where there are no turns, or only one axis
+    delay_s        best common delay, positive if the stage lags
+    radial_rms_m   of |position| - |reference|, about the centre of the path
+    pitch_error    standard deviation of the distance between adjacent turns, relative to the
+                   pitch; None for a path without turns, and for a single axis
     """
 
     rms_m: float
@@ -46,7 +46,10 @@ def track(
     frequency_Hz: float,
     sampling_rate_Hz: float,
 ) -> Tracking:
-    """Compare positions with references, (samples,) by axis, both about the path's middle."""
+    """Return the tracking errors of positions, (samples,) by axis, relative to the path's centre.
+
+    radius_m  of the path; references and positions are relative to its centre as well
+    """
     references = np.stack([reference[axis] for axis in reference])
     positions = np.stack([position[axis] for axis in reference])
     error = np.sqrt(np.sum((positions - references) ** 2, axis=0))
@@ -73,37 +76,37 @@ def align(
         minimise over tau  sum_axes sum_k |y(t_k) - r(t_k - tau)|^2     by Gauss-Newton from 0
 
     reference, position  (axes, samples)  four samples or more
-    longest_s            bound of the delay; both ends of the record are left out by as much, down
-                         to two samples
+    longest_s            bound of the delay; the record is shortened by it at both ends, to at
+                         least two samples
     """
     from scipy.interpolate import CubicSpline
 
     samples = reference.shape[1]
     longest = min(longest_s * sampling_rate_Hz, (samples - 2) // 2)
-    out = int(np.ceil(longest))
-    inner = position[:, out : samples - out]
+    margin = int(np.ceil(longest))
+    inner = position[:, margin : samples - margin]
     # (power, axes, samples - 1): powers of the share of an interval, the highest first
     spline = CubicSpline(np.arange(samples), reference, axis=1)
     pieces = np.ascontiguousarray(np.swapaxes(spline.c, 1, 2))
     delay = 0.0  # in samples
     for _ in range(_ITERATIONS):
-        delayed, rate = _earlier(pieces, out, inner.shape[1], delay)
-        power = float(np.sum(rate**2))
+        delayed, slope = _evaluate_delayed(pieces, margin, inner.shape[1], delay)
+        power = float(np.sum(slope**2))
         if power == 0.0:
             break
-        change = float(np.sum((inner - delayed) * rate)) / power
+        change = float(np.sum((inner - delayed) * slope)) / power
         previous, delay = delay, float(np.clip(delay - change, -longest, longest))
         if delay == previous:
             break
-    delayed, _ = _earlier(pieces, out, inner.shape[1], delay)
+    delayed, _ = _evaluate_delayed(pieces, margin, inner.shape[1], delay)
     rms = float(np.sqrt(np.sum((inner - delayed) ** 2) / inner.shape[1]))
     return rms, delay / sampling_rate_Hz
 
 
-def _earlier(pieces: Array, first: int, count: int, delay: float) -> tuple[Array, Array]:
-    """Return signal and slope a delay before so many samples, (axes, count), slope per sample.
+def _evaluate_delayed(pieces: Array, first: int, count: int, delay: float) -> tuple[Array, Array]:
+    """Return a spline and its slope per sample, (axes, count), a delay before consecutive samples.
 
-    Every sample lies at the same share of its interval, so that no interval is searched for.
+    All samples lie at the same share of their intervals, so that no interval is searched for.
     """
     samples = int(np.ceil(delay))
     begin = min(max(first - samples, 0), pieces.shape[2] - count)
@@ -115,10 +118,9 @@ def _earlier(pieces: Array, first: int, count: int, delay: float) -> tuple[Array
 def shape_error(
     reference: Array, position: Array, sampling_rate_Hz: float, delay_s: float
 ) -> Array:
-    """Return the shape error, the distance from the path after a common delay, sample by sample.
+    """Return the distance from the path after a common delay, (samples,).
 
-    reference, position  (axes, samples)
-    returned             (samples,); outside the record the path stands still
+    reference, position  (axes, samples); the path is constant before and after the record
     """
     from scipy.interpolate import CubicSpline
 
@@ -128,7 +130,7 @@ def shape_error(
 
 
 def _pitch_error(position: Array, path: Path, radius_m: float) -> float | None:
-    """Return the standard deviation of the distance between neighbouring turns, over the pitch."""
+    """Return the standard deviation of the distance between adjacent turns, over the pitch."""
     angle = np.maximum.accumulate(np.unwrap(np.arctan2(position[1], position[0])))
     r = np.hypot(position[0], position[1])
     turns = int((angle[-1] - angle[0]) / (2.0 * np.pi)) - 1
@@ -137,6 +139,6 @@ def _pitch_error(position: Array, path: Path, radius_m: float) -> float | None:
     spacings = []
     for k in range(_ANGLES):
         first = angle[0] + 2.0 * np.pi * (1.0 + k / _ANGLES)  # the first turn has no direction
-        at = first + 2.0 * np.pi * np.arange(turns)
-        spacings.append(np.diff(np.interp(at[at <= angle[-1]], angle, r)))
+        turn = first + 2.0 * np.pi * np.arange(turns)
+        spacings.append(np.diff(np.interp(turn[turn <= angle[-1]], angle, r)))
     return float(np.std(np.concatenate(spacings)) / (radius_m / path.turns))

@@ -21,7 +21,7 @@ from piezoid.verification.plotted_paths import Motion, SpiralTrace
 from piezoid.verification.rebuild import Proof
 
 SCHEMA = "piezoid.verification/1"
-_LARGEST_m, _SMALLEST_m = 1e3, 1e-15  # no stage moves further, and no picture shows less
+_LARGEST_m, _SMALLEST_m = 1e3, 1e-15  # of distances that a stage has and a picture can show
 _SLOWEST_Hz, _FASTEST_Hz = 1e-9, 1e9
 
 
@@ -43,13 +43,13 @@ class ErrorBound:
     """Figures of the largest error of one axis at one speed; see ``verification.bounds``.
 
     slew_m_per_s   of the fastest reference, or of the surface under a tip
-    bound_m        of the certificate, of a tip of its linear loop, each with three standard
-                   deviations of noise; None: there is none within the range
-    probable_m     that half a second's largest error stays below with this probability, on stages
-                   like those that recordings allow
-    worst_found_m  by a search over references, pasts and stages
+    bound_m        of the certificate, for a tip of its linear loop, each with three standard
+                   deviations of noise; None: no bound within the range
+    probable_m     bound of the largest error in half a second with this probability, on stages
+                   that the recordings allow
+    worst_found_m  by a search over references, histories and stages
     simulated_m    on the identified stage, median of the same references
-    runs           from which probable_m was taken
+    runs           number of runs from which probable_m follows
     """
 
     axis: str
@@ -63,17 +63,17 @@ class ErrorBound:
 
     @property
     def is_exceeded(self) -> bool:
-        """Whether a drawn stage exceeds the bound, so that its conditions do not hold.
+        """Whether the error on a drawn stage exceeds the bound, whose conditions it violates.
 
-        A certificate takes what no model of the class explains for no more than it left of rows
-        left out; stages are drawn that are farther from the class.
+        A certificate bounds the discrepancy of the model class by the held-out residual; some
+        drawn stages have a larger discrepancy.
         """
         return self.bound_m is not None and self.worst_found_m > self.bound_m
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpiralRow:
-    """Errors across the turns of a spiral, by method and frequency."""
+    """Radial and pitch errors of one method on a spiral of one frequency; see ``Tracking``."""
 
     method: str
     frequency_Hz: float
@@ -83,12 +83,12 @@ class SpiralRow:
 
 @dataclass(frozen=True, kw_only=True)
 class CurrentRow:
-    """The tunnelling loop during a scenario of the exported controller.
+    """Figures of the tunnelling loop in a scenario.
 
-    ln_current_std     of ln i
-    height_rms_m       the same as a distance
+    ln_current_std     standard deviation of ln i
+    height_rms_m       the equivalent distance
     largest_ratio      of the current to its set point
-    retracted_samples  with the tip retracted
+    retracted_samples  number of samples with the tip retracted
     """
 
     scenario: str
@@ -100,13 +100,13 @@ class CurrentRow:
 
 @dataclass(frozen=True, kw_only=True)
 class CouplingRow:
-    """Motion of one axis while another one moves to and fro, both in closed loop.
+    """Motion of one axis in response to the reference of another, both in closed loop.
 
     moved           axis whose reference moves, in the displacements of the sensors
-    answers         the other one
+    answers         axis that responds
     frequency_Hz    of the motion
-    percent         amplitude of the other, of that of the motion
-    without_percent  the same without the matrix in front; None: the loops do not settle
+    percent         amplitude of the response, of that of the motion
+    without_percent  the same without the decoupling matrix; None: the loops diverge
     """
 
     moved: str
@@ -121,20 +121,20 @@ class Verification(Summarised):
     """Simulation of the compiled controllers on the identified stage, with a verdict per limit.
 
     name             of the stage
-    methods          what ships, by axis
-    radius_m         of every path; percents are of twice that; 0 without a lateral axis
+    methods          shipped, by axis
+    radius_m         of every path; percentages are of the diameter; 0 without a lateral axis
     comparison       by frequency and method
-    spirals, currents   further numbers
-    traces           a few spirals place by place, for pictures
-    motions          rasters and steps in time, likewise; not in the file if empty
-    coupling         what coupled axes do to each other in closed loop; not in the file if empty
+    spirals, currents   additional figures of spirals, and of tunnelling loops
+    traces           of a few spirals, for plots
+    motions          traces of rasters and steps, for plots; not in the file if empty
+    coupling         between coupled axes in closed loop; not in the file if empty
     bounds           of the largest errors, on request; not in the file if empty
-    verdicts         all of them
-    proofs           builds that gave the same bits; empty if none was asked for
-    limit_proofs     what abstract interpretation says of every input; not in the file if empty
-    plants           label and axis of every plant that was run
+    verdicts         of all scenarios
+    proofs           comparisons of builds, on request
+    limit_proofs     by abstract interpretation, for every input; not in the file if empty
+    plants           label and axis of every simulated plant
     parameters_digest, runtime_digest   of params.json, and of the runtime's source
-    lab_digest       of the lab.toml whose converters and limits were taken; empty without one
+    lab_digest       of lab.toml, for converters and limits; empty without one
     """
 
     name: str
@@ -157,9 +157,9 @@ class Verification(Summarised):
 
     @property
     def passed(self) -> bool:
-        """Whether every verdict passed, every build gave the same bits and every proof holds.
+        """Whether all verdicts, comparisons of builds and proofs passed.
 
-        A proof for which this machine has no compiler, emulator or analyser is no failure.
+        A proof for which no compiler, emulator or analyser is installed is no failure.
         """
         proofs = (*(p.passed for p in self.proofs), *(p.passed for p in self.limit_proofs))
         return all(v.passed for v in self.verdicts) and all(proofs)
@@ -207,9 +207,9 @@ class Verification(Summarised):
 
 
 def _fields(verification: Verification) -> dict[str, Any]:
-    """Return the entries of the file; what came later only where there is any."""
-    later = ("limit_proofs", "motions", "coupling", "bounds")
-    return {k: v for k, v in fields_of(verification).items() if v or k not in later}
+    """Return the entries of the file, without optional entries that are empty."""
+    optional = ("limit_proofs", "motions", "coupling", "bounds")
+    return {k: v for k, v in fields_of(verification).items() if v or k not in optional}
 
 
 LAYOUTS = (
@@ -233,7 +233,7 @@ def verification_from_json(content: bytes, source: str = "verification.json") ->
         methods += [row.method for row in verification.spirals]
         methods += [row.method for row in verification.traces]
         for method in (*verification.methods.values(), *methods):
-            METHODS.index(method)  # the report has a word for each of these and no other
+            METHODS.index(method)  # raises ValueError for a method that the report cannot name
         spirals = {(row.method, row.frequency_Hz) for row in verification.spirals}
         for row in verification.comparison:
             if (row.method, row.frequency_Hz) not in spirals:
@@ -243,7 +243,7 @@ def verification_from_json(content: bytes, source: str = "verification.json") ->
 
 
 def _check_pictures(verification: Verification) -> None:
-    """Raise ``ValueError`` for numbers that no stage has and no picture can show."""
+    """Raise ``ValueError`` for numbers that no stage has and no plot can show."""
     frequencies_Hz = [row.frequency_Hz for row in verification.comparison]
     for frequency_Hz in (*frequencies_Hz, *(trace.frequency_Hz for trace in verification.traces)):
         if not _SLOWEST_Hz <= frequency_Hz <= _FASTEST_Hz:
@@ -251,11 +251,11 @@ def _check_pictures(verification: Verification) -> None:
     sizes_m = [abs(row.aligned_rms_m) for row in verification.comparison]
     for trace in verification.traces:
         if not len(trace.x_m) == len(trace.y_m) == len(trace.shape_error_m) > 0:
-            raise ValueError(f"{len(trace.x_m)} places of a spiral and other numbers of the rest")
+            raise ValueError(f"x_m of a spiral has {len(trace.x_m)} points, other arrays differ")
         sizes_m += map(abs, (*trace.x_m, *trace.y_m, *trace.shape_error_m))
     for motion in verification.motions:
         if motion.axis not in verification.methods:
-            raise ValueError(f"axis {motion.axis} moved and does not ship")
+            raise ValueError(f"a motion is of axis {motion.axis}, which does not ship")
         sizes_m += map(abs, _positions_m(motion))
     if verification.traces and not verification.radius_m >= _SMALLEST_m:
         raise ValueError(f"radius_m is {verification.radius_m}")
@@ -263,14 +263,14 @@ def _check_pictures(verification: Verification) -> None:
     if largest_m > _LARGEST_m:
         raise ValueError(f"a path reaches {largest_m} m")
     if max((abs(verdict.limit) for verdict in verification.verdicts), default=0.0) > _FASTEST_Hz:
-        raise ValueError("a limit is larger than anything that is judged")
+        raise ValueError(f"a limit is larger than {_FASTEST_Hz:g}")
 
 
 def _positions_m(motion: Motion) -> tuple[float, ...]:
-    """Return all positions of a motion; ``ValueError`` if they are not of one run."""
+    """Return all positions of a motion; raise ``ValueError`` if their numbers differ."""
     count, n_uncompensated = len(motion.reference_m), len(motion.uncompensated_m)
     if not 1.0 / _FASTEST_Hz <= motion.duration_s <= 1.0 / _SLOWEST_Hz:
         raise ValueError(f"duration_s is {motion.duration_s}")
     if not (len(motion.shipped_m) == count > 1 and n_uncompensated in (0, count)):
-        raise ValueError(f"{count} places of a reference and other numbers of the rest")
+        raise ValueError(f"reference_m has {count} points, other arrays differ")
     return (*motion.reference_m, *motion.shipped_m, *motion.uncompensated_m)

@@ -1,4 +1,4 @@
-"""Verify a parameter file: run every scenario on the plants, and judge the results."""
+"""Verify a parameter file: simulate every scenario, and compare the results with their limits."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -57,21 +57,21 @@ def verify(
     lab_digest: str = "",
     coupled: CoupledStage | None = None,
 ) -> Verification:
-    """Run the exported controllers on plants, scenario by scenario, and judge the results.
+    """Simulate the exported controllers in every scenario, and compare figures with limits.
 
     Args:
-        file: exported parameters; alternatives it carries are compared
+        file: exported parameters; its alternative methods are compared
         plants: one for every axis of the file
-        variations: further sets of plants, one of each axis, which the uncertainty allows
+        variations: sets of plants, one for every axis, which the uncertainty allows
         limits: by default those of ``Limits``
-        scenarios: what lateral axes, and tips above a surface, are made to do
-        trials: what happens to every tip
-        proofs: builds that were compared, for the record
-        limit_proofs: proofs over every input, for the record
-        seed: of every noise
-        threads: axes of a path that run at once; the result does not depend on it
+        scenarios: of lateral axes, and of tips above a surface
+        trials: events for every tip
+        proofs: comparisons of builds, for the record
+        limit_proofs: proofs for every input, for the record
+        seed: of the noise
+        threads: axes of a path that run in parallel; the result does not depend on it
         lab_digest: of the lab.toml that declared plants and limits, for the record
-        coupled: coupling of the axes beyond what their plants contain; None: none
+        coupled: coupling between the axes, which their plants do not contain; None: none
 
     Raises:
         ParameterFileError: an axis has no plant
@@ -126,14 +126,16 @@ def verify(
 
 
 def _judge_scenario(runner: ScenarioRunner, scenario: Scenario, path: Path) -> Records:
-    """Judge what ships, and every method where they are compared; return the runs of what ships.
+    """Simulate one scenario, add its figures and verdicts, and return the shipped method's
+    records.
 
-    Methods are compared from every history of the drive, by the worst of them.
+    In a compared scenario, every method runs from every history of the drive, and the figures are
+    those of the worst history.
     """
     if not scenario.is_compared or not runner.lateral:
         records = runner.run_path(path)
         if records:
-            _judge(runner, scenario, records, runner.track(scenario, path, records))
+            _judge_records(runner, scenario, records, runner.track(scenario, path, records))
         return records
     methods = runner.methods()
     shipped = methods[0]
@@ -143,7 +145,7 @@ def _judge_scenario(runner: ScenarioRunner, scenario: Scenario, path: Path) -> R
         tracked = [(runner.track(scenario, path, records), records) for records in runs]
         tracking, records = worst[method] = max(tracked, key=lambda run: run[0].rms_m)
         if method == shipped:
-            _judge(runner, scenario, records, tracking)
+            _judge_records(runner, scenario, records, tracking)
         if scenario.frequency_Hz in SPIRALS_Hz and method in (shipped, UNCOMPENSATED):
             trace = spiral_trace(
                 method,
@@ -156,10 +158,10 @@ def _judge_scenario(runner: ScenarioRunner, scenario: Scenario, path: Path) -> R
             )
             runner.traces.append(trace)
         figures = {"method": method, "frequency_Hz": scenario.frequency_Hz, **asdict(tracking)}
-        across = {name: figures.pop(name) for name in ("radial_rms_m", "pitch_error")}
+        spiral = {name: figures.pop(name) for name in ("radial_rms_m", "pitch_error")}
         runner.comparison.append(ComparisonRow(**figures))
         runner.spirals.append(
-            SpiralRow(method=method, frequency_Hz=scenario.frequency_Hz, **across)
+            SpiralRow(method=method, frequency_Hz=scenario.frequency_Hz, **spiral)
         )
     if UNCOMPENSATED in methods[1:]:
         errors_m = [worst[method][0].aligned_rms_m for method in (shipped, UNCOMPENSATED)]
@@ -168,11 +170,12 @@ def _judge_scenario(runner: ScenarioRunner, scenario: Scenario, path: Path) -> R
     return worst[shipped][1]
 
 
-def _judge(
+def _judge_records(
     runner: ScenarioRunner, scenario: Scenario, records: Records, tracking: Tracking
 ) -> None:
+    """Add the verdicts on the shipped method's records of one scenario."""
     limits = runner.limits
-    if scenario.kind == "steps":  # which may use the whole range of the drive
+    if scenario.kind == "steps":  # may use the whole range of the drive
         for record in records.values():
             runner.verdicts.extend(criteria.step_verdicts(scenario.name, record, limits))
         return
@@ -194,7 +197,7 @@ def _judge_variations(
     path: Path,
     variations: Sequence[Sequence[AxisPlant]],
 ) -> None:
-    """Judge the worst of the plants that the uncertainty allows."""
+    """Add the verdicts on the worst of the plants that the uncertainty allows."""
     name, limits, verdicts = scenario.name, runner.limits, list[Verdict]()
     for varied in variations:
         plants = {**runner.plants, **{plant.axis: plant for plant in varied}}
@@ -210,7 +213,7 @@ def _judge_variations(
 
 
 def _judge_fault(runner: ScenarioRunner, scenario: Scenario, path: Path, reading: float) -> None:
-    """Judge the lateral axes while their sensors fail, for a time or for good."""
+    """Add the verdicts on the lateral axes during a fault of all their sensors."""
     if not runner.lateral:
         return
     name, limits = scenario.name, runner.limits
@@ -235,14 +238,14 @@ def _judge_fault(runner: ScenarioRunner, scenario: Scenario, path: Path, reading
         criteria.fault_verdicts(name, error_m, healthy, runner.radius_m, limits)
     )
     flag = np.uint32(Status.BAD_MEASUREMENT if np.isnan(reading) else Status.STUCK_SENSOR)
-    silent = sum(not np.any(record.status & flag) for record in with_feedback)
-    runner.verdicts.append(none_of("faults not reported by the status", name, silent))
+    unreported = sum(not np.any(record.status & flag) for record in with_feedback)
+    runner.verdicts.append(none_of("faults not reported by the status", name, unreported))
 
 
 def _motions(
     runner: ScenarioRunner, plotted: Sequence[tuple[Scenario, Records]]
 ) -> tuple[Motion, ...]:
-    """Return the motions that are plotted; the static gain is simulated for comparison only."""
+    """Return the traces of plotted scenarios, with those of a static gain for comparison."""
     motions = []
     for scenario, shipped in plotted:
         baseline: Records = {}

@@ -32,20 +32,21 @@ from piezoid.verification.rebuild import Proof
 from piezoid.verification.verification import Verification
 from piezoid.verification.verify import verify
 
-_ATTEMPTS = 20  # draws for each plant wanted: those without an inverse are not kept
+_ATTEMPTS = 20  # draws per plant, of which those without an inverse are dropped
 
-DRAWS = 6
-_MOST_NAMED = 3  # failed verdicts of an axis that its reason names
+_DRAWS = 6
+_MAX_FAILURES = 3  # failed verdicts of an axis that its reason names
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shipping:
-    """Axes of a parameter file that ship, and those that are refused.
+    """Axes of a parameter file that ship, and axes that are refused.
 
-    verification  of the axes that ship; of the refused ones where none does
-    parameters    of the axes that ship; None: none does
-    refused       parameters of the other axes, for study; None: all ship
-    reasons       by axis, why it is refused
+    verification  of the axes that ship; of all axes if none ships
+    parameters    of the axes that ship; None: no axis ships
+    refused       parameters of the refused axes, for study; None: all ship
+    refused_verification   of the whole file; None: all ship
+    reasons       for the refusal, by axis
     """
 
     verification: Verification
@@ -58,10 +59,10 @@ class Shipping:
 def release(
     file: ParameterFile, model: ActuatorModel, *, lab: Lab | None = None, threads: int = 1
 ) -> Shipping:
-    """Run a parameter file against the identified stage, and release the axes that pass.
+    """Verify a parameter file against the identified stage, and release the axes that pass.
 
-    If the file fails, every axis is run by itself: those that fail are refused, and the remaining
-    ones must pass together.
+    If the file fails, every axis is verified alone. Axes that fail are refused, and the remaining
+    axes must pass together.
     """
     verification = verify_stage(file, model, lab=lab, threads=threads)
     if verification.passed:
@@ -96,8 +97,8 @@ def release(
 
 def _reason(verification: Verification) -> str:
     failed = [describe_failure(verdict) for verdict in verification.verdicts if not verdict.passed]
-    described = "; ".join(failed[:_MOST_NAMED])
-    omitted = f"; and {len(failed) - _MOST_NAMED} more" if len(failed) > _MOST_NAMED else ""
+    described = "; ".join(failed[:_MAX_FAILURES])
+    omitted = f"; and {len(failed) - _MAX_FAILURES} more" if len(failed) > _MAX_FAILURES else ""
     if not failed:
         return "it passes alone, and not together with the other axes"
     return (
@@ -123,15 +124,15 @@ def verify_stage(
 ) -> Verification:
     """Verify a parameter file against the identified stage.
 
-    lab      whose converters round the readings, and which barriers occur; without it readings
-             are not rounded
+    lab      converters, which round the readings, and range of barriers; without it readings are
+             not rounded
     limits   by default those of ``[verification]`` in lab.toml, else those of ``Limits``
-    threads  so many axes of a path run at once; what is found does not depend on it
-    design   that the file was exported from; needed for bounds
-    bounds   bound the largest errors as well
+    threads  axes of a path that run in parallel; the result does not depend on it
+    design   from which the file was exported; needed for bounds
+    bounds   whether the largest errors are bounded as well
 
-    Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it, and
-    where lab.toml declares other guards or another rig than those that ship.
+    Raises ``ParameterFileError`` for a tunnelling axis without a plant in the model, and if
+    lab.toml declares other guards or another rig than those of the file.
     """
     declared = lab or Lab()
     plants, variations = stage_plants(file, model, declared, seed=seed)
@@ -140,8 +141,8 @@ def verify_stage(
         raise ParameterFileError(
             f"{declared.place} declares another rig or other guards than params.json was exported "
             "with",
-            needed="what ships and what is verified declared by the same numbers; only "
-            "[verification] and [uncertainty] may differ",
+            needed="the declarations of the export; only [verification] and [uncertainty] may "
+            "differ",
             remedy="Run `piezoid export` again, then verify.",
         )
     stated_in = f"[verification] of {declared.place}"
@@ -166,13 +167,13 @@ def verify_stage(
 
 
 def stage_plants(
-    file: ParameterFile, model: ActuatorModel, lab: Lab, *, draws: int = DRAWS, seed: int = 0
+    file: ParameterFile, model: ActuatorModel, lab: Lab, *, draws: int = _DRAWS, seed: int = 0
 ) -> tuple[list[AxisPlant], list[tuple[AxisPlant, ...]]]:
-    """Return the identified plant of every axis of a file, and others the recordings allow.
+    """Return the identified plant of every axis, and plants that the uncertainty allows.
 
-    draws  how many others of every axis
+    draws  number of such plants for each axis
 
-    Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it.
+    Raises ``ParameterFileError`` for a tunnelling axis without a plant in the model.
     """
     rng = np.random.default_rng([seed, draws])
     plants: list[AxisPlant] = []
@@ -181,7 +182,7 @@ def stage_plants(
         plants.append(plant_of(axis, model, lab))
         if axis.method == "rst":
             loop = _loop_of(axis, model.tunnelling)
-            # the plants a controller has to hold, those of the extreme gains first
+            # the junctions that a controller must stabilise, extreme gains first
             nominal = loop.plant.gain_nepers_per_V
             ratios = [plant.gain_nepers_per_V / nominal for plant in junction_family(loop, lab)]
             extreme = sorted(ratios, key=lambda ratio: -abs(np.log(ratio)))
@@ -197,10 +198,10 @@ def stage_plants(
 def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
     """Return the identified plant of one axis between the converters that lab.toml declares.
 
-    Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it.
+    Raises ``ParameterFileError`` for a tunnelling axis without a plant in the model.
     """
     if axis.method == "rst":
-        return _tip(axis, _loop_of(axis, model.tunnelling), lab)
+        return _tip_plant(axis, _loop_of(axis, model.tunnelling), lab)
     rate_Hz = float(axis.values["sampling_rate_Hz"])
     plant = lateral_plant(model[axis.axis], sampling_rate_Hz=rate_Hz)
     gain_V_per_m = lab.sensor_of(axis.axis).gain_V_per_m
@@ -213,18 +214,18 @@ def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
 def _loop_of(axis: AxisParameters, tunnelling: TunnellingModel | None) -> LoopPlant:
     if tunnelling is None or tunnelling.loop_plant is None:
         raise ParameterFileError(
-            f"axis {axis.axis} regulates a current, and model.json holds no plant of it",
-            needed="the plant that a closed-loop identification found",
+            f"axis {axis.axis} regulates a current, and model.json has no plant of it",
+            needed="a plant identified in closed loop",
             remedy="Call piezoid.verification.verify.verify with junction_axis_plant.",
         )
     return tunnelling.loop_plant
 
 
-def _tip(axis: AxisParameters, loop: LoopPlant, lab: Lab) -> AxisPlant:
-    """Return the plant of a tunnelling axis at its set point, with the least noise there can be.
+def _tip_plant(axis: AxisParameters, loop: LoopPlant, lab: Lab) -> AxisPlant:
+    """Return the plant of a tunnelling axis at its set point, with the physical minimum of noise.
 
     i_n^2 = 2 e i B + 4 k T B / R, B = pi f / 2 of a first-order sensor [Schottky 1918]; resistor
-    and converter where lab.toml declares them. It rests in the middle of its voltages.
+    and converter if lab.toml declares them. It rests in the middle of its voltage range.
     """
     values, declared = axis.values, lab.tunnelling
     set_point_A = float(values["current_reference_A"])
@@ -254,10 +255,10 @@ def _tip(axis: AxisParameters, loop: LoopPlant, lab: Lab) -> AxisPlant:
 def varied_plants(
     plant: AxisPlant, model: AxisModel, *, count: int, rng: np.random.Generator
 ) -> tuple[AxisPlant, ...]:
-    """Draw operators from the fit's covariance, with poles and modes between their ends.
+    """Draw plants: operators from the fit's covariance, poles and modes from their intervals.
 
-    plant  the identified one
-    count  how many at most: fewer where too few draws have an inverse
+    plant  identified
+    count  number of plants; fewer are returned if too few draws have an inverse
     """
     plants = []
     operators = draw_replicates(model, rng, draws=_ATTEMPTS * count)[:count]

@@ -102,7 +102,7 @@ def test_what_nobody_declared_is_no_failure_but_a_limit_nothing_meets_is() -> No
 def test_a_refusal_of_a_design_is_told_in_its_own_words(kind: type[PiezoidError]) -> None:
     made = made_of(fitted(), fault=kind("9 N", **SAID))
     assert made.reason == "9 N. Needed: 8 N. Push less."
-    assert not made.stumbled
+    assert not made.has_crashed
     assert (made.design, made.parameters, made.verification) == (None, None, None)
 
 
@@ -121,7 +121,7 @@ def test_a_refusal_of_a_later_step_is_told_and_the_design_is_kept(
     made = controllers(stage(axis), AxisDesignResult(axis="x", design=good), lab=lab)
     assert reason in made.reason
     assert made.refused
-    assert not made.stumbled
+    assert not made.has_crashed
     assert made.design is not None
     assert (made.parameters, made.verification) == (None, None)
 
@@ -137,7 +137,7 @@ def test_an_internal_error_is_named_and_nothing_ships(step: str, good: AxisDesig
     made = made_of(model, (AxisDesignResult(axis="x", design=design),), fault)
     assert made.reason.startswith("internal error (")
     assert (made.reason == "internal error (ValueError: 40 states)") == (step == "design")
-    assert made.stumbled
+    assert made.has_crashed
     assert not made.passed
     assert (made.parameters, made.verification) == (None, None)
     assert (made.design is None) == (step == "design")

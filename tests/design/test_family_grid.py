@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.family_grid import family_grid, judge, worst_place
+from piezoid.design.family_grid import evaluate_loop, family_grid, worst_excess
 from piezoid.design.feasibility import noise_rms, unmet
 from piezoid.design.plant import PlantFamily, plant_from_chain
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
@@ -25,8 +25,8 @@ def test_the_searchs_grid_agrees_with_the_fine_check():
     grid = family_grid(family, asked, count=2000)
     for frequency_Hz, damping in LOOPS:
         R, S = loop(frequency_Hz, damping)
-        seen = worst_place(grid, R, S)
-        assert seen.excess_dB == judge(grid, R, S).excess_dB
+        seen = worst_excess(grid, R, S)
+        assert seen.excess_dB == evaluate_loop(grid, R, S).excess_dB
         reached = [margins(m, R, S) for m in family.members]
         if seen.excess_dB <= -0.01:
             assert not unmet(family.members, R, S, asked)
@@ -40,8 +40,8 @@ def test_the_grid_counts_unstable_members():
     R, S = loop(1e3, 0.9)
     counts = []
     for factor in (1.0, 8.0):
-        seen = worst_place(grid, factor * R, S)
-        assert judge(grid, factor * R, S).excess_dB == seen.excess_dB
+        seen = worst_excess(grid, factor * R, S)
+        assert evaluate_loop(grid, factor * R, S).excess_dB == seen.excess_dB
         counts.append(seen.excess_dB > 50.0)
         unstable = [
             spectral_radius(closed_loop_polynomial(m, factor * R, S)) > 1.0 for m in family.members
@@ -64,13 +64,15 @@ def test_predicted_noise_is_the_simulated_noise(rng):
         y[k] = -through @ recent - P[1:] @ y[k - len(P) + 1 : k][::-1]
     measured = y[1000:].std()
     assert noise_rms(plant, R, S, asked) == pytest.approx(measured, rel=0.05)
-    assert judge(grid, R, S).noise_rms == pytest.approx(noise_rms(plant, R, S, asked), rel=0.02)
+    assert evaluate_loop(grid, R, S).noise_rms == pytest.approx(
+        noise_rms(plant, R, S, asked), rel=0.02
+    )
 
 
 def test_what_is_predicted_of_a_scan_is_the_sum_over_its_harmonics():
     family, asked = vertical_family(), vertical_specification(100.0)
     R, S = loop(1e3, 0.9)
-    found = judge(family_grid(family, asked), R, S)
+    found = evaluate_loop(family_grid(family, asked), R, S)
     odd = np.array([1, 3, 5, 7])  # of a triangle: those beyond are small
     left = [
         sensitivities(m, R, S, odd * asked.scan_frequency_Hz).Syp / odd for m in family.members
@@ -85,7 +87,7 @@ def test_steps_of_the_converter_make_noise_as_large_as_they_are():
     R, S = loop(1e3, 0.9)
     quiet = replace(vertical_specification(100.0), sensor_noise_rms=0.0)
     noise = [
-        judge(family_grid(family, replace(quiet, voltage_step_V=step_V)), R, S).noise_rms
+        evaluate_loop(family_grid(family, replace(quiet, voltage_step_V=step_V)), R, S).noise_rms
         for step_V in (1e-3, 2e-3)
     ]
     assert noise[1] == pytest.approx(2.0 * noise[0])

@@ -31,11 +31,11 @@ from tests.design.rig import (
 def test_the_noise_budget_is_held_or_refused():
     family = PlantFamily(members=lateral_family().members[:2])
     free = tune_observer(family, lateral_specification(40.0), model=lateral_model())
-    asked = replace(lateral_specification(40.0), noise_limit_rms=0.8 * free.judgement.noise_rms)
+    asked = replace(lateral_specification(40.0), noise_limit_rms=0.8 * free.figures.noise_rms)
     quiet = tune_observer(family, asked, model=lateral_model())
     c = linear_controller(quiet.observer)
     assert not unmet(family.members, c.R, c.S, asked)
-    hopeless = replace(asked, noise_limit_rms=1e-3 * free.judgement.noise_rms)
+    hopeless = replace(asked, noise_limit_rms=1e-3 * free.figures.noise_rms)
     assert unmet(family.members, c.R, c.S, hopeless)[0].template == "noise budget"
 
 

@@ -28,7 +28,7 @@ def test_state_feedback_places_random_and_repeated_poles(rng):
 @pytest.mark.parametrize(("link", "input_size"), [(0.0, 1.0), (1e-13, 1.0), (1e-7, 1e6)])
 def test_a_state_that_the_input_cannot_reach_is_refused(link, input_size):
     """Or so little, beside what it does to another, that rounding reaches it as well."""
-    with pytest.raises(DesignError, match="cannot be moved"):
+    with pytest.raises(DesignError, match="is not controllable"):
         placement_form(np.array([[0.5, 0.0], [link, 0.3]]), np.array([input_size, 0.0]))
 
 

@@ -48,5 +48,5 @@ def test_control_has_the_same_loop(loop) -> None:
 
 
 def test_a_part_that_is_none_is_refused(loop) -> None:
-    with pytest.raises(DesignError, match=r"part 'motor' of a loop\. Needed: one of controller"):
+    with pytest.raises(DesignError, match=r"'motor' is not a part of a loop\. Needed: one of"):
         loop.to_scipy("motor")

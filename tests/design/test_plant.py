@@ -66,7 +66,7 @@ def test_a_section_without_frequency_or_damping_is_refused(frequency_Hz, damping
 
 def test_a_delay_as_a_late_pole_is_the_same_plant_to_a_slow_loop() -> None:
     exact = plant_from_chain(replace(lateral_chain(), delay_s=30.5 / RATE_Hz))
-    short = exact.with_late_pole(25)
+    short = exact.with_delay_pole(25)
     assert len(short.realised()[0]) == len(exact.realised()[0]) - 24
     assert short.delay_samples == exact.delay_samples - 25
     assert short.gain == pytest.approx(exact.gain, rel=1e-9)

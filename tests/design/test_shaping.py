@@ -43,8 +43,8 @@ def test_each_convex_step_keeps_every_member_stable_and_gains():
 def test_what_a_convex_step_was_not_asked_it_meets_as_if_it_had_been():
     alone, asked = PlantFamily(members=vertical_family().members[:1]), vertical_specification()
     start = shape(alone, asked).controller
-    few = optimise(alone, asked, start, most_iterations=2)
-    every = optimise(alone, asked, start, most_iterations=2, every=1)
+    few = optimise(alone, asked, start, max_iterations=2)
+    every = optimise(alone, asked, start, max_iterations=2, every=1)
     assert few.history == pytest.approx(every.history, rel=1e-4)
     assert few.excess_dB == pytest.approx(every.excess_dB, abs=1e-3)
 
@@ -58,7 +58,7 @@ def test_band_stops_meet_a_template_that_pole_placement_alone_cannot():
         upper_dB=np.array([-2.0, -2.0]),
     )
     asked = replace(vertical_specification(60.0), modulus_margin=0.6, templates=(quiet,))
-    plain = shape(family, asked, most_band_stops=0)
+    plain = shape(family, asked, max_band_stops=0)
     found = shape(family, asked)
     assert plain.excess_dB > 1.0
     assert found.excess_dB <= 0.0

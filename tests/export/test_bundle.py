@@ -187,7 +187,7 @@ def test_all_hostile_texts_at_once_compile_and_give_the_golden_answers(tmp_path)
     "axis", [t for t in HOSTILE if t] + ["x\n", "X", "1x", "x-y", "ä"], ids=ascii
 )
 def test_an_axis_that_is_no_name_in_c_is_refused(axis):
-    with pytest.raises(ParameterFileError, match="an axis is called"):
+    with pytest.raises(ParameterFileError, match="an axis is named"):
         AxisParameters(axis=axis, values=lateral("mpi_dob"))
 
 

@@ -53,7 +53,7 @@ def test_why_an_axis_is_missing_comes_back_and_files_that_never_said_so_are_read
 @pytest.mark.parametrize("value", [7, None, ["x"], {"a": "b"}])
 def test_a_reason_or_a_digest_that_is_no_text_is_refused(change, value):
     content = rewritten(lambda held: held.update({change: {"x": value}}))
-    with pytest.raises(ParameterFileError, match="no text beside every name"):
+    with pytest.raises(ParameterFileError, match="no text for every name"):
         from_json(content, "params.json")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.certificate import Certificate
-from piezoid.design.design import AxisDesign, LoopDesign, reached_margins
+from piezoid.design.design import AxisDesign, LoopDesign, family_margins
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import disturbance_model, linear_controller
 from piezoid.design.plant import Plant, PlantFamily
@@ -138,7 +138,7 @@ def loop_design(method, R, S, T, *, gain=GAIN_m_per_V, observer=None, certificat
         T=T,
         A_0=np.ones(1),
         reference=path(),
-        margins=reached_margins(members, R, S),
+        margins=family_margins(members, R, S),
         rejections=(),
         certificate=certificate,
         candidates=(),

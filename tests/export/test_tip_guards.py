@@ -77,7 +77,7 @@ def test_the_laboratory_may_ask_for_a_slower_approach_and_for_no_faster_one() ->
     speed = guards()["approach_step_V"] * extension * RATE_Hz
     half = guards(approach_m_per_s=speed / 2)
     assert half["approach_step_V"] == pytest.approx(guards()["approach_step_V"] / 2)
-    with pytest.raises(LabFileError, match="still answers in time"):
+    with pytest.raises(LabFileError, match="responds in time"):
         guards(approach_m_per_s=1.01 * speed)
 
 

@@ -130,4 +130,4 @@ def test_the_rate_may_be_given_where_the_model_has_none(stage: Path) -> None:
 def test_a_rate_at_which_no_controller_runs_is_refused(stage: Path, rate: str) -> None:
     _, _, error = run(stage, "--rate", rate)
     assert isinstance(error, DesignError)
-    assert "Hz, which its code takes" in str(error)
+    assert "a rate from 1 to 10000000 Hz" in str(error)

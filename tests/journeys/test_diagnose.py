@@ -110,7 +110,7 @@ def stumbling(view: View) -> str:
 
 
 @pytest.fixture(scope="module")
-def stumbled(sweeps: Path) -> Iterator[Result]:
+def crashed_run(sweeps: Path) -> Iterator[Result]:
     """What a fit says whose catalogue holds that effect, all of it in this process."""
     known = effects.effect_named("outliers")
     added = replace(known, name="stumbling", untestable=stumbling)
@@ -120,14 +120,14 @@ def stumbled(sweeps: Path) -> Iterator[Result]:
 
 
 def test_a_fault_of_ours_in_a_diagnosis_leaves_model_and_report_and_ends_with_status_1(
-    sweeps: Path, stumbled: Result
+    sweeps: Path, crashed_run: Result
 ) -> None:
-    assert stumbled.exit_code == 1, stumbled.output
+    assert crashed_run.exit_code == 1, crashed_run.output
     said = "axis x is not diagnosed: internal error (RuntimeError: an index too far)"
-    assert said in " ".join(stumbled.output.split())
+    assert said in " ".join(crashed_run.output.split())
     assert set(read_model((sweeps / "stage/model.json").read_bytes()).axes) == {"x", "y"}
     page = Anatomy((sweeps / "stage/report.html").read_text())
     assert any(said in cell.text for cell in (*page.all("td"), *page.all("span", "sentence")))
     (other,) = read_diagnoses((sweeps / "stage/diagnosis.json").read_bytes())
     assert other.axis == "y"
-    assert "error budget y:" in stumbled.output
+    assert "error budget y:" in crashed_run.output

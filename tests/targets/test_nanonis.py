@@ -145,5 +145,5 @@ def test_a_frame_or_a_table_that_cannot_be_is_refused_with_what_would_fit():
             made(hardware=ControllerHardware(**asked))
         return str(error.value)
 
-    assert "from the middle to its limits" in refused(frame_half_range_m=1.0)
-    assert "What would fit: table_points =" in refused(table_points=3)
+    assert "the distance from the centre to the limits" in refused(frame_half_range_m=1.0)
+    assert "Set table_points =" in refused(table_points=3)

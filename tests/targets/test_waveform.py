@@ -98,7 +98,7 @@ def test_a_fast_scan_over_a_mode_is_followed_without_tearing_at_the_drive():
     [
         ({"points": 1000}, "the table holds 1000", {"points": 1000, "frequency_Hz": 20.0}),
         ({"frequency_Hz": 5e3}, "has 4 points", {"frequency_Hz": 625.0, "half_range_m": 1e-7}),
-        ({"rate_Hz": 3e3}, "a rate by which that can be divided", {"rate_Hz": 4000.0}),
+        ({"rate_Hz": 3e3}, "a rate that divides", {"rate_Hz": 4000.0}),
         ({"half_range_m": 1e-3}, "half_range_m of", {"half_range_m": 1e-6}),
     ],
 )
@@ -110,9 +110,9 @@ def test_what_a_box_cannot_hold_is_refused_and_what_would_fit_does(box, said, re
 
 def test_a_range_that_is_too_small_is_told_with_the_scan_that_fits():
     limited = {"range_V": (3.0, 8.0)}
-    with pytest.raises(ParameterFileError, match="half_range_m of") as refused:
+    with pytest.raises(ParameterFileError, match="Set half_range_m to") as refused:
         table(**limited)
-    fits_m = float(str(refused.value).split("half_range_m of ")[1].split()[0])
+    fits_m = float(str(refused.value).split("Set half_range_m to ")[1].split()[0])
     one = table(half_range_m=fits_m, **limited)
     assert one.voltage_V.min() >= 3.0
     assert one.voltage_V.max() <= 8.0

@@ -175,5 +175,5 @@ def test_measured_dynamics_answer_as_the_sections_they_are_made_of(rng):
     )
     assert np.abs(measured.measured - sections.measured).max() < 1e-12
     assert np.array_equal(measured.position, measured.measured)
-    with pytest.raises(ValueError, match="in place of mechanics"):
+    with pytest.raises(ValueError, match="dynamics replace mechanics"):
         lateral(measured=behind)

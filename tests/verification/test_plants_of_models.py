@@ -43,7 +43,7 @@ def test_the_plant_is_the_models_own_simulation():
 
 
 def test_plays_behind_functions_answer_in_the_plant_as_their_operator_does(rng):
-    """After turning points, between edges and beyond the outermost, against a plugged response."""
+    """After turning points, between edges and beyond the outermost, against a custom response."""
     edge_V = np.linspace(-6.0, 6.0, 7)
     straight = PreisachPlays(step_V=1.0, edge_V=edge_V, value_m=np.tile(1e-6 * edge_V, (6, 1)))
     operator = straight.with_rises(rng.uniform(1e-7, 2e-6, (6, 6)))

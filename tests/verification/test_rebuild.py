@@ -10,7 +10,7 @@ from piezoid.verification.rebuild import (
     Proof,
     compare,
     emulate,
-    expected_answers,
+    expected_outputs,
     rebuild,
     replay_inputs,
 )
@@ -50,7 +50,7 @@ def test_counting_the_same_loop_again_gives_the_same_number():
 
 def test_one_other_answer_is_counted(tmp_path):
     file = stage("x")
-    answers = bytearray(expected_answers(file, "float"))
+    answers = bytearray(expected_outputs(file, "float"))
     answers[8 * 4321] ^= 1
     (tmp_path / "answers.bin").write_bytes(bytes(answers))
     one = compare(tmp_path, ("echo", "0 0 0 0 892"), file, "float", build="echo")

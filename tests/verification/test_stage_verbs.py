@@ -143,7 +143,7 @@ def test_boxes_get_their_files_and_the_terminal_says_what_they_lose(folder):
     }
     (folder / "box.toml").write_text("[waveform]\nrange_V = [0, 10]\npoints = 100\n")
     done = called("export", folder, *asked)
-    assert "What would fit: frequency_Hz of 200 or more" in str(done.exception)
+    assert "Set frequency_Hz to 200 or more" in str(done.exception)
 
 
 def test_without_a_controller_that_ships_there_is_no_target(folder):

@@ -63,7 +63,7 @@ def test_the_figures_foretell_stages_with_any_past(rng):
     """Nobody knows how a stage was driven before it came to rest; its figures allow for it."""
     known = PLANTS[0].response
     turned = ((10.0, -10.0, 5.0), (-10.0, 10.0))
-    own = at_20_Hz(replace(known, pasts_V=turned))
+    own = at_20_Hz(replace(known, histories_V=turned))
     each = [at_20_Hz(replace(known, history_V=past_V)) for past_V in turned]
     for method, row in own.items():
         worse_m = max(found[method].rms_m for found in each)
@@ -107,13 +107,13 @@ def test_a_record_that_compares_what_it_never_ran_is_refused(whole):
     [
         ({"radius_m": 1e30}, "a path reaches"),
         ({"motion": {"duration_s": 0.0}}, "duration_s is 0"),
-        ({"motion": {"shipped_m": (1e-9,)}}, "1000 places of a reference"),
-        ({"motion": {"axis": "q"}}, "axis q moved and does not ship"),
+        ({"motion": {"shipped_m": (1e-9,)}}, "reference_m has 1000 points"),
+        ({"motion": {"axis": "q"}}, "axis q, which does not ship"),
         ({"radius_m": 0.0}, "radius_m is 0.0"),
         ({"radius_m": -1.0}, "radius_m is -1.0"),
         ({"trace": {"frequency_Hz": 0.0}}, "frequency_Hz is 0.0"),
-        ({"trace": {"x_m": (1e308,)}}, "1 places of a spiral"),
-        ({"trace": {"x_m": (), "y_m": (), "shape_error_m": ()}}, "0 places of a spiral"),
+        ({"trace": {"x_m": (1e308,)}}, "x_m of a spiral has 1 points"),
+        ({"trace": {"x_m": (), "y_m": (), "shape_error_m": ()}}, "x_m of a spiral has 0 points"),
         ({"verdict": {"limit": 1e300}}, "a limit is larger"),
     ],
 )
@@ -240,10 +240,10 @@ def test_an_axis_without_a_plant_is_refused_by_name():
         verify(stage("x", "y"), PLANTS[:1])
 
 
-def test_a_plugged_response_has_no_gain_to_change():
-    plugged = lateral(response=CustomResponse(begin=lambda _: lambda v: GAIN_m_per_V * v))
+def test_a_custom_response_has_no_gain_to_change():
+    custom = lateral(response=CustomResponse(begin=lambda _: lambda v: GAIN_m_per_V * v))
     with pytest.raises(TypeError, match="no gain"):
-        with_gain(plugged, 1.1, "more")
+        with_gain(custom, 1.1, "more")
 
 
 @pytest.mark.parametrize("how", ["lost", "frozen"])
