@@ -102,7 +102,7 @@ def refusing(schema: str, file: str, *, remedy: str) -> Iterator[None]:
     except _WRONG as error:
         raise ParameterFileError(
             f"{file}: {type(error).__name__} at {error}",
-            needed=f"every entry of schema {schema}, of its own kind",
+            needed=f"every entry of schema {schema}, with its type",
             remedy=remedy,
         ) from error
 
