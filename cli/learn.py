@@ -89,7 +89,7 @@ def learn(
             controller=controller,
             axis=selected,
             lab=declared,
-            before=previous,
+            previous=previous,
             period=recordings[0] if recordings else None,
             sampling_rate_Hz=rate_Hz,
             gain=gain,

@@ -52,7 +52,7 @@ class Axis:
     @property
     def ticks(self) -> tuple[tuple[float, str], ...]:
         """Round numbers along the axis: position as a fraction of its length, and label."""
-        numbers = (decade_ticks if self.decades else linear_ticks)(self.low, self.high)
+        numbers = (decade_ticks if self.decades else even_ticks)(self.low, self.high)
         length = self.high - self.low
         return tuple(((value - self.low) / length, label) for value, label in numbers)
 
@@ -188,7 +188,7 @@ class Canvas:
         return f"M{x[0]},{y[0]}l{text or '0,0'}"
 
 
-def linear_ticks(low: float, high: float) -> Ticks:
+def even_ticks(low: float, high: float) -> Ticks:
     """Return round numbers from low to high."""
     step = round_step((high - low) / MAX_INTERVALS)
     first, stop = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
@@ -211,7 +211,7 @@ def decade_ticks(low: float, high: float) -> Ticks:
         if len(numbers) >= MIN_LABELS:
             spacing = math.ceil(len(numbers) / MAX_INTERVALS) if mantissas == (1,) else 1
             return tuple((value, _power(m, k)) for value, m, k in numbers if k % spacing == 0)
-    ticks = linear_ticks(10.0**low, 10.0**high)
+    ticks = even_ticks(10.0**low, 10.0**high)
     return tuple((math.log10(value), label) for value, label in ticks if value > 0.0)
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from piezoid_reports.chart import decade_ticks, linear_ticks
+from piezoid_reports.chart import decade_ticks, even_ticks
 from piezoid_reports.quantities import MINUS
 
 
@@ -45,7 +45,7 @@ def test_decades_are_written_as_people_write_them(
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6))
 def test_even_labels_are_the_numbers_at_their_places(low: float, span: float) -> None:
-    found = linear_ticks(low, low + span)
+    found = even_ticks(low, low + span)
     assert 3 <= len(found) <= 8
     for place, label in found:
         assert _number(label) == pytest.approx(place, rel=1e-6, abs=1e-9 * abs(low) + 1e-12)
