@@ -23,7 +23,7 @@ AT_LEAST = 4
 
 
 def install(size_m: float, _: Bench, rng: np.random.Generator) -> Fault:
-    """Draw the outliers; in each recording they have between half the size and the size."""
+    """Draw the outliers, between half the size and the size; the largest has the size."""
     share = float(np.exp(rng.uniform(*np.log(SHARES))))
 
     def spike(sampled_m: Array, _: Scene, chance: np.random.Generator) -> Array:
