@@ -110,8 +110,8 @@ def response_figure(
         layers.append(canvas.band("rising-band", "measured, 95 %", decades, *band))
     if is_used is not None and not is_used.all():
         layers.append(canvas.dots("left-out", "not fitted", decades[~is_used], measured[~is_used]))
-    used = measured if is_used is None else np.where(is_used, measured, np.nan)
-    layers.append(canvas.line("measured", "measured", decades, used))
+    fitted_points = measured if is_used is None else np.where(is_used, measured, np.nan)
+    layers.append(canvas.line("measured", "measured", decades, fitted_points))
     layers.append(canvas.line("model", "model", decades, model))
     return Figure(
         title=title,
