@@ -87,5 +87,5 @@ def test_what_went_wrong_is_told_without_the_codes_of_a_name(tmp_path: Path) -> 
             check=False,
         )
         assert done.returncode == status
-        assert r"\x1b[2J" in done.stderr or "where this" in done.stderr
+        assert r"\x1b[2J" in done.stderr or "working directory" in done.stderr
         assert "\x1b[2J" not in done.stderr
