@@ -15,7 +15,6 @@ from time import process_time
 import numpy as np
 
 from piezoid_cli.batch import write_table
-from piezoid_reports.fleet.chapters import render_fleet
 from piezoid_reports.fleet.quantities import QUANTITIES
 from piezoid_reports.fleet.records import (
     FAILED,
@@ -25,6 +24,7 @@ from piezoid_reports.fleet.records import (
     FleetStage,
     StagesOnDisk,
 )
+from piezoid_reports.fleet.sections import render_fleet
 
 NAMES = [quantity.name for quantity in QUANTITIES]
 

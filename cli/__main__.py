@@ -1,4 +1,4 @@
-"""The command `piezoid`: Ctrl-C is handled before anything else is loaded."""
+"""The command `piezoid`: install the handler of Ctrl-C, then load the command line."""
 
 from piezoid_cli.interrupt import install
 

@@ -1,4 +1,4 @@
-"""`piezoid batch`: a folder of stages in, every stage's folder and one summary page out."""
+"""`piezoid batch`: calibrate a folder of stages and summarise them on one page."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 import typer
 
 from piezoid_cli.progress import VERBOSE, show_progress
-from piezoid_cli.terminal import JsonFile, Quiet, one_line, plain, print_raw, step_column, table
+from piezoid_cli.terminal import (
+    JsonFile,
+    Quiet,
+    one_line,
+    print_raw,
+    rich_text,
+    step_column,
+    table,
+)
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -17,17 +25,17 @@ if TYPE_CHECKING:
     from piezoid_cli.batch_stage import StageTask
     from piezoid_reports.fleet.records import Fleet, StagesOnDisk
 
-ROW_GROUP = 5000  # stages whose rows are in memory at one time
-MAX_REASONS = 200  # stages that did not pass and are named in the terminal
+ROW_GROUP = 5000  # stages whose rows are in memory at the same time
+MAX_REASONS = 200  # stages that did not pass and are listed on the terminal
 
 
 def batch(
-    folder: Annotated[Path, typer.Argument(help="One folder below it for each stage.")],
+    folder: Annotated[Path, typer.Argument(help="Folder with one subfolder per stage.")],
     out: Annotated[
         str,
         typer.Option(
-            help="Folder for the results, or a URL that fsspec can write to; resumed if it is "
-            "there.",
+            help="Folder for the results, or a URL that fsspec can write to; an existing batch "
+            "is resumed.",
             metavar="FOLDER|URL",
         ),
     ],
@@ -39,23 +47,23 @@ def batch(
     ] = None,
     retries: Annotated[int, typer.Option(help="Retries per stage.", min=0)] = 2,
     force: Annotated[
-        bool, typer.Option("--force", help="Do stages again whose files have changed.")
+        bool, typer.Option("--force", help="Recalibrate stages whose files have changed.")
     ] = False,
     quiet: Quiet = False,
     json: JsonFile = False,
 ) -> None:
-    """Calibrate many stages: one for each folder with recordings and a lab.toml.
+    """Calibrate many stages: every subfolder with recordings and a lab.toml.
 
     Writes stages/NAME/ as `piezoid fit` does, summary.html (spread of the parameters, outliers,
     drift over serial numbers, failures with reasons), parameters.parquet and batch.json.
 
     Workers write the results, so they must see --out and FOLDER under the same names.
-    An --out such as s3://night/results needs the package of that store, here s3fs.
+    An --out such as s3://night/results needs the package for that store, here s3fs.
 
-    A killed worker costs time and no result. A second start skips stages that are finished, as
-    long as their files and the version of piezoid are the same.
+    If a worker is killed, its stage is calibrated again. A second run skips finished stages if
+    their files and the version of piezoid are unchanged.
 
-    Exit status 1 means that at least one stage did not pass; the summary says which and why.
+    Exit status 1 means that at least one stage did not pass; the summary gives the reasons.
 
     [bold]Examples[/bold]
 
@@ -94,17 +102,17 @@ def calibrate_stages(
     *,
     work: "Callable[[StageTask], bytes] | None" = None,
 ) -> int:
-    """Let workers do the stages that are not finished; each stage is written by its worker.
+    """Calibrate the unfinished stages on workers, which write the results.
 
     stages    receives the record of every stage
-    progress  called with the number of finished stages and the name of the last one
-    work      of one stage on a worker; default: ``run_task``
+    progress  called with the number of finished stages and the name of the latest
+    work      calibrates one stage on a worker; default: ``run_task``
 
-    Returns how many stages were finished by an earlier run.
+    Returns the number of stages that an earlier run had finished.
     """
     from piezoid.errors import OutputFolderError
     from piezoid_cli.batch_cluster import pending_stages, run_on_workers
-    from piezoid_cli.batch_stage import broken, run_task
+    from piezoid_cli.batch_stage import record_without_results, run_task
     from piezoid_cli.result_store import RECORD, result_store
     from piezoid_reports.fleet.records import CRASHED
 
@@ -116,9 +124,9 @@ def calibrate_stages(
     for task, packed, failure in run_on_workers(client, work or run_task, pending, retries):
         record = packed
         if failure:
-            crashed = broken(task, CRASHED, failure)
+            crashed = record_without_results(task, CRASHED, failure)
             record = crashed.packed()
-            with suppress(OutputFolderError):  # another file may be there meanwhile
+            with suppress(OutputFolderError):  # the user may have written files there meanwhile
                 store.write_stage(task.name, {RECORD: crashed.to_json()})
         stages.add(task.name, record)
         progress(len(stages), task.name)
@@ -127,13 +135,13 @@ def calibrate_stages(
 
 
 def write_summary(out: str, fleet: "Fleet", *, printed: bool = False, force: bool = False) -> None:
-    """Write the files about all stages, batch.json last.
+    """Write the files common all stages, batch.json last.
 
-    printed  whether batch.json is printed as well
-    force    replace a summary although it was edited
+    printed  also print batch.json
+    force    replace an edited summary
     """
     from piezoid_cli.result_store import SUMMARY, result_store
-    from piezoid_reports.fleet.chapters import render_fleet
+    from piezoid_reports.fleet.sections import render_fleet
 
     def write_record(stream: BinaryIO) -> None:
         fleet.write_json(stream)
@@ -151,7 +159,7 @@ def write_summary(out: str, fleet: "Fleet", *, printed: bool = False, force: boo
 
 @contextmanager
 def _progress(total: int, *, quiet: bool) -> Iterator[Callable[[int, str], None]]:
-    """Give a function that shows the number of finished stages and the name of the last one."""
+    """Yield a function that shows the number of finished stages and the name of the latest."""
     from rich import progress as bar
     from rich.console import Console
 
@@ -186,23 +194,23 @@ def _show(fleet: "Fleet", n_earlier: int, out: str) -> None:
     title = f"batch {fleet.name}: {len(fleet.stages)} stages"
     console.print(table(title, ("stages", "state", "meaning"), rows, n_words=3))
     if n_earlier:
-        console.print(f"{n_earlier} were finished before and were not done again")
+        console.print(f"{n_earlier} were finished in an earlier run")
     if n_uncontrolled := fleet.without_controller:
         console.print(
-            f"{n_uncontrolled} passed without a controller: their reports say what is missing"
+            f"{n_uncontrolled} passed without a controller: their reports state what is missing"
         )
     for stage in islice((stage for stage in fleet.stages if stage.reason), MAX_REASONS):
-        console.print(plain(f"{stage.name}: {stage.state}: {stage.reason}", style="dim"))
+        console.print(rich_text(f"{stage.name}: {stage.state}: {stage.reason}", style="dim"))
     n_omitted = len(fleet.stages) - count.get(PASSED, 0) - MAX_REASONS
     if n_omitted > 0:
-        console.print(f"and {n_omitted} more, with their reasons in parameters.parquet")
+        console.print(f"and {n_omitted} more; parameters.parquet lists their reasons")
     summary, *paths = (f"{out.rstrip('/')}/{name}" for name in (*SUMMARY[:2], f"{STAGES}/"))
-    console.print(plain(f"summary: {summary}"))
-    console.print(plain(f"also: {', '.join(paths)}"))
+    console.print(rich_text(f"summary: {summary}"))
+    console.print(rich_text(f"also: {', '.join(paths)}"))
 
 
 def write_table(fleet: "Fleet", stream: BinaryIO) -> None:
-    """Write a row for each axis as Parquet; a stage that was refused is a row without an axis."""
+    """Write one row per axis as Parquet; a stage without results is a row without an axis."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -229,7 +237,7 @@ def write_table(fleet: "Fleet", stream: BinaryIO) -> None:
         while group := list(islice(stages, ROW_GROUP)):
             rows: list[dict[str, Any]] = []
             for stage in group:
-                about = {
+                common = {
                     "stage": stage.name,
                     "state": stage.state,
                     "reason": stage.reason,
@@ -237,7 +245,7 @@ def write_table(fleet: "Fleet", stream: BinaryIO) -> None:
                     "model_digest": stage.outputs.get("model.json"),
                 }
                 rows += [
-                    {**about, "axis": a.axis, "applies": a.applies, **a.values, **a.parameters}
+                    {**common, "axis": a.axis, "applies": a.applies, **a.values, **a.parameters}
                     for a in stage.axes
-                ] or [about]
+                ] or [common]
             table.write_table(pa.Table.from_pylist(rows, schema=schema))

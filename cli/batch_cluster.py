@@ -1,4 +1,4 @@
-"""Stages of a batch on dask.distributed: a killed worker costs time and no result."""
+"""Calibrate the stages of a batch on dask.distributed, which repeats the work of lost workers."""
 
 import logging
 import os
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
     from piezoid_reports.fleet.records import StagesOnDisk
 
-ANSWER_s = 20.0  # within which a scheduler, and then a first worker, must answer
-MIN_SUBMITTED = 64  # stages that are submitted at one time: more workers may come
-# A client that waits for a night looks about less often: 8 instead of 14 ms of processor a second.
-RESTFUL = {
+TIMEOUT_s = 20.0  # for the scheduler to answer, and then for its first worker
+MIN_SUBMITTED = 64  # stages submitted at the same time: more workers may join
+# Longer intervals of housekeeping: a waiting client needs 8 instead of 14 ms of CPU per second.
+DASK_INTERVALS = {
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "10s",
     "distributed.scheduler.work-stealing-interval": "1s",
@@ -37,19 +37,19 @@ RESTFUL = {
 
 
 def find_stages(folder: Path, results: str, *, force: bool = False) -> tuple[StageTask, ...]:
-    """Find the stages below a folder: the folders with a lab.toml that are not results.
+    """Return the stages in a folder: the subfolders with a lab.toml that are not results.
 
-    force  replace results although they were edited
+    force  replace edited results
 
-    Raises ``RecordingError`` if there is none.
+    Raises ``RecordingError`` without a stage.
     """
     tasks = []
     root, current = os.path.realpath(folder), version("piezoid")
-    for path, below, files in os.walk(root):
-        # Folders that a fit or a batch wrote are no stages.
-        below[:] = sorted(
+    for path, subfolders, files in os.walk(root):
+        # Folders that a fit or a batch wrote are not stages.
+        subfolders[:] = sorted(
             name
-            for name in below
+            for name in subfolders
             if not lists_results(Path(path, name))
             and os.path.realpath(Path(path, name)) != os.path.realpath(results)
         )
@@ -59,26 +59,27 @@ def find_stages(folder: Path, results: str, *, force: bool = False) -> tuple[Sta
                 name.encode()
             except UnicodeEncodeError as error:
                 raise RecordingError(
-                    f"the folder {name!r} has a name that is no text in UTF-8",
+                    f"the name of the folder {name!r} is not valid UTF-8",
                     needed="names that can be written into the summary",
                     remedy="Rename the folder.",
                 ) from error
             task = StageTask(name=name, folder=path, results=results, version=current, force=force)
             tasks.append(task)
     if not tasks:
-        problem = "is not there"
+        problem = "does not exist"
         if folder.exists():
-            problem = f"holds no {LAB}" if folder.is_dir() else "is a file"
+            problem = f"contains no {LAB}" if folder.is_dir() else "is a file"
         raise RecordingError(
             f"{folder} {problem}",
             needed=f"a folder of stages, each a folder with its recordings and a {LAB}",
-            remedy="Check its name, or write one: piezoid init FILES... --out STAGE/lab.toml",
+            remedy="Check the name, or write a lab.toml: piezoid init FILES... --out "
+            "STAGE/lab.toml",
         )
     return tuple(tasks)
 
 
 def pending_stages(tasks: Sequence[StageTask], finished: "StagesOnDisk") -> list[StageTask]:
-    """Return the stages to do, and add the records of the others to ``finished``.
+    """Return the unfinished stages, and add the records of the finished ones to ``finished``.
 
     Raises ``typer.BadParameter`` if results of other files or of another version would be replaced
     without ``force``, and ``OutputFolderError`` if results may not be written.
@@ -96,7 +97,7 @@ def pending_stages(tasks: Sequence[StageTask], finished: "StagesOnDisk") -> list
             outdated += [] if record is None else [task.name]
     if outdated and not tasks[0].force:
         raise typer.BadParameter(
-            f"{len(outdated)} stages were done from other files or by another version "
+            f"{len(outdated)} stages were calibrated from other files or by another version "
             f"({', '.join(outdated[:3])}{', ...' if len(outdated) > 3 else ''}); add --force to "
             "replace their results, or name another folder"
         )
@@ -105,7 +106,7 @@ def pending_stages(tasks: Sequence[StageTask], finished: "StagesOnDisk") -> list
 
 @contextmanager
 def cluster_client(scheduler: str, processes: int | None) -> "Iterator[Client]":
-    """Give a client of a scheduler, or of worker processes on this machine, one thread each."""
+    """Yield a client of a scheduler, or of single-threaded workers on this machine."""
     if find_spec("distributed") is None or find_spec("pyarrow") is None:
         raise typer.BadParameter(
             "batch needs dask[distributed] and pyarrow, which are not installed; "
@@ -116,7 +117,7 @@ def cluster_client(scheduler: str, processes: int | None) -> "Iterator[Client]":
     from dask.system import CPU_COUNT
     from distributed import Client, LocalCluster
 
-    with dask.config.set({"logging.distributed": "critical", **RESTFUL}):
+    with dask.config.set({"logging.distributed": "critical", **DASK_INTERVALS}):
         if scheduler:
             with _connect(scheduler) as client:
                 yield client
@@ -142,19 +143,19 @@ def _connect(scheduler: str) -> "Client":
     from distributed import Client
 
     try:
-        client = Client(scheduler, timeout=ANSWER_s)
+        client = Client(scheduler, timeout=TIMEOUT_s)
     except (OSError, ValueError) as error:
         raise typer.BadParameter(
-            f"--scheduler {scheduler}: nothing answers there ({error}); start one with "
-            "`dask scheduler`, and name the address it prints"
+            f"--scheduler {scheduler}: no answer ({error}); start a scheduler with "
+            "`dask scheduler`, and name the address that it prints"
         ) from error
     try:
-        client.wait_for_workers(1, timeout=ANSWER_s)
+        client.wait_for_workers(1, timeout=TIMEOUT_s)
     except TimeoutError as error:
         client.close()
         raise typer.BadParameter(
-            f"--scheduler {scheduler}: it has no worker; start one where piezoid is installed "
-            f"and the recordings can be read, with `dask worker {scheduler} --nthreads 1`"
+            f"--scheduler {scheduler}: no worker; on a machine with piezoid and access to the "
+            f"recordings, run `dask worker {scheduler} --nthreads 1`"
         ) from error
     return client
 
@@ -165,10 +166,10 @@ def run_on_workers(
     tasks: Sequence[StageTask],
     retries: int,
 ) -> Iterator[tuple[StageTask, bytes, str]]:
-    """Yield every stage with its packed record, or with the reason why it broke off, as they end.
+    """Yield every completed stage with its packed record, or with the reason of its failure.
 
-    A stage whose work raises is tried again ``retries`` times; dask gives up a stage after several
-    workers died of it.
+    A stage that raises is repeated ``retries`` times. Dask gives up a stage after it has killed
+    several workers.
     """
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
@@ -191,9 +192,9 @@ def run_on_workers(
         if future.status == "finished":
             yield task, result, ""
         elif error is None:
-            yield task, b"", "the scheduler gave the work up"
+            yield task, b"", "the scheduler cancelled the work"
         elif isinstance(error, KilledWorker):
-            reason = "every worker that took it died: it may need more memory than there is"
+            reason = "every worker with this stage died: it may need more memory"
             yield task, b"", reason
         else:
             yield task, b"", f"{type(error).__name__}: {error}"

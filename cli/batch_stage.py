@@ -1,4 +1,4 @@
-"""One stage of a batch: its files, its earlier result and its calibration, on any worker."""
+"""One stage of a batch: its input files, its earlier result, and its calibration on a worker."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from piezoid.identification.model import AxisModel
 
 LAB = "lab.toml"
-NO_RECORDING = {".toml", ".md", ".json", ".html"}
+OTHER_SUFFIXES = {".toml", ".md", ".json", ".html"}  # never recordings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class StageTask:
     folder   of its files, as every worker sees it
     results  folder or URL of the results, as every worker sees it
     version  of piezoid
-    force    replace results of this stage although they were edited
+    force    replace edited results of this stage
     """
 
     name: str
@@ -46,14 +46,14 @@ Calibrate = Callable[[StageTask, Mapping[str, str]], tuple[FleetStage, Mapping[s
 
 
 def earlier_result(task: StageTask) -> tuple[FleetStage | None, bool]:
-    """Return the record of an earlier run, and whether it is of the present files and version.
+    """Return the record of an earlier run, and whether its files and version are unchanged.
 
-    Raises ``OutputFolderError`` if the stage must be done and its results may not be written.
+    Raises ``OutputFolderError`` if the stage is unfinished and its results may not be written.
     """
     record = _read_record(task)
     try:
         is_current = record is not None and _is_current(record, task, inputs_of(task))
-    except OSError:  # a recording cannot be read: the worker makes that the stage's reason
+    except OSError:  # a recording cannot be read: the worker records that as the reason
         record, is_current = None, False
     if not is_current:
         result_store(task.results, force=task.force).check_stage(task.name)
@@ -63,9 +63,9 @@ def earlier_result(task: StageTask) -> tuple[FleetStage | None, bool]:
 def run_task(task: StageTask, calibrate: Calibrate | None = None) -> bytes:
     """Calibrate a stage, write its files, and return its packed record.
 
-    calibrate  default: ``calibrate_stage``, whose errors are raised
+    calibrate  default: ``calibrate_stage``
 
-    A stage that another worker has finished meanwhile is not calibrated again.
+    A stage that another worker has finished in the meantime is not calibrated again.
     """
     store, inputs = result_store(task.results, force=task.force), inputs_of(task)
     store.check_visible()
@@ -77,7 +77,7 @@ def run_task(task: StageTask, calibrate: Calibrate | None = None) -> bytes:
 
 
 def inputs_of(task: StageTask) -> dict[str, str]:
-    """Return the digest of every file of a stage by name, ``lab.toml`` among them."""
+    """Return the digest of every file of a stage by name, including ``lab.toml``."""
     from piezoid.digests import digest_of_file
     from piezoid.errors import PiezoidError
     from piezoid.records.lab import read_lab
@@ -86,19 +86,19 @@ def inputs_of(task: StageTask) -> dict[str, str]:
     try:
         declared = [entry.file for entry in read_lab(folder / LAB).recordings]
     except PiezoidError:
-        declared = []  # it is read again, and its refusal becomes the stage's reason
+        declared = []  # the calibration raises the same error, which becomes the reason
     recordings = [name for name in dict.fromkeys(declared) if (folder / name).is_file()]
-    # Without entries every file beside lab.toml may be a recording.
+    # Without entries in lab.toml, any file of the folder may be a recording.
     recordings = recordings or sorted(
         file.name
         for file in folder.iterdir()
-        if file.is_file() and file.suffix not in NO_RECORDING and file.name[0] != "."
+        if file.is_file() and file.suffix not in OTHER_SUFFIXES and file.name[0] != "."
     )
     return {name: digest_of_file(folder / name) for name in (LAB, *recordings)}
 
 
 def _read_record(task: StageTask) -> FleetStage | None:
-    """Return the record of a stage; None without a usable one, or if its work broke off."""
+    """Return the record of a stage; None without a valid record, or if the stage crashed."""
     from piezoid.errors import PiezoidError
 
     try:
@@ -116,10 +116,9 @@ def _is_current(record: FleetStage, task: StageTask, inputs: Mapping[str, str]) 
 def calibrate_stage(
     task: StageTask, inputs: Mapping[str, str]
 ) -> tuple[FleetStage, Mapping[str, bytes]]:
-    """Calibrate one stage; data that cannot be used is an outcome, and so is an internal error.
+    """Return the record of a stage and its files; unusable data and internal errors are recorded.
 
-    Returns the record, and the files of the stage's folder. Raises only errors that may be gone at
-    the next try: a file that cannot be read, memory that is full.
+    Raises ``OSError`` and ``MemoryError``, which may not recur when the stage is repeated.
     """
     from piezoid.errors import PiezoidError
     from piezoid_cli.calibration import calibrate
@@ -132,13 +131,13 @@ def calibrate_stage(
     except (OSError, MemoryError):
         raise
     except PiezoidError as error:
-        return broken(task, REFUSED, str(error), inputs), {}
+        return record_without_results(task, REFUSED, str(error), inputs), {}
     except Exception as error:
         reason = f"internal error ({type(error).__name__}: {error})"
-        return broken(task, CRASHED, reason, inputs), {}
+        return record_without_results(task, CRASHED, reason, inputs), {}
 
 
-def broken(
+def record_without_results(
     task: StageTask, state: str, reason: str, inputs: Mapping[str, str] | None = None
 ) -> FleetStage:
     """Return the record of a stage without results."""
@@ -148,7 +147,7 @@ def broken(
 
 
 def _record(task: StageTask, inputs: Mapping[str, str], calibration: "Calibration") -> FleetStage:
-    """Return the record of a calibrated stage; its reason is everything that failed."""
+    """Return the record of a calibrated stage; its reason lists everything that failed."""
     from json import loads
 
     from piezoid.verification.criteria import describe_failure
@@ -180,7 +179,7 @@ def _record(task: StageTask, inputs: Mapping[str, str], calibration: "Calibratio
 
 
 def _axis(axis: "AxisModel", calibration: "Calibration") -> FleetAxis:
-    """Return the quantities of an axis in SI units, with the standard errors that are known."""
+    """Return the quantities of an axis in SI units, with their standard errors if known."""
     from math import isfinite
 
     from piezoid.raw_counts import in_counts
@@ -188,7 +187,7 @@ def _axis(axis: "AxisModel", calibration: "Calibration") -> FleetAxis:
 
     design = calibration.controllers.design
     designs = {} if design is None else {each.axis: each for each in design.axes}
-    # Stages are compared in units: quantities in counts are left out.
+    # Stages are compared in SI units; quantities in counts are left out.
     compared = [q for q in QUANTITIES if in_counts(q.unit, axis.counted) == q.unit]
     values = {q.name: q.of(axis, designs.get(axis.axis)) for q in compared}
     errors = {q.name: q.error(axis) for q in compared}

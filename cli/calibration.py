@@ -15,15 +15,15 @@ def calibrate(
 ) -> "Calibration":
     """Fit, diagnose, design, export, verify and report one stage.
 
-    processes  at most so many do the axes, this one among them; the files are the same bytes
+    processes  maximum number of processes, including this one; the results do not depend on it
 
-    Raises what reading and fitting raise; a stage for which no controller can be designed is a
-    calibration without one.
+    Raises the errors of reading and fitting. If no controller can be designed, the calibration
+    has none.
     """
     progress("reading recordings")
     from piezoid_cli.workers import map_jobs, worker_pool
 
-    # A worker loads while the recordings are read: a single file is one axis and needs none.
+    # Workers load modules while this process reads. A single file has one axis: no worker.
     with worker_pool(processes - 1 if len(files) > 1 else 0, _preload) as pool:
         from piezoid.records.collection import collect
         from piezoid.records.lab import read_lab

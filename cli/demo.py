@@ -1,4 +1,4 @@
-"""`piezoid demo`: the main job on the recordings that come with piezoid."""
+"""`piezoid demo`: calibrate the bundled stage."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,9 +15,9 @@ def demo(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Calibrate the bundled three-axis stage: `piezoid fit` on recordings that come with piezoid.
+    """Calibrate the bundled three-axis stage: `piezoid fit` on the recordings in the package.
 
-    X and Y have hysteresis, Z has a tunnelling tip. Open report.html in the folder of results.
+    X and Y have hysteresis, and Z has a tunnelling tip. Open report.html in the output folder.
 
     [bold]Examples[/bold]
 
@@ -28,6 +28,6 @@ def demo(
     from piezoid_cli.fit import fit
     from piezoid_datasets import LAB, stage_files
 
-    # As a shell lists them: recordings over time first, whose order the results follow.
+    # The order of a shell pattern, with recordings over time first; results keep this order.
     files = sorted(stage_files(), key=lambda path: (path.suffix, path.name))
     fit(files, out, lab=LAB, force=force, processes=processes, quiet=quiet, json=json)

@@ -1,4 +1,4 @@
-"""`piezoid design`: a fitted stage in, its controllers with proven margins beside it."""
+"""`piezoid design`: design the controllers of a fitted stage."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,17 +20,17 @@ def design(
     spec: Annotated[Path | None, typer.Option(help="design.toml: specification.")] = None,
     rate: Annotated[
         float | None,
-        typer.Option(help="Sampling rate of the controller; default: lab.toml.", min=0.0),
+        typer.Option(help="Sampling rate of the controller in Hz; default: lab.toml.", min=0.0),
     ] = None,
     lab: StageLab = None,
     force: Force = False,
     quiet: Quiet = False,
     json: JsonFile = False,
 ) -> None:
-    """Design the controllers of a stage: write design.json and design.html beside model.json.
+    """Design the controllers of a stage: write design.json and design.html to its folder.
 
-    Exit status 4 means that no controller meets the specification; the message states what could
-    be met. If this applies to one axis of several, the others are written and the status is 1.
+    Exit status 4 means that no controller meets the specification; the message states what is
+    achievable. If this applies to some axes only, the others are written and the status is 1.
 
     [bold]Examples[/bold]
 
@@ -96,4 +96,4 @@ def _table(design: "Design", model: "ActuatorModel") -> "Table":
             bound = bound_m if isinstance(bound_m, str) else with_unit(bound_m, "m")
             rows.append((axis.axis, METHOD_NAMES[loop.method], bandwidth, margin, delay, bound))
     headings = ("axis", "method", "bandwidth", "modulus margin", "delay margin", "guaranteed")
-    return table("controllers, worst member of each plant family", headings, rows)
+    return table("controllers, worst case over each plant family", headings, rows)

@@ -1,4 +1,4 @@
-"""`piezoid diagnose`: recordings in; the effects that the simulation lacks out."""
+"""`piezoid diagnose`: find the effects that a simulation with hysteresis alone lacks."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,8 +13,8 @@ from piezoid_cli.terminal import (
     JsonFile,
     Quiet,
     RecordingLab,
-    plain,
     print_raw,
+    rich_text,
     say,
     table,
 )
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 def diagnose(
     files: Annotated[
         list[Path],
-        typer.Argument(help="Recordings of one stage, in order; an older model.json in front."),
+        typer.Argument(help="Recordings of one stage, in order; optionally model.json first."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
     lab: RecordingLab = None,
@@ -40,8 +40,8 @@ def diagnose(
 ) -> None:
     """Find the effects that hysteresis alone does not explain: write diagnosis.json and .html.
 
-    Errors are those of the fitted model. If the first file is the model.json of an earlier fit,
-    that model is refitted, and changes since then are reported as well.
+    If the first file is the model.json of an earlier fit, that model is refitted, and its changes
+    are reported as well.
 
     [bold]Examples[/bold]
 
@@ -60,7 +60,7 @@ def diagnose(
     check_folder(out, force=force, new=True, names=names, inputs=inputs)
     with show_progress(quiet=quiet or json) as progress:
         progress("reading recordings")
-        recordings, diagnosis, comparison, contents = _diagnosed(files, lab, axis, progress)
+        recordings, diagnosis, comparison, contents = _diagnose_files(files, lab, axis, progress)
         write_folder(out, contents, force=force)
     if json:
         print_raw(contents["diagnosis.json"])
@@ -72,10 +72,10 @@ def diagnose(
         say(f"diagnosis: {', '.join(str(out / name) for name in names)}")
 
 
-def _diagnosed(
+def _diagnose_files(
     files: list[Path], lab: Path | None, axis: str | None, progress: "Callable[[str], None]"
 ) -> "tuple[Sequence[Recording], Diagnosis, ModelComparison | None, dict[str, bytes]]":
-    """Return the recordings, their diagnosis, the comparison with a model, and the files."""
+    """Return the recordings, their diagnosis, the comparison with a model, and the output."""
     from piezoid.diagnosis.compare import compare
     from piezoid.diagnosis.diagnose import diagnose as find_effects
     from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
@@ -91,7 +91,7 @@ def _diagnosed(
     from piezoid_reports.render import render_diagnosis
 
     declared = None if lab is None else read_lab(lab)
-    earlier, digest, recording_files = _model_in_front(files)
+    earlier, digest, recording_files = _split_model(files)
     collected = collect(recording_files, declared).recordings
     coupled = None if earlier is None else earlier.coupled
     recordings = as_single_axes(collected, declared, coupled, progress=progress)
@@ -130,21 +130,21 @@ def _diagnosed(
     return recordings, diagnosis, comparison, contents
 
 
-def _model_in_front(files: list[Path]) -> "tuple[ActuatorModel | None, str, list[Path]]":
-    """Return the model named before the recordings with its digest, and the recordings."""
+def _split_model(files: list[Path]) -> "tuple[ActuatorModel | None, str, list[Path]]":
+    """Return the model before the recordings and its digest, if any, and the recordings."""
     from piezoid.sealed_files import read_model
     from piezoid_cli.stage_files import content_of, digest_in
 
     if files[0].suffix.lower() != ".json":
         return None, "", files
     if len(files) == 1:
-        raise typer.BadParameter(f"{files[0]} is a model; name recordings behind it")
+        raise typer.BadParameter(f"{files[0]} is a model; name recordings after it")
     content = content_of(files[0])
     return read_model(content, str(files[0])), digest_in(content), files[1:]
 
 
 def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:
-    """Print which recordings do not contribute to the diagnosis of an axis."""
+    """Print the recordings that do not contribute to the diagnosis of an axis."""
     from piezoid.identification.dynamics.excitation import excites_dynamics
     from piezoid.identification.fit import driven_recordings, recordings_of_axis
     from piezoid.records.checks.feedback import is_held_throughout
@@ -170,7 +170,7 @@ def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:
 
 
 def _show(diagnosis: "Diagnosis") -> None:
-    """Print the effects, the errors with and without them, and what needs action."""
+    """Print the effects, the errors with and without them, and the statements."""
     from rich.console import Console
 
     from piezoid.diagnosis.diagnosis_statements import diagnosis_statements, largest_first
@@ -201,7 +201,7 @@ def _show(diagnosis: "Diagnosis") -> None:
         f"them; sensor noise {with_unit(diagnosis.noise_floor_rms_m, 'm')}"
     )
     for text in (in_counts(line, counted), *budget_lines([diagnosis])):
-        console.print(plain(text))
+        console.print(rich_text(text))
     statements = diagnosis_statements(diagnosis)
     minimum = Level.ACTION if diagnosis.findings else Level.NOTE
     if any(statement.quantity == "no_effect_tested" for statement in statements):

@@ -1,4 +1,4 @@
-"""`piezoid export`: from a design to parameters and C source for firmware."""
+"""`piezoid export`: write the parameters and the C source of a design for firmware."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet, StageLab, plain, print_record, say
+from piezoid_cli.terminal import Force, Json, Quiet, StageLab, print_record, rich_text, say
 
 if TYPE_CHECKING:
     from piezoid.export.parameter_file import ParameterFile
@@ -29,16 +29,16 @@ def export(
 ) -> None:
     """Write params.json and bundle/: the controller of the stage as C source, with its README.
 
-    --target fmu adds fmu/: each axis' controller and its identified plant as co-simulation units
-    of FMI 2.0, for Simulink, OpenModelica and FMPy. --target library adds library/: a
-    shared library for LabVIEW, MATLAB, EPICS, Rust and Python. Controllers hold the same source
-    as the bundle. --target pid adds settings and second-order sections of a PID with notches,
-    --target nanonis sensitivity and hysteresis tables, --target waveform a predistorted drive for
-    a wave generator, each with its loss compared with the exported controller; --box declares the
-    limits of the hardware. Stale target folders are deleted.
+    --target fmu adds fmu/: the controller and the identified plant of each axis as co-simulation
+    units of FMI 2.0 for Simulink, OpenModelica and FMPy. --target library adds library/: a shared
+    library for LabVIEW, MATLAB, EPICS, Rust and Python. Both contain the same source as the
+    bundle. --target pid adds settings and second-order sections of a PID with notches, --target
+    nanonis sensitivity and hysteresis tables, --target waveform a predistorted drive for a wave
+    generator, each with its loss compared with the exported controller; --box declares the limits
+    of the hardware. Stale target folders are deleted.
 
     The controllers are first verified on the identified stage. An axis that fails is not
-    exported: its figures go to refused/ and the exit status is 1. The other axes are exported.
+    exported: its results go to refused/ and the exit status is 1. The other axes are exported.
 
     [bold]Examples[/bold]
 
@@ -106,7 +106,7 @@ def export(
 def _target_inputs(
     file: "ParameterFile", folder: "StageFolder", hardware: "ControllerHardware"
 ) -> "TargetInputs":
-    """Return the inputs of the targets, with the plants that verification runs."""
+    """Return the inputs of the targets, with the plants of the verification."""
     from piezoid.records.lab import Lab
     from piezoid.targets.target_inputs import TargetInputs
     from piezoid.verification.verify_stage import stage_plants
@@ -133,8 +133,8 @@ def _target_inputs(
 
 
 def show_unshipped(reasons: Mapping[str, str]) -> None:
-    """Print which axes do not ship, and why."""
+    """Print the axes that do not ship, with the reasons."""
     from rich.console import Console
 
     for axis, reason in reasons.items():
-        Console().print(plain(f"axis {axis} does not ship: {reason}", style="bold red"))
+        Console().print(rich_text(f"axis {axis} does not ship: {reason}", style="bold red"))

@@ -1,4 +1,4 @@
-"""`piezoid fit`: recordings in, the whole folder of a stage out."""
+"""`piezoid fit`: calibrate a stage from its recordings."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,8 +13,8 @@ from piezoid_cli.terminal import (
     Processes,
     Quiet,
     RecordingLab,
-    plain,
     print_record,
+    rich_text,
     say,
     table,
 )
@@ -29,8 +29,8 @@ WRITTEN = (
     *("report.html", "bundle/README.md"),
 )
 UNDIAGNOSED = (
-    "not diagnosed: recordings that are read in chunks are not searched for causes; fit a part "
-    "that fits into memory (start_s and stop_s in lab.toml) to have it diagnosed"
+    "not diagnosed, because the recordings were read in chunks; for a diagnosis, fit a part that "
+    "fits into memory (start_s and stop_s in lab.toml)"
 )
 
 
@@ -43,24 +43,24 @@ def fit(
         bool,
         typer.Option(
             "--stream",
-            help="For files larger than memory: read in chunks and thinned, without diagnosis.",
+            help="For files larger than memory: read in chunks, downsample, do not diagnose.",
         ),
     ] = False,
     processes: Processes = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Do all of it: fit a stage, diagnose it, design controllers, verify them.
+    """Calibrate a stage: fit and diagnose it, design its controllers, and verify them.
 
     Writes model.json, diagnosis.json, design.json, params.json, bundle/ (C source to compile),
-    verification.json and report.html. If lab.toml does not state the sampling rate
-    of the controller, or nothing limits the speed of the stage, no controller is designed, and the
-    report states what is missing.
+    verification.json and report.html. Without the sampling rate of the controller in lab.toml, or
+    without dynamics that limit the speed of the stage, no controller is designed, and the report
+    states what is missing.
 
     Exit status 1 means that a verdict failed, that the model class does not apply, or that the
     controller of an axis does not ship; the other axes still ship, and the report states the
-    reason. It is 0 if nothing could be designed because a fact is missing: --json states
-    "undesigned".
+    reason. The status is 0 if no controller could be designed because information is missing;
+    --json then gives the reason as "undesigned".
 
     [bold]Examples[/bold]
 
@@ -139,7 +139,7 @@ def summary_of(calibration: "Calibration") -> dict[str, Any]:
 
 
 def show(calibration: "Calibration") -> None:
-    """Print a table of axes, their error budgets, the tip, and what needs action."""
+    """Print a table of axes, their error budgets, the tip, and the statements."""
     from rich.console import Console
 
     from piezoid.calibration.stage_statements import stage_statements
@@ -164,12 +164,12 @@ def show(calibration: "Calibration") -> None:
         )
         lines.append(f"coupled axes {', '.join(coupled.outputs)}: {kind} error {levels}")
     for line in lines:
-        console.print(plain(line))
+        console.print(rich_text(line))
     verification = controllers.verification
     if verification is not None:
         passed = sum(verdict.passed for verdict in verification.verdicts)
         line = f"verification: {passed} of {len(verification.verdicts)} checks passed"
-        console.print(plain(line, "" if verification.passed else "bold red"))
+        console.print(rich_text(line, "" if verification.passed else "bold red"))
     statements = stage_statements(
         model,
         diagnoses=calibration.diagnoses,
@@ -179,7 +179,7 @@ def show(calibration: "Calibration") -> None:
         unshipped=controllers.unshipped,
         verification=verification,
     )
-    # Why an axis is not good, and why it has no useful bound, also where no action is needed.
+    # Reasons for the grade of an axis and for a missing bound are also shown if only warnings.
     explained = {
         (name, quantity)
         for name, axis in model.axes.items()
@@ -187,12 +187,12 @@ def show(calibration: "Calibration") -> None:
     }
     for fact in statements:
         if (fact.axis, fact.quantity) in explained and fact.level is Level.WARNING:
-            console.print(plain(f"axis {fact.axis}: {fact.text}"))
+            console.print(rich_text(f"axis {fact.axis}: {fact.text}"))
     show_statements(statements)
 
 
 def _table(calibration: "Calibration") -> "Table":
-    """Return a row for each axis: error, noise, their ratio, loop and verdict."""
+    """Return a table with error, noise, their ratio, loop and verdict of each axis."""
     from piezoid.design.design_statements import guaranteed_error_m
     from piezoid.formatting import significant, with_unit
     from piezoid.identification.fit_statements import grade_of
@@ -230,11 +230,11 @@ def _table(calibration: "Calibration") -> "Table":
 def calibrate_streamed(
     files: Sequence[Path], lab: Path | None, progress: "Progress", processes: int = 1
 ) -> "Calibration":
-    """Fit recordings that are read in chunks, design, export, verify and report one stage.
+    """Fit recordings read in chunks; design, export, verify and report the stage.
 
-    processes  at most so many threads verify
+    processes  maximum number of threads of the verification
 
-    The report has no diagnosis, no loops and no residuals: they need the whole recordings.
+    The report has no diagnosis, loops or residuals, which need complete recordings in memory.
     """
     from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""`piezoid init`: a first lab.toml from recordings, after showing what was understood of them."""
+"""`piezoid init`: draft a lab.toml from recordings."""
 
 from pathlib import Path
 from typing import Annotated
@@ -17,13 +17,13 @@ def init(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Write a commented lab.toml from recordings, after showing what was understood.
+    """Show the contents of recordings and write a commented lab.toml for them.
 
-    Every file that is understood becomes an entry; facts about amplifier, sensor and controller
-    are comments to complete.
+    Every readable file becomes an entry. Values of amplifier, sensor and controller are comments
+    to complete.
 
-    Exit status 3 means that an entry must be completed before its file can be used; the lab.toml
-    is written all the same, with the reason above the entry.
+    Exit status 3 means that an entry must be completed before its file can be used; lab.toml is
+    still written, with the reason above the entry.
 
     [bold]Examples[/bold]
 
@@ -53,7 +53,7 @@ def init(
     if json:
         print_record("drafted", file=str(out), incomplete=list(draft.incomplete))
     elif not quiet:
-        say(f"written: {out}; complete what you know, then pass it with --lab {out}")
+        say(f"written: {out}; complete it, then pass it with --lab {out}")
     if draft.incomplete:
         names = ", ".join(draft.incomplete)
         say(f"to complete in {out} before it can be used: {names}", err=True)

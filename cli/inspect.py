@@ -1,4 +1,4 @@
-"""`piezoid inspect`: shows what was understood of each file, and every problem with its place."""
+"""`piezoid inspect`: show the contents of each file, and every problem with its location."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piezoid_cli.progress import show_progress
-from piezoid_cli.terminal import Json, Quiet, RecordingLab, plain, print_record, say
+from piezoid_cli.terminal import Json, Quiet, RecordingLab, print_record, rich_text, say
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 MAX_PEAKS = 8
 FIRST_LINE_s = 2.0  # without a terminal
 
-# Only these take a prefix: a unit of the file may have its own, and kilo-nanonewtons are none.
+# Other units of a file may already have a prefix, as nN has.
 PREFIXED_UNITS = ("s", "V", "m", "A", "K", "Hz")
 HEADINGS = ("#", "column", "is", "unit", "from", "to", "noise rms", "step", "state")
-LABEL, MEANING = 1, 2  # indices of the headings of words
-N_ALWAYS = 6  # headings that are always shown; the others only with an entry
-GAP, MIN_WORDS = 2, 24  # characters: between columns, and of both columns of words
-ROUNDING = 1e-10  # of a column's range: what ten digits in a file round off is no noise
-MAX_TEXT = 600  # a damaged file's heading fills a hundred screens
+LABEL, MEANING = 1, 2  # indices of the columns with words
+N_ALWAYS = 6  # columns that are always shown; the others only if they have an entry
+GAP, MIN_WORDS = 2, 24  # characters: between columns, and for both columns with words
+ROUNDING = 1e-10  # of the range of a column: smaller noise is rounding of ten digits
+MAX_TEXT = 600  # characters; the headings of a damaged file can be very long
 
 
 def inspect(
@@ -37,8 +37,8 @@ def inspect(
 ) -> None:
     """Show the channels, units, clock, noise and problems of recordings.
 
-    A file that cannot be used as a recording is shown with the reason; the exit status is then 3,
-    after all files have been shown.
+    If a file cannot be used as a recording, the reason is shown, and the exit status is 3 after
+    all files.
 
     [bold]Examples[/bold]
 
@@ -75,7 +75,7 @@ def inspect(
     elif quiet:
         for inspection in inspections:
             if inspection.refusal:
-                say(f"no recording: {inspection.refusal}", err=True)
+                say(f"not a recording: {inspection.refusal}", err=True)
     else:
         show(inspections)
     if any(inspection.refusal for inspection in inspections):
@@ -83,31 +83,31 @@ def inspect(
 
 
 def _location(statement: "Statement") -> str:
-    """Return where a statement holds: a place in the file, an axis, or the recording."""
+    """Return the location of a statement: a position in the file, an axis, or the recording."""
     return statement.place or (f"axis {statement.axis}" if statement.axis else "recording")
 
 
 def show(inspections: "tuple[Inspection, ...]") -> None:
-    """Print what was understood of every file, all as text: names in files are not markup."""
+    """Print the columns, the clock and the problems of every file."""
     from rich.console import Console
 
     console = Console(soft_wrap=False)
     for inspection in inspections:
         about = f": {inspection.format}, {inspection.rows} rows" if inspection.format else ""
-        console.print(plain(f"{inspection.name}{about}", style="bold"))
+        console.print(rich_text(f"{inspection.name}{about}", style="bold"))
         if inspection.columns:
             has_noise = inspection.response is None
             console.print(_table(inspection.columns, console.width, has_noise=has_noise))
         if inspection.axis is not None:
-            console.print(plain(_clock_line(inspection)))
+            console.print(rich_text(_clock_line(inspection)))
         if inspection.response is not None:
             for line in response_lines(inspection):
-                console.print(plain(line))
+                console.print(rich_text(line))
         for statement in inspection.statements:
-            location, text = _cut(_location(statement)), _cut(statement.text)
-            console.print(plain(f"  {statement.quantity} ({location}): {text}", "yellow"))
+            location, text = _truncate(_location(statement)), _truncate(statement.text)
+            console.print(rich_text(f"  {statement.quantity} ({location}): {text}", "yellow"))
         if inspection.refusal is not None:
-            console.print(plain(f"  no recording: {inspection.refusal}", style="red"))
+            console.print(rich_text(f"  not a recording: {inspection.refusal}", style="red"))
         console.print()
 
 
@@ -124,7 +124,7 @@ def _clock_line(inspection: "Inspection") -> str:
         levels = " at " + ", ".join(f"{level:.4g} V" for level in inspection.levels_V)
         line += in_counts(levels, inspection.counted)
     if not inspection.axis_is_named:
-        line += f"; axis not named in the file, taken as {inspection.axis}"
+        line += f"; no axis named in the file, {inspection.axis} assumed"
     return line
 
 
@@ -147,19 +147,19 @@ def _table(
     for k in visible:
         table.add_column(HEADINGS[k], overflow="fold", no_wrap=has_room and k in numbers)
     for row in rows:
-        table.add_row(*(plain(row[k]) for k in visible))
+        table.add_row(*(rich_text(row[k]) for k in visible))
     return table
 
 
 def _cells(column: "ColumnSummary", *, has_noise: bool) -> tuple[str, ...]:
-    is_clock = column.meaning == "time"  # whose noise and steps are the line below the table
+    is_clock = column.meaning == "time"  # the line below the table describes the clock
     noise, low, high = column.noise_rms, column.minimum, column.maximum
     if noise is not None and low is not None and high is not None:
-        # Of a computed ramp it is but rounding.
+        # The noise of a computed ramp is rounding.
         noise = noise if noise > ROUNDING * (high - low) else None
     noise_rms = _quantity(noise, column.si_unit)
     if has_noise and column.noise_rms is None and low is not None:
-        noise_rms = "unknown"  # too few samples, or a signal too fast
+        noise_rms = "unknown"  # too few samples, or too fast a signal
     states = []
     if low is None:
         states.append("empty")
@@ -170,7 +170,7 @@ def _cells(column: "ColumnSummary", *, has_noise: bool) -> tuple[str, ...]:
     if column.clipped:
         states.append(f"{100 * column.clipped:.2g} % clipped")
     return tuple(
-        _cut(cell)
+        _truncate(cell)
         for cell in (
             str(column.number),
             column.label,
@@ -185,7 +185,7 @@ def _cells(column: "ColumnSummary", *, has_noise: bool) -> tuple[str, ...]:
     )
 
 
-def _cut(text: str) -> str:
+def _truncate(text: str) -> str:
     return text if len(text) <= MAX_TEXT else f"{text[:MAX_TEXT]} ..."
 
 
@@ -200,7 +200,7 @@ def _quantity(value: float | None, unit: str) -> str:
 
 
 def response_lines(inspection: "Inspection") -> list[str]:
-    """Return band, included poles, gain and peaks of each axis, and coupling."""
+    """Return band, included poles, gain and peaks of each axis, and coupling, as lines."""
     from piezoid.formatting import significant, with_unit
 
     response = inspection.response
@@ -211,16 +211,16 @@ def response_lines(inspection: "Inspection") -> list[str]:
     )
     band = f"{with_unit(response.lowest_Hz, 'Hz')} to {with_unit(response.highest_Hz, 'Hz')}"
     lines = [
-        f"  a frequency response, {band}, {response.lines} lines, "
-        f"with the poles of {through} in it",
+        f"  a frequency response, {band}, {response.lines} lines, which includes the poles of "
+        f"{through}",
     ]
     lines += [_path(path, response.lines) for path in response.paths if path.output == path.drive]
     if not inspection.axis_is_named:
-        lines.append("  axis not named in the file, taken as x")
+        lines.append("  no axis named in the file, x assumed")
     for coupling in response.couplings:
         low, drive = significant(100.0 * coupling.low, 2), coupling.drive
         line = f"  {coupling.output} moves by {low} % of {drive} when {drive} is driven, at low "
-        line += "frequency"
+        line += "frequencies"
         if coupling.at_mode is not None:
             at_mode = significant(100.0 * coupling.at_mode, 2)
             line += f", and {at_mode} % at the mode of {drive}"

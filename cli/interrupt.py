@@ -1,8 +1,9 @@
 """Ctrl-C: exit status 130 and one line, from the first import to the last file.
 
-This module is imported before all others of the command line, and loads nothing itself. While
-modules load nothing is half done, and the process ends at once. Later, ``Interrupted`` is raised,
-so that unfinished files and workers are removed. Where a library swallows it, it is raised again.
+This module is imported before all others of the command line, and imports little itself. While
+modules load, no work is unfinished, and the process ends at once. Later, ``Interrupted`` is
+raised, so that unfinished files and workers are removed. It is raised repeatedly in case a library
+suppresses it.
 """
 
 import os
@@ -11,25 +12,25 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
-_LINE = "interrupted: nothing is left half written\n"
-_AGAIN_s = 0.05
+INTERRUPTED = 130  # exit status of a program that Ctrl-C ended, by convention of shells
+_LINE = "interrupted: no file is left half written\n"
+_REPEAT_s = 0.05
 
 
 class Interrupted(BaseException):
-    """The user pressed Ctrl-C: unfinished work is removed, and the command ends."""
+    """Raised when the user presses Ctrl-C."""
 
 
 class _State:
     """State of the signal handler of this process."""
 
-    is_loading = True  # nothing has begun that needs to be undone
+    is_loading = True  # no work needs to be undone
     is_interrupted = False
     is_postponed = False
 
 
 def install() -> None:
-    """Let Ctrl-C end this process from now on; a worker leaves that to its parent."""
+    """Install the handler of Ctrl-C; worker processes ignore the signal."""
     process = sys.modules.get("multiprocessing.process")
     if process is not None and process.parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -43,7 +44,7 @@ def install() -> None:
 def interruptible() -> Iterator[None]:
     """Raise ``Interrupted`` in the block; end the process with status 130 if Ctrl-C was pressed.
 
-    Whatever exception the interruption became in a library that was loading counts as such.
+    After Ctrl-C, any exception counts as the interruption, because libraries may convert it.
     """
     _State.is_loading = _State.is_interrupted = _State.is_postponed = False
     try:
@@ -60,32 +61,32 @@ def interruptible() -> Iterator[None]:
 
 @contextmanager
 def postponed() -> Iterator[None]:
-    """Raise ``Interrupted`` only at the end of a block that must not be left in the middle."""
+    """Raise ``Interrupted`` only at the end of a block that must be completed."""
     outer, _State.is_postponed = _State.is_postponed, True
     try:
         yield
     finally:
         _State.is_postponed = outer
-        if _State.is_interrupted and not outer and not _in_flight():
+        if _State.is_interrupted and not outer and not _is_propagating():
             raise Interrupted
 
 
 def _handle(number: int, _: object) -> None:
     if number == signal.SIGINT:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second press must not disturb the end
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # ignore a second press during the cleanup
         if _State.is_loading:
             os.write(2, _LINE.encode())
             os._exit(INTERRUPTED)
         _State.is_interrupted = True
         if hasattr(signal, "setitimer"):
             signal.signal(signal.SIGALRM, _handle)
-            signal.setitimer(signal.ITIMER_REAL, _AGAIN_s, _AGAIN_s)
-    if not _State.is_postponed and not _in_flight():
+            signal.setitimer(signal.ITIMER_REAL, _REPEAT_s, _REPEAT_s)
+    if not _State.is_postponed and not _is_propagating():
         raise Interrupted
 
 
-def _in_flight() -> bool:
-    """Return whether the interruption is on its way up already, through blocks that clean up."""
+def _is_propagating() -> bool:
+    """Return whether ``Interrupted`` is already propagating through blocks that clean up."""
     error = sys.exc_info()[1]
     while error is not None and not isinstance(error, Interrupted):
         error = error.__context__
@@ -96,5 +97,5 @@ def _stop_raising() -> None:
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     _State.is_postponed = True
-    if signal.getsignal(signal.SIGINT) is _handle:  # Python drops the handler before it unloads
+    if signal.getsignal(signal.SIGINT) is _handle:  # at exit Python removes Python handlers
         signal.signal(signal.SIGINT, signal.SIG_IGN)

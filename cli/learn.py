@@ -1,4 +1,4 @@
-"""`piezoid learn`: one period of motion and, if any, its recording in; the next table out."""
+"""`piezoid learn`: compute or refine the feedforward table of a periodic motion."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,14 +16,14 @@ def learn(
     stage: Annotated[Path, typer.Argument(help="Folder with model.json and params.json.")],
     reference: Annotated[
         Path,
-        typer.Option(help="One period of the motion: a length, one row per sample."),
+        typer.Option(help="One period of the motion: displacement, one row per sample."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the table.")],
     period: Annotated[
-        Path | None, typer.Option(help="Recorded motion from point 0 of a period on.")
+        Path | None, typer.Option(help="Recorded motion, starting at point 0 of a period.")
     ] = None,
     table: Annotated[
-        Path | None, typer.Option(help="learning.json of the table that was played in --period.")
+        Path | None, typer.Option(help="learning.json of the table that --period recorded.")
     ] = None,
     axis: Annotated[str | None, typer.Option(help="Axis; default: the only one.")] = None,
     open_loop: Annotated[
@@ -31,7 +31,7 @@ def learn(
         typer.Option("--open-loop", help="For a drive without a controller."),
     ] = False,
     gain: Annotated[
-        float, typer.Option(help="Learning gain; 1 is best for the worst plant.", min=0.0)
+        float, typer.Option(help="Learning gain; 1 is optimal for the worst plant.", min=0.0)
     ] = 1.0,
     lab: StageLab = None,
     force: Force = False,
@@ -40,8 +40,8 @@ def learn(
 ) -> None:
     """Learn the feedforward of a periodic motion: write learning.json and the table to play.
 
-    Without a recording the table is computed from the model; with one, the table is refined. Exit
-    status 4 means that the learning filter does not contract on every plant of the family.
+    Without --period the table is computed from the model; with --period, an earlier table is
+    refined. Exit status 4 means that learning does not converge for every plant of the family.
 
     [bold]Examples[/bold]
 
@@ -56,9 +56,9 @@ def learn(
     from piezoid_cli.stage_files import StageFolder, content_of
 
     if (period is None) != (table is None):
-        raise typer.BadParameter("--period and --table belong together: neither, or both")
+        raise typer.BadParameter("--period and --table must be given together")
     if not gain > 0.0:
-        raise typer.BadParameter(f"--gain {gain:g}: a gain above 0 learns")
+        raise typer.BadParameter(f"--gain {gain:g}: the gain must be above 0")
     inputs = [path for path in (reference, period, table, lab, stage / "model.json") if path]
     check_folder(out, force=force, new=True, inputs=inputs)
     with show_progress(quiet=quiet or json) as progress:
@@ -89,7 +89,7 @@ def learn(
             controller=controller,
             axis=selected,
             lab=declared,
-            before=previous,
+            previous=previous,
             period=recordings[0] if recordings else None,
             sampling_rate_Hz=rate_Hz,
             gain=gain,
@@ -105,25 +105,25 @@ def learn(
 
 
 def _select_axis(axes: list[str], requested: str | None) -> str:
-    """Return the requested axis, or the only one there is."""
+    """Return the requested axis, or the only axis."""
     if requested is None and len(axes) == 1:
         return axes[0]
     if requested not in axes:
         raise typer.BadParameter(
-            f"--axis {requested}: there are {', '.join(axes)}"
+            f"--axis {requested}: the axes are {', '.join(axes)}"
             if requested
-            else f"there are {', '.join(axes)}: choose one with --axis"
+            else f"the axes are {', '.join(axes)}: choose one with --axis"
         )
     return requested
 
 
 def _lines(learned: "Learned", out: Path, files: Iterable[str]) -> list[str]:
-    """Return what learning can achieve, the errors so far, and what to do next."""
+    """Return convergence, errors, files and the next step as lines."""
     from piezoid.formatting import with_unit
 
     lines = [
-        f"axis {learned.axis}, period of {with_unit(learned.frequency_Hz, 'Hz')}: a recorded "
-        f"period reduces the error to at most {learned.contraction:.2g} of it, up to "
+        f"axis {learned.axis}, period of {with_unit(learned.frequency_Hz, 'Hz')}: each recorded "
+        f"period multiplies the error by at most {learned.contraction:.2g}, up to "
         f"{with_unit(learned.learns_to_Hz, 'Hz')} (worst plant: {learned.worst_plant})",
         f"simulated error of the first table: {with_unit(learned.model_error_m, 'm')} rms on the "
         "identified plant",
@@ -131,10 +131,10 @@ def _lines(learned: "Learned", out: Path, files: Iterable[str]) -> list[str]:
     if learned.errors_m and learned.noise_m is not None:
         errors = ", ".join(with_unit(error_m, "m") for error_m in learned.errors_m)
         noise = with_unit(learned.noise_m, "m")
-        lines.append(f"recorded errors, oldest first: {errors} rms; noise of the last {noise} rms")
+        lines.append(f"recorded errors, oldest first: {errors} rms; latest noise: {noise} rms")
     return [
         *lines,
         f"table: {', '.join(str(out / name) for name in files)}",
-        f"next: play it, record the settled motion from point 0 on, and learn again with --table "
-        f"{out / 'learning.json'} --period FILE",
+        f"next: play the table, record the settled motion starting at point 0, and run again with "
+        f"--table {out / 'learning.json'} --period FILE",
     ]

@@ -1,4 +1,4 @@
-"""`piezoid` and the order of its verbs; the only place where errors become messages."""
+"""`piezoid`: the list of its verbs, and the conversion of errors to messages."""
 
 from piezoid_cli.interrupt import install, interruptible
 
@@ -12,7 +12,7 @@ from typing import Annotated, Any, cast
 import typer
 from typer.core import TyperGroup
 
-# The matrices are small: a second thread of linear algebra costs time, and changes last digits.
+# Matrices are small: more threads of linear algebra cost time and change the last digits.
 os.environ.update(
     dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 )
@@ -30,7 +30,7 @@ from piezoid_cli.plan import plan
 from piezoid_cli.progress import VERBOSE
 from piezoid_cli.report import report
 from piezoid_cli.simulate import simulate
-from piezoid_cli.terminal import guard_output, one_line, plain
+from piezoid_cli.terminal import guard_output, one_line, rich_text
 from piezoid_cli.verify import verify
 
 VERBOSE_OPTIONS = ("-v", "--verbose")
@@ -46,7 +46,7 @@ VERBS = (
 
 
 class Verbs(TyperGroup):
-    """The verbs; their arguments may be names of files, and are shown as text."""
+    """Group of the verbs; usage errors show arguments, such as names of files, as text."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run a verb; a folder that may not be written is a usage error."""
@@ -61,14 +61,14 @@ class Verbs(TyperGroup):
             raise _UsageError(one_line(str(error)), ctx) from error
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the verb, or list all verbs if there is none of that name."""
+        """Return the verb of a name, or list all verbs if it does not exist."""
         from difflib import get_close_matches
 
         if args and not args[0].startswith("-") and args[0] not in self.commands:
             matches = get_close_matches(args[0], self.commands, n=1)
             remedy = f"Did you mean {matches[0]}?" if matches else "See piezoid --help."
             raise _UsageError(
-                f"there is no verb {args[0]!r}. Needed: one of {', '.join(self.commands)}. "
+                f"there is no command {args[0]!r}. Needed: one of {', '.join(self.commands)}. "
                 f"{remedy}",
                 ctx,
             )
@@ -108,7 +108,7 @@ def piezoid(
         ),
     ] = False,
 ) -> None:
-    """From recordings of a piezo stage to a calibrated, verified controller.
+    """Turn recordings of a piezo stage into a calibrated, verified controller.
 
     [bold]Typical use[/bold]: check the files, draft lab.toml, complete it, calibrate:
 
@@ -118,19 +118,19 @@ def piezoid(
 
     piezoid fit sweep.csv check.csv --lab lab.toml --out stage42/
 
-    Then open stage42/report.html and compile stage42/bundle/. For examples of a verb:
+    Then open stage42/report.html and compile stage42/bundle/. Each command has examples, as in
     piezoid fit --help
 
-    Options of every verb: -v, --verbose logs each step with its elapsed time; --debug adds a
+    Options of every command: -v, --verbose logs each step with its elapsed time; --debug adds a
     traceback to errors.
 
-    Exit status: 0 done, 1 a verdict failed, 2 usage, 3 data or file unusable, 4 no solution,
-    70 internal error, 130 interrupted.
+    Exit status: 0 success, 1 a verdict failed, 2 wrong usage, 3 unusable data or file, 4 no
+    solution, 70 internal error, 130 interrupted.
     """
 
 
 def main() -> None:
-    """Run the command line; errors end as one message and an exit status."""
+    """Run the command line; print an error as one message and set the exit status."""
     arguments = [word for word in sys.argv[1:] if word not in ("--debug", *VERBOSE_OPTIONS)]
     if set(sys.argv[1:]) & set(VERBOSE_OPTIONS):
         VERBOSE.set(True)
@@ -149,9 +149,9 @@ def main() -> None:
 
 
 _OUT_OF_MEMORY = (
-    "the memory of this process is not enough. Needed: memory for all recordings, about 1 kB for "
-    "each sample of a fit. Fit them with --stream, which reads in chunks, or select a part of "
-    "them by start_s and stop_s in lab.toml."
+    "out of memory. Needed: memory for all recordings, about 1 kB for each sample of a fit. Fit "
+    "them with --stream, which reads in chunks, or select a part of them with start_s and stop_s "
+    "in lab.toml."
 )
 
 
@@ -168,7 +168,7 @@ def _report(error: Exception) -> int:
         status = 3
         message = (
             f"{error.filename or 'a file'}: {error.strerror or error}. Needed: a file or folder "
-            "that this command may read and write. Check its name, its permissions and the free "
+            "that this command can read and write. Check its name, its permissions and the free "
             "disk space."
         )
     elif isinstance(error, MemoryError):
@@ -180,7 +180,7 @@ def _report(error: Exception) -> int:
             "of the same command with --debug."
         )
     console = Console(stderr=True)
-    console.print(Text.assemble(("error: ", "bold red"), plain(message)))
+    console.print(Text.assemble(("error: ", "bold red"), rich_text(message)))
     return status
 
 

@@ -1,11 +1,11 @@
-"""`piezoid plan`: open questions of a diagnosis in, the drive of the next experiment out."""
+"""`piezoid plan`: compute the drive of the next experiment for an open question."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piezoid_cli.terminal import Force, JsonFile, Quiet, plain, print_raw, table
+from piezoid_cli.terminal import Force, JsonFile, Quiet, print_raw, rich_text, table
 
 if TYPE_CHECKING:
     from piezoid.diagnosis.experiment import Plan
@@ -19,11 +19,11 @@ def plan(
         typer.Argument(help="The diagnosed recordings, to compare the new drive with."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the plan; default: beside model.json.")
+        Path | None, typer.Option(help="Folder for the plan; default: the stage folder.")
     ] = None,
     lab: Annotated[Path | None, typer.Option(help="lab.toml: range, slew and clock.")] = None,
     axis: Annotated[
-        str | None, typer.Option(help="Axis; default: the first that was diagnosed.")
+        str | None, typer.Option(help="Axis; default: the first diagnosed axis.")
     ] = None,
     effect: Annotated[
         str | None, typer.Option(help="Effect to target; default: the least certain.")
@@ -45,8 +45,9 @@ def plan(
     piezoid plan stage42/ --effect creep --out next/ --json | jq .alternatives[].name
 
     Every drive stays inside the recorded range and the limits of lab.toml. If no drive resolves
-    the question, the best one is written with its expected gain and the limit that prevents more
-    ("answers": false in plan.json); exit status 3 means that no drive shows the effect.
+    the question, the best drive is written with its expected benefit and the limit that prevents
+    a better one ("answers": false in plan.json). Exit status 3 means that no drive shows the
+    effect.
     """
     from piezoid.output_folder import add_to_folder, check_folder, write_folder
     from piezoid_cli.progress import show_progress
@@ -70,7 +71,7 @@ def plan(
         diagnosis = next((d for d in diagnoses if axis in (None, d.axis)), None)
         if diagnosis is None:
             axes = ", ".join(d.axis for d in diagnoses)
-            raise typer.BadParameter(f"--axis {axis}: {path} holds {axes}")
+            raise typer.BadParameter(f"--axis {axis}: {path} contains {axes}")
         model, declared = folder.model, folder.lab
         recordings = collect(files, declared).recordings if files else ()
         progress("simulating candidate drives")
@@ -105,14 +106,14 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
     console = Console()
     if not axis.has_dynamics:
         text = (
-            f"No resonance or pole of axis {axis.axis} was fitted. If a controller is wanted, "
-            "record a small chirp first, at the rate of the controller. The plan is about the "
+            f"No resonance or pole of axis {axis.axis} was fitted. For a controller, record a "
+            "small chirp first, at the sampling rate of the controller. The plan concerns the "
             "effects of the diagnosis."
         )
-        console.print(plain(text, style="bold"))
+        console.print(rich_text(text, style="bold"))
     for sentence in sentences(planned):
-        console.print(plain(sentence))
-    # The drives that were simulated; separability only where two effects compete.
+        console.print(rich_text(sentence))
+    # Separability is only defined if two effects compete.
     is_single = planned.question.kind != "separate"
     headings = ("drive", "duration", *(() if is_single else ("separability",)))
     rows: list[tuple[Any, ...]] = []
@@ -124,7 +125,7 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
         error = estimate.errors[0] if is_single else estimate.worst
         rows.append(
             (
-                plain(name, style="bold" if name == planned.drive.name else ""),
+                rich_text(name, style="bold" if name == planned.drive.name else ""),
                 f"{candidate.duration_s:.0f} s",
                 *(() if is_single else (f"{estimate.separability:.2g}",)),
                 f"{100 * error:.2g} %" if error < 10.0 else "not shown",
@@ -137,5 +138,5 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
     source = "with the recordings" if planned.recorded is not None else "without the recordings"
     last_heading = f"standard error over size, {source}"
     console.print(table(title, (*headings, last_heading), rows, n_words=1))
-    console.print(plain("Of drives that are nearly as good as the best, the shortest is chosen."))
-    console.print(plain(f"drive: {drive}"))
+    console.print(rich_text("The shortest of the drives nearly as good as the best is chosen."))
+    console.print(rich_text(f"drive: {drive}"))

@@ -1,4 +1,4 @@
-"""Progress of the work: a moving line on a terminal, now and then a line in a log."""
+"""Progress display: an animated line on a terminal, or lines at intervals in a log."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,10 +8,10 @@ from threading import Event, Lock, Thread
 
 from piezoid_cli.terminal import one_line, say, step_column
 
-INTERVAL_s = 10.0  # between lines in a log: a night's work stays readable
-REPEAT_s = 60.0  # after which the line of a long step is repeated, so that a log shows life
+INTERVAL_s = 10.0  # between lines in a log
+REPEAT_s = 60.0  # after which the line of a long step is repeated
 
-# With -v: every step of the work as it begins, on a terminal too.
+# With -v: print each step when it starts, also on a terminal.
 VERBOSE: ContextVar[bool] = ContextVar("VERBOSE", default=False)
 
 
@@ -19,9 +19,9 @@ VERBOSE: ContextVar[bool] = ContextVar("VERBOSE", default=False)
 def show_progress(
     *, quiet: bool, interval_s: float = INTERVAL_s
 ) -> Iterator[Callable[[str], None]]:
-    """Give a function that shows a step of the work on standard error.
+    """Yield a function that shows the current step on standard error.
 
-    interval_s  shortest time between two lines if there is no terminal
+    interval_s  minimum time between two lines without a terminal
     """
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
@@ -47,10 +47,10 @@ def say_line(line: str) -> None:
 
 
 class Log:
-    """Steps of the work as lines, each with the seconds since the beginning."""
+    """Log of the steps, one line each with the elapsed seconds."""
 
     def __init__(self, write: Callable[[str], None]) -> None:
-        """Start the clock; ``write`` takes a line."""
+        """Start the clock; ``write`` receives each line."""
         self._write = write
         self._start_s = time.monotonic()
         self._lock = Lock()
@@ -58,13 +58,13 @@ class Log:
         self._written_s = 0.0
 
     def begin(self, step: str) -> None:
-        """Write a step at once, unless it is the one that was written last."""
+        """Write a step at once, unless the latest line already shows it."""
         self._set(step)
         self._write_step(repeat_s=float("inf"))
 
     @contextmanager
     def at_intervals(self, interval_s: float) -> Iterator[Callable[[str], None]]:
-        """Give a function that takes a step; write the present step once per interval."""
+        """Yield a function that sets the current step, which is written once per interval."""
         ended = Event()
 
         def write() -> None:

@@ -1,4 +1,4 @@
-"""`piezoid report`: the page of a stage, drawn again from the sealed files of its folder."""
+"""`piezoid report`: write the report of a stage again from its sealed files."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,22 +14,22 @@ if TYPE_CHECKING:
 
 SEALED = ("model.json", "diagnosis.json", "design.json", "params.json", "verification.json")
 
-UNDESIGNED = "there is no design.json in the folder; `piezoid design` makes one, or says why not."
+UNDESIGNED = "the folder has no design.json; run `piezoid design`."
 
 
 def report(
-    stage: Annotated[Path, typer.Argument(help="Folder with model.json and what followed it.")],
+    stage: Annotated[Path, typer.Argument(help="Folder that `piezoid fit` wrote.")],
     files: Annotated[
-        list[Path] | None, typer.Argument(help="The recordings of the fit, to draw its figures.")
+        list[Path] | None, typer.Argument(help="The recordings of the fit, for the figures.")
     ] = None,
     lab: StageLab = None,
     force: Force = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Draw report.html again from the sealed files, for example after `piezoid verify`.
+    """Write report.html again from the sealed files, for example after `piezoid verify`.
 
-    Name the recordings of the fit to draw loops and residuals; other files are refused.
+    Name the recordings of the fit to plot loops and residuals; other files are rejected.
 
     [bold]Examples[/bold]
 
@@ -59,10 +59,10 @@ def report(
                 raise RecordingError(
                     f"{name} is not one of the recordings of this model "
                     f"({', '.join(model.sources) or 'none'})",
-                    needed="the very files that were fitted, byte for byte",
-                    remedy="Name those, or fit again with this one.",
+                    needed="the recordings of the fit, unchanged",
+                    remedy="Name those recordings, or fit again with this one.",
                 )
-        progress("drawing")
+        progress("writing the report")
         current = {name: text for name, text in contents.items() if name not in stale}
         page = _page(folder, recorded, current)
         add_to_folder(stage, {"report.html": page.encode()}, force=force)
@@ -72,12 +72,12 @@ def report(
         for name, reason in stale.items():
             say(f"left out because it is out of date: {name} ({reason})")
         if model.sources and not files:
-            say("without loops and residuals: name the recordings of the fit to draw them")
+            say("without loops and residuals: name the recordings of the fit to plot them")
         say(f"report: {stage / 'report.html'}")
 
 
 def _page(folder: "StageFolder", recorded: "Collection", files: Mapping[str, bytes]) -> str:
-    """Return the page of the sealed files that are up to date."""
+    """Return report.html for the sealed files that are up to date."""
     from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
     from piezoid.verification.verification import verification_from_json
     from piezoid_reports.page import Page

@@ -1,8 +1,8 @@
-"""Results of a batch: a folder, or any store of objects that fsspec can write to.
+"""Results of a batch: a folder, or an object store that fsspec can write to.
 
-A folder receives each stage whole or not at all. A store of objects has no such step: the record
-of a stage is removed first and written last, so that a stage with a record is whole. In both, only
-files that a manifest lists are replaced; edits are recognised in a folder only.
+A folder receives the files of a stage in one atomic step. In an object store, the record of a
+stage is deleted first and written last, so that a stage with a record is complete. In both, only
+files that a manifest lists are replaced; edited files are only recognised in a folder.
 """
 
 import os
@@ -32,9 +32,9 @@ SUMMARY = ("summary.html", "parameters.parquet", RECORD)
 
 
 def result_store(results: str, *, force: bool = False) -> "FolderStore | ObjectStore":
-    """Return the store behind the name of a folder, or behind a URL such as s3://night/results.
+    """Return the store for a folder, or for a URL such as s3://night/results.
 
-    force  replace results in a folder although they were edited
+    force  replace edited results in a folder
 
     Raises ``typer.BadParameter`` for a URL that fsspec cannot write to.
     """
@@ -48,13 +48,13 @@ class FolderStore:
     """A folder that every worker sees under the same name."""
 
     def __init__(self, folder: Path, *, force: bool = False) -> None:
-        """Name a folder, which need not exist yet."""
+        """Set the folder, which need not exist yet."""
         self._folder, self._force = folder.absolute(), force
         self._stages = self._folder / STAGES
 
     @property
     def has_stages(self) -> bool:
-        """Whether stages were written before."""
+        """Whether an earlier run wrote stages."""
         return self._stages.is_dir()
 
     def check(self) -> None:
@@ -67,17 +67,17 @@ class FolderStore:
         path = self._stages / stage
         expected = os.path.join(os.path.realpath(self._folder), STAGES, stage)
         if os.path.realpath(path) != os.path.normpath(expected):
-            raise refusal(f"{path} lies behind a link, which is not followed")
+            raise refusal(f"{path} is reached through a link, which is not followed")
         check_folder(path, force=self._force)
 
     def create(self) -> None:
-        """Make the folders, each with a manifest that marks it as piezoid's."""
+        """Create the folders, each with a manifest of piezoid."""
         for folder in (self._folder, self._stages):
             if not (folder / MANIFEST).is_file():
                 add_to_folder(folder, {})
 
     def check_visible(self) -> None:
-        """Raise ``OSError`` if this machine does not see the folder that ``create`` made."""
+        """Raise ``OSError`` if this machine does not see the folder from ``create``."""
         if not self._stages.is_dir():
             raise FileNotFoundError(
                 f"{os.uname().nodename} does not see {self._stages}; name a folder that every "
@@ -85,7 +85,7 @@ class FolderStore:
             )
 
     def read_record(self, stage: str) -> bytes:
-        """Return the record of a stage; raises ``OSError`` unless all its files are there."""
+        """Return the record of a stage; raise ``OSError`` if any of its files is missing."""
         folder = self._stages / stage
         for name in (RECORD, *missing_files(folder)):
             if not (folder / name).exists():
@@ -96,7 +96,7 @@ class FolderStore:
         """Write the files of a stage, replacing those of an earlier run."""
         folder = self._stages / stage
         for parent in reversed(folder.relative_to(self._stages).parents[:-1]):
-            if not (self._stages / parent).exists():  # a stage of its own, perhaps, later on
+            if not (self._stages / parent).exists():  # the parent may become a stage itself
                 add_to_folder(self._stages / parent, {})
         write_folder(folder, files, force=self._force, shared=True)
 
@@ -105,48 +105,48 @@ class FolderStore:
         add_to_folder(self._folder, {name: write}, force=self._force)
 
     def remove_unfinished(self, stages: Iterable[str]) -> None:
-        """Remove half-written folders that killed workers left beside these stages."""
+        """Delete half-written folders of killed workers next to these stages."""
         for folder in sorted({(self._stages / stage).parent for stage in stages}):
             remove_unfinished(folder)
 
 
 class ObjectStore:
-    """Objects under a URL, for which every worker has the same name."""
+    """Objects under a URL that is the same for every worker."""
 
     def __init__(self, url: str) -> None:
-        """Open the store; ``typer.BadParameter`` if fsspec cannot write there."""
+        """Open the store; raise ``typer.BadParameter`` if fsspec cannot write to it."""
         import fsspec
 
         try:
             self._files: Any
             self._files, self._root = fsspec.core.url_to_fs(url.rstrip("/"))
         except (ImportError, ValueError) as error:
-            raise typer.BadParameter(f"nothing can be written to {url}: {error}") from error
+            raise typer.BadParameter(f"cannot write to {url}: {error}") from error
 
     @property
     def has_stages(self) -> bool:
-        """Whether stages were written before."""
+        """Whether an earlier run wrote stages."""
         self._files.invalidate_cache()
         return bool(self._files.exists(f"{self._root}/{STAGES}"))
 
     def check(self) -> None:
-        """Raise ``OutputFolderError`` if objects without a manifest are there."""
+        """Raise ``OutputFolderError`` if the URL contains objects without a manifest."""
         self._files.invalidate_cache()
         self._listed(self._root)
 
     def check_stage(self, stage: str) -> None:
-        """Raise ``OutputFolderError`` if objects without a manifest are in place of a stage."""
+        """Raise ``OutputFolderError`` if a stage contains objects without a manifest."""
         self._listed(self._path(stage))
 
     def create(self) -> None:
-        """Write the manifest that marks the objects as piezoid's."""
+        """Write the manifest of piezoid."""
         self._write(f"{self._root}/{MANIFEST}", manifest_of(dict.fromkeys(SUMMARY, "")))
 
     def check_visible(self) -> None:
-        """Do nothing: a URL names the same objects from everywhere."""
+        """Do nothing: a URL is the same on every machine."""
 
     def read_record(self, stage: str) -> bytes:
-        """Return the record of a stage; raises ``OSError`` if there is none."""
+        """Return the record of a stage; raise ``OSError`` if it does not exist."""
         return bytes(self._files.cat_file(self._path(stage, RECORD)))
 
     def write_stage(self, stage: str, files: Mapping[str, bytes]) -> None:
@@ -173,12 +173,12 @@ class ObjectStore:
         """Do nothing: the next run replaces stages without a record."""
 
     def _listed(self, prefix: str) -> tuple[str, ...]:
-        """Return the names in the manifest below a prefix; refuse objects without one."""
+        """Return the names in the manifest under a prefix; refuse objects without a manifest."""
         with suppress(FileNotFoundError):
             if (listed := read_manifest(self._files.cat_file(f"{prefix}/{MANIFEST}"))) is not None:
                 return tuple(listed)
         if self._files.exists(prefix) and self._files.ls(prefix, detail=False):
-            raise refusal(f"{prefix} is not empty and bears no manifest of piezoid")
+            raise refusal(f"{prefix} is not empty and has no manifest of piezoid")
         return ()
 
     def _write(self, path: str, content: bytes) -> None:

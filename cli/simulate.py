@@ -1,4 +1,4 @@
-"""`piezoid simulate`: recordings of a virtual stage whose faults are known."""
+"""`piezoid simulate`: simulate recordings of a virtual stage with known effects."""
 
 from pathlib import Path
 from typing import Annotated
@@ -14,27 +14,27 @@ def simulate(
     effect: Annotated[
         list[str] | None,
         typer.Option(
-            help="Hide this effect; creep=0.8 sets its size in percent of stroke. Repeatable.",
+            help="Add this effect; creep=0.8 sets its size in percent of stroke. Repeatable.",
             metavar="NAME[=PERCENT]",
         ),
     ] = None,
     truth: Annotated[
-        str | None, typer.Option(help="Kind of ceramic; drawn from the seed if not given.")
+        str | None, typer.Option(help="Type of ceramic; default: random, from the seed.")
     ] = None,
     recording: Annotated[
         list[str] | None,
-        typer.Option(help="Play this drive. Repeatable; chosen to fit the effects if not given."),
+        typer.Option(help="Record this drive. Repeatable; default: chosen for the effects."),
     ] = None,
     careless: Annotated[
         bool,
         typer.Option(
-            "--careless", help="Do not cycle the drive before recording: unknown memory."
+            "--careless", help="Do not cycle the drive before recording: unknown initial state."
         ),
     ] = False,
     junction: Annotated[
         float | None,
         typer.Option(
-            help="Record a tunnelling tip under its controller instead, this long on each spot.",
+            help="Record a tunnelling tip in closed loop instead, with this duration per spot.",
             metavar="SECONDS",
         ),
     ] = None,
@@ -42,10 +42,10 @@ def simulate(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Simulate recordings of a virtual stage: CSV files, a lab.toml, and the truth.
+    """Simulate recordings of a virtual stage: CSV files, a lab.toml, and the true parameters.
 
-    An unknown name of an effect, drive or ceramic lists the known ones. The simulator shares no
-    code with the model.
+    For an unknown effect, drive or ceramic, the error lists the available names. The simulator
+    shares no code with the model.
 
     [bold]Examples[/bold]
 
@@ -66,8 +66,10 @@ def simulate(
 
     check_folder(out, force=force, new=True)
     if junction is not None and (effect or truth or recording or careless):
-        raise typer.BadParameter("--junction records a tip: nothing is hidden in a stage then")
-    sizes = dict(_sized(text) for text in effect or ())
+        raise typer.BadParameter(
+            "--junction records a tip; it excludes --effect, --truth, --recording and --careless"
+        )
+    sizes = dict(_parse_effect(text) for text in effect or ())
     with show_progress(quiet=quiet or json) as progress:
         progress(f"simulating the virtual {'stage' if junction is None else 'tip'}")
         try:
@@ -100,8 +102,8 @@ def simulate(
             say(line)
 
 
-def _sized(text: str) -> tuple[str, float | None]:
-    """Read ``creep`` or ``creep=0.8``."""
+def _parse_effect(text: str) -> tuple[str, float | None]:
+    """Return name and size of ``creep`` or ``creep=0.8``."""
     name, equals, percent = text.partition("=")
     if not equals:
         return name, None

@@ -1,4 +1,4 @@
-"""The sealed files of one stage: read, and refused where they do not belong together."""
+"""Sealed files of one stage: read them, and refuse files of different models."""
 
 from collections.abc import Mapping
 from functools import cached_property
@@ -23,14 +23,14 @@ WRITTEN_BY = {
     "params.json": "piezoid export {}",
     "verification.json": "piezoid verify {}",
 }
-_MAX_bytes = 1 << 27  # a hundred times what a stage of many recordings takes
+_MAX_bytes = 1 << 27  # a hundred times the size for a stage of many recordings
 
 
 class StageFolder:
-    """The sealed files of a stage, each read when it is first asked for."""
+    """Sealed files of a stage, each read at its first use."""
 
     def __init__(self, folder: Path, lab: Path | None = None) -> None:
-        """Name a folder and, unless it is the one in the folder, its lab.toml."""
+        """Set the folder, and a lab.toml other than the one in the folder."""
         self.folder, self._lab = folder, lab
 
     @cached_property
@@ -60,7 +60,7 @@ class StageFolder:
 
     @cached_property
     def design(self) -> "Design":
-        """The controllers; ``ParameterFileError`` if they were made from another model."""
+        """The controllers; raises ``ParameterFileError`` if they are of another model."""
         from piezoid.design.design import design_from_json
 
         path = self.folder / "design.json"
@@ -70,7 +70,7 @@ class StageFolder:
 
     @cached_property
     def parameters(self) -> "ParameterFile":
-        """The shipped parameters; ``ParameterFileError`` if they are of another model."""
+        """The shipped parameters; raises ``ParameterFileError`` if they are of another model."""
         from piezoid.export.parameter_file import from_json
 
         path = self.folder / "params.json"
@@ -82,15 +82,15 @@ class StageFolder:
         """Refuse a file that was made from another model.json; ``verb`` writes it again."""
         if digest != self.model_digest:
             raise ParameterFileError(
-                f"{name} was made from the model {digest[:19]}..., model.json is "
+                f"{name} was made from the model {digest[:19]}..., but model.json is "
                 f"{self.model_digest[:19]}...",
-                needed="files of one and the same model",
-                remedy=f"Run `{verb}` again, then everything that follows it.",
+                needed="files of the same model",
+                remedy=f"Run `{verb}` again, then the commands that follow it.",
             )
 
 
 def content_of(path: Path) -> bytes:
-    """Return the content of a sealed file; ``OSError`` for a pipe or a device."""
+    """Return the content of a sealed file; raise ``OSError`` for a pipe or a device."""
     from piezoid.records.readers.source import regular_size
 
     try:
@@ -100,15 +100,15 @@ def content_of(path: Path) -> bytes:
     if size > _MAX_bytes:
         raise ParameterFileError(
             f"{path} has {size} bytes",
-            needed=f"at most {_MAX_bytes}: it is none that piezoid wrote",
-            remedy="Take the original, or write it again from the recordings.",
+            needed=f"at most {_MAX_bytes}; piezoid does not write larger files",
+            remedy="Use the original, or write it again from the recordings.",
         )
     with path.open("rb") as stream:
         return stream.read(size)
 
 
 def digest_in(content: bytes) -> str:
-    """Return the digest that a sealed file carries."""
+    """Return the digest in a sealed file."""
     return str(loads(content).get("digest"))
 
 
@@ -117,32 +117,32 @@ def _missing(path: Path) -> ParameterFileError:
     folder = path.parent
     if path.name not in WRITTEN_BY:
         return ParameterFileError(
-            f"there is no file {path}",
-            needed="a file that can be read",
+            f"{path} does not exist",
+            needed="a readable file",
             remedy="Check its name.",
         )
     if not folder.is_dir():
         return ParameterFileError(
-            f"{folder} {'is a file' if folder.exists() else 'is not there'}",
+            f"{folder} {'is a file' if folder.exists() else 'does not exist'}",
             needed="the folder of a stage, as `piezoid fit` writes it",
-            remedy="Check its name, or make it: piezoid fit RECORDINGS --out FOLDER",
+            remedy="Check its name, or create it: piezoid fit RECORDINGS --out FOLDER",
         )
     if path.name == "params.json" and (folder / "refused").is_dir():
         return ParameterFileError(
-            f"{folder} holds no controller: what was designed failed its verification",
+            f"{folder} contains no controller, because its design failed its verification",
             needed="a controller that passed",
             remedy=f"Read the failed checks in {folder / 'refused' / 'verification.json'}, "
-            "record what the model lacks, and fit again.",
+            "record the effects that the model lacks, and fit again.",
         )
     return ParameterFileError(
-        f"{folder} holds no {path.name}",
+        f"{folder} contains no {path.name}",
         needed=f"the folder of a stage with {path.name}",
         remedy=f"Run `{WRITTEN_BY[path.name].format(folder)}` first.",
     )
 
 
 def changed_in_bundle(stage: Path, file: "ParameterFile") -> tuple[str, ...]:
-    """Return the files of bundle/ that are missing or not those of params.json."""
+    """Return the files of bundle/ that are missing or differ from those of params.json."""
     from piezoid.export.bundle import bundle
 
     return tuple(
@@ -153,7 +153,7 @@ def changed_in_bundle(stage: Path, file: "ParameterFile") -> tuple[str, ...]:
 
 
 def out_of_date(stage: StageFolder, contents: Mapping[str, bytes]) -> dict[str, str]:
-    """Return the sealed files that were made from others than those beside them, and why.
+    """Return the sealed files made from other files than those in the folder, with the reasons.
 
     contents  of the sealed files of a stage, by name
     """
@@ -162,9 +162,7 @@ def out_of_date(stage: StageFolder, contents: Mapping[str, bytes]) -> dict[str, 
     folder, stale = stage.folder, {}
     digests = {name: digest_in(content) for name, content in contents.items()}
     if "diagnosis.json" in contents and not is_as_written(folder / "diagnosis.json"):
-        stale["diagnosis.json"] = (
-            f"not the one of this fit; run piezoid fit RECORDINGS --out {folder}"
-        )
+        stale["diagnosis.json"] = f"not from this fit; run piezoid fit RECORDINGS --out {folder}"
     if "params.json" in contents:
         file = from_json(contents["params.json"], str(folder / "params.json"))
         other_sources = [
@@ -192,17 +190,17 @@ def out_of_date(stage: StageFolder, contents: Mapping[str, bytes]) -> dict[str, 
         refused_digest = digest_in(content_of(refused)) if refused.is_file() else ""
         verified = str(loads(contents["verification.json"]).get("parameters_digest"))
         if "params.json" in stale or verified != digests.get("params.json", refused_digest):
-            stale["verification.json"] = f"of another params.json; run piezoid export {folder}"
+            stale["verification.json"] = f"from another params.json; run piezoid export {folder}"
     return {name: reason for name, reason in stale.items() if name in contents}
 
 
 def text_of(path: Path) -> str:
-    """Read a text file that was written by hand."""
+    """Return the text of a file that a user wrote."""
     try:
         return content_of(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise LabFileError(
             f"{path}: {error}",
             needed="text in UTF-8",
-            remedy="Save it again as plain text in UTF-8.",
+            remedy="Save the file as plain text in UTF-8.",
         ) from error

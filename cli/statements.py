@@ -1,11 +1,11 @@
-"""Error budgets and statements on the terminal: those that need action, or all with --verbose."""
+"""Error budgets and statements on the terminal."""
 
 from collections.abc import Iterable, Sequence
 from textwrap import fill
 from typing import TYPE_CHECKING
 
 from piezoid_cli.progress import VERBOSE
-from piezoid_cli.terminal import plain
+from piezoid_cli.terminal import rich_text
 
 if TYPE_CHECKING:
     from piezoid.diagnosis.diagnosis import Diagnosis
@@ -16,7 +16,7 @@ INDENT = "  "
 
 
 def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" = None) -> None:
-    """Print at most five statements at or above a level, by default those that need action."""
+    """Print at most five statements at or above a level (default: action), or all with -v."""
     from rich.console import Console
 
     from piezoid.statement import Level, select
@@ -27,7 +27,7 @@ def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" =
     listed = selected if is_verbose else selected[:MAX_SHOWN]
     console = Console()
     if listed and lowest is Level.ACTION:
-        console.print(plain("needs action:"))
+        console.print(rich_text("needs action:"))
     for statement in listed:
         axis = f"axis {statement.axis}: " if statement.axis else ""
         style = {Level.ACTION: "bold", Level.NOTE: "dim"}.get(statement.level, "")
@@ -37,14 +37,14 @@ def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" =
             initial_indent=INDENT,
             subsequent_indent=INDENT,
         )
-        console.print(plain(text, style=style))
+        console.print(rich_text(text, style=style))
     if len(selected) > len(listed):
         omitted = len(selected) - len(listed)
-        console.print(plain(f"  {omitted} more in the report and with --verbose"))
+        console.print(rich_text(f"  {omitted} more in the report and with --verbose"))
 
 
 def budget_lines(diagnoses: "Sequence[Diagnosis]", legend: str = "") -> list[str]:
-    """Return the error budget of each diagnosed axis as a line, and a line that explains them."""
+    """Return the error budget of each diagnosed axis as a line, followed by a legend."""
     from piezoid.formatting import with_unit
     from piezoid.raw_counts import in_counts
     from piezoid_reports.sections.error_budget import label_of, visible_parts
@@ -61,7 +61,7 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]", legend: str = "") -> list[str
         lines.append(in_counts(line, diagnosis.counted))
     if any("*" in line for line in lines):
         lines.append(
-            "(rms, squares add up; * removed by the model, the rest is its held-out error"
+            "(rms, squares add up; * removed by the model, the others are its held-out error"
             f"{legend})"
         )
     return lines

@@ -1,8 +1,8 @@
-r"""Output on the terminal: names from files are shown as text, whatever they contain.
+r"""Output on the terminal, safe against control characters in names from files.
 
-A heading or the name of a file may contain codes that a terminal executes: they clear it, move the
-cursor, set its title. Everything that people read is printed here, with such characters as codes
-(``\x1b``); what scripts read (``--json``) is printed byte for byte.
+A heading or the name of a file may contain codes that clear a terminal, move its cursor or set its
+title. All text output is printed by this module, with such characters escaped (``\x1b``). Output
+for scripts (``--json``) is printed byte for byte.
 """
 
 import io
@@ -22,33 +22,31 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print only errors.")]
 Force = Annotated[
     bool,
-    typer.Option("--force", help="Replace files that piezoid wrote there, edited ones as well."),
+    typer.Option("--force", help="Replace files that piezoid wrote, including edited files."),
 ]
-StageLab = Annotated[Path | None, typer.Option(help="lab.toml; by default the one in the folder.")]
+StageLab = Annotated[Path | None, typer.Option(help="lab.toml; default: in the stage folder.")]
 RecordingLab = Annotated[
     Path | None, typer.Option("--lab", help="lab.toml: rig, columns and units.")
 ]
 Processes = Annotated[
     int | None, typer.Option(help="Number of worker processes; default: one per core.", min=1)
 ]
-Json = Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")]
-JsonFile = Annotated[
-    bool, typer.Option("--json", help="For scripts: print the written JSON file itself.")
-]
+Json = Annotated[bool, typer.Option("--json", help="For scripts: print a JSON summary.")]
+JsonFile = Annotated[bool, typer.Option("--json", help="For scripts: print the JSON file.")]
 
 
 class StandardStream(io.RawIOBase):
-    """Standard output or error that may be closed while a command works, or be on a full disk.
+    """Standard output or error that may be closed while a command runs, or be on a full disk.
 
-    If the reader of a pipe has gone, nothing more is written and the command goes on. Any other
-    failure is an error with the name of the stream, if it has one.
+    If the reader of a pipe has closed it, further output is discarded and the command continues.
+    Other failures raise ``OSError`` with the name of the stream, or are ignored without a name.
     """
 
     def __init__(self, stream: io.RawIOBase | io.BufferedIOBase, name: str = "") -> None:
-        """Write to a binary stream; ``name`` it in errors, or ignore them without a name."""
+        """Write to a binary stream with a name for errors."""
         self._stream, self._name = stream, name
         self.is_discarded = False
 
@@ -57,15 +55,15 @@ class StandardStream(io.RawIOBase):
         return True
 
     def isatty(self) -> bool:
-        """Return whether it is a terminal."""
+        """Return whether the stream is a terminal."""
         return self._stream.isatty()
 
     def fileno(self) -> int:
-        """Return its number in this process."""
+        """Return the file descriptor."""
         return self._stream.fileno()
 
     def write(self, content: Any, /) -> int:
-        """Write bytes and return how many."""
+        """Write bytes and return their number."""
         size = len(memoryview(content).cast("B"))
         try:
             if not self.is_discarded:
@@ -81,13 +79,13 @@ class StandardStream(io.RawIOBase):
 
 
 def guard_output() -> None:
-    """Let no closed stream and no encoding of few characters end a command."""
+    """Protect the command against closed streams and encodings that lack characters."""
     sys.stdout = _guarded(sys.stdout, "standard output")
     sys.stderr = _guarded(sys.stderr)
 
 
 def _guarded(stream: TextIO | None, name: str = "") -> TextIO:
-    if stream is None:  # it was closed before the command began
+    if stream is None:  # closed before the command started
         return Path(os.devnull).open("w", encoding="utf-8")
     if not isinstance(stream, io.TextIOWrapper):
         return stream
@@ -99,17 +97,17 @@ def _guarded(stream: TextIO | None, name: str = "") -> TextIO:
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print one line without breaking it, so that a path in it can be copied."""
+    """Print one line without wrapping, so that a path in it can be copied."""
     typer.echo(one_line(text), err=err)
 
 
 def one_line(text: str) -> str:
-    """Return a text without control characters, line ends included."""
+    """Return a text with its control characters and line breaks escaped."""
     return str(printable(text))
 
 
-def plain(text: str, style: str = "") -> "Text":
-    """Return a text of one or more lines without markup and control characters."""
+def rich_text(text: str, style: str = "") -> "Text":
+    """Return text of one or more lines for a console, without markup and control characters."""
     from rich.text import Text
 
     return Text("\n".join(one_line(line) for line in text.split("\n")), style)
@@ -118,22 +116,22 @@ def plain(text: str, style: str = "") -> "Text":
 def table(
     title: str, headings: "Sequence[str]", rows: "Iterable[Sequence[str | Text]]", n_words: int = 0
 ) -> "Table":
-    """Return a table of cells that are shown as text.
+    """Return a table with cells that are shown as text.
 
-    n_words  number of leading columns with words; the others are numbers, aligned to the right
+    n_words  number of leading columns with words; the others are right-aligned numbers
     """
     from rich.table import Table
 
-    cells = Table(title=plain(title))
+    cells = Table(title=rich_text(title))
     for k, heading in enumerate(headings):
         cells.add_column(heading, justify="left" if k < n_words else "right")
     for row in rows:
-        cells.add_row(*(plain(cell) if isinstance(cell, str) else cell for cell in row))
+        cells.add_row(*(rich_text(cell) if isinstance(cell, str) else cell for cell in row))
     return cells
 
 
 def print_raw(content: str | bytes) -> None:
-    """Print the output for a script, byte for byte."""
+    """Print output for a script, byte for byte."""
     typer.echo(content, nl=isinstance(content, str))
 
 
@@ -145,7 +143,7 @@ def print_record(schema: str, **entries: object) -> None:
 
 
 def step_column() -> "TextColumn":
-    """Return the column of a progress bar that shows the step of the work."""
+    """Return the column of a progress bar that shows the current step."""
     from rich.progress import TextColumn
 
     return TextColumn("{task.description}", markup=False)

@@ -1,4 +1,4 @@
-"""`piezoid verify`: run the shipped controller against the identified stage."""
+"""`piezoid verify`: run the shipped controller on the identified stage."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piezoid_cli.statements import MAX_SHOWN
-from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, plain, print_raw, say, table
+from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, rich_text, say, table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from piezoid.verification.verification import Verification
     from piezoid_cli.stage_files import StageFolder
 
-CORE_Hz = 168e6  # a usual Cortex-M4F, to compare instructions with
+CORE_Hz = 168e6  # clock of a common Cortex-M4F, for the load of the processor
 
 
 def verify(
     stage: Annotated[Path, typer.Argument(help="Folder with model.json, params.json, bundle/.")],
     rebuild: Annotated[
-        bool, typer.Option("--rebuild", help="Compile bundle/ here and compare every bit.")
+        bool, typer.Option("--rebuild", help="Compile bundle/ and compare every output bit.")
     ] = False,
     target: Annotated[
-        str, typer.Option(help="cortex-m4: compile bundle/ for it and emulate it.")
+        str, typer.Option(help="cortex-m4: compile bundle/ for that core and emulate it.")
     ] = "",
     prove: Annotated[
         bool,
@@ -39,7 +39,7 @@ def verify(
         bool, typer.Option("--bounds", help="Report probable and worst-case errors.")
     ] = False,
     limits: Annotated[
-        Path | None, typer.Option(help="limits.toml; by default \\[verification] of lab.toml.")
+        Path | None, typer.Option(help="limits.toml; default: \\[verification] of lab.toml.")
     ] = None,
     lab: StageLab = None,
     seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 0,
@@ -47,7 +47,7 @@ def verify(
     quiet: Quiet = False,
     json: JsonFile = False,
 ) -> None:
-    """Run the compiled controller of params.json against the stage; write verification.json.
+    """Run the compiled controller of params.json on the simulated stage: write verification.json.
 
     Exit status 1 means that a verdict failed; verification.json is still written.
 
@@ -62,7 +62,7 @@ def verify(
     piezoid verify stage42/ --bounds
     """
     if target not in ("", "cortex-m4"):
-        raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
+        raise typer.BadParameter(f"--target {target!r} is unknown; the only target is cortex-m4")
     from piezoid.numerics.executor import Executor
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.verification.criteria import Verdict, limits_from_toml
@@ -105,7 +105,7 @@ def verify(
         )
         if changed := changed_in_bundle(stage, file):
             verdict = Verdict(
-                name="files of bundle/ that are missing or not those of params.json",
+                name="files of bundle/ that are missing or differ from those of params.json",
                 scenario=", ".join(changed),
                 value=float(len(changed)),
                 limit=0.0,
@@ -124,7 +124,7 @@ def verify(
 
 
 def _design(folder: "StageFolder") -> "Design":
-    """Return the design that the parameters were exported from, for the present rig, or refuse."""
+    """Return the design of the parameters; raise if the design or the rig has changed since."""
     from piezoid.design.design import design_from_json
     from piezoid.errors import ParameterFileError
     from piezoid_cli.stage_files import content_of, digest_in
@@ -134,14 +134,14 @@ def _design(folder: "StageFolder") -> "Design":
     design = design_from_json(content, str(path))
     if digest_in(content) != folder.parameters.sources.get("design"):
         raise ParameterFileError(
-            f"{path} is not the design that params.json was exported from",
-            needed="files of one and the same design",
+            f"{path} is not the design from which params.json was exported",
+            needed="files of the same design",
             remedy="Run `piezoid export` again, then verify.",
         )
     if lab is not None and design.rig_digest != lab.rig_digest:
         stage = folder.folder
         raise ParameterFileError(
-            f"{lab.place} declares another rig than the design was made for",
+            f"{lab.place} declares another rig than that of the design",
             needed="the converters, amplifiers and set point of the design",
             remedy=f"Run `piezoid design {stage}`, then `piezoid export {stage}`.",
         )
@@ -161,7 +161,7 @@ def show(verification: "Verification", file: "ParameterFile") -> None:
     for row in verification.bounds:
         bounded = "none" if row.bound_m is None else with_unit(row.bound_m, "m")
         if row.is_exceeded:
-            bounded += " (exceeded on stages that are farther from the model's class)"
+            bounded += " (exceeded on stages that are farther from the model class)"
         probable_m, share = with_unit(row.probable_m, "m"), 100.0 * row.probability
         line = (
             f"axis {row.axis}, references up to {with_unit(row.slew_m_per_s, 'm/s')}: proven "
@@ -169,27 +169,28 @@ def show(verification: "Verification", file: "ParameterFile") -> None:
             f"search {with_unit(row.worst_found_m, 'm')}; median run "
             f"{with_unit(row.simulated_m, 'm')}"
         )
-        console.print(plain(line))
+        console.print(rich_text(line))
     for proof in verification.proofs:
-        console.print(plain(_proof_line(proof, file), style="" if proof.passed else "bold red"))
+        style = "" if proof.passed else "bold red"
+        console.print(rich_text(_proof_line(proof, file), style=style))
     for claim in verification.limit_proofs:
         line = f"axis {claim.axis}, {claim.precision}: {claim.verdict}"
         if claim.is_proved:
-            line += f" by {claim.tool} in {claim.seconds} s: for every input, for ever, "
+            line += f" by {claim.tool} in {claim.seconds} s: for every input at all times, "
             line += "; ".join(claim.claims)
         style = "" if claim.passed else "bold red"
-        console.print(plain("\n  ".join((line, *claim.alarms)), style=style))
+        console.print(rich_text("\n  ".join((line, *claim.alarms)), style=style))
     failed = [verdict for verdict in verification.verdicts if not verdict.passed]
     for verdict in failed[:MAX_SHOWN]:
-        console.print(plain(f"failed: {describe_failure(verdict)}", style="bold red"))
+        console.print(rich_text(f"failed: {describe_failure(verdict)}", style="bold red"))
     if len(failed) > MAX_SHOWN:
-        console.print(plain(f"{len(failed) - MAX_SHOWN} more failed: see verification.json"))
+        console.print(rich_text(f"{len(failed) - MAX_SHOWN} more failed: see verification.json"))
     n_all = len(verification.verdicts)
-    console.print(plain(f"{n_all - len(failed)} of {n_all} checks passed"))
+    console.print(rich_text(f"{n_all - len(failed)} of {n_all} checks passed"))
 
 
 def _comparison(verification: "Verification") -> "Table":
-    """Return the rms error of each method, spirals of one rate in a column."""
+    """Return the rms error of each method on spirals, with one column per rate."""
     from piezoid.formatting import with_unit
     from piezoid.runtime.schema import METHOD_NAMES
 
@@ -213,9 +214,10 @@ def _proof_line(proof: "Proof", file: "ParameterFile") -> str:
     for axis, instructions in counted.items():
         rate_Hz = float(file.axis(axis).values["sampling_rate_Hz"])
         share = 100.0 * instructions * rate_Hz / CORE_Hz
-        line += f"; axis {axis} {instructions:.0f} instructions a sample, {share:.1f} % of a core"
+        line += f"; axis {axis} {instructions:.0f} instructions per sample, "
+        line += f"{share:.1f} % of a core"
     if counted:
-        line += f" of {1e-6 * CORE_Hz:.0f} MHz at one instruction a cycle, which is a lower limit"
+        line += f" of {1e-6 * CORE_Hz:.0f} MHz at one instruction per cycle (lower limit)"
     if proof.stack_bytes:
-        line += f"; {proof.stack_bytes} bytes of stack, {proof.state_bytes} of state for each axis"
+        line += f"; {proof.stack_bytes} bytes of stack, {proof.state_bytes} of state per axis"
     return line

@@ -1,7 +1,7 @@
 """Jobs of one command in worker processes.
 
-A job is a frozen record; its result does not depend on the process that does it. A worker that is
-killed costs time and no result: its jobs are done in this process.
+A job is a frozen record, and its result does not depend on the process. If a worker is killed, its
+jobs are repeated in this process.
 """
 
 import copyreg
@@ -29,19 +29,19 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 Work = Callable[[Job, Progress], Result]
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-_MAX_MESSAGE = 1000  # characters: shorter than what a pipe takes in one piece
+_MAX_MESSAGE = 1000  # characters: a pipe writes shorter messages atomically
 
 
 def _frozen_mapping(content: dict[Any, Any]) -> MappingProxyType[Any, Any]:
     return MappingProxyType(content)
 
 
-# The only frozen type of records that does not pickle by itself.
+# Records contain no other type without pickle support.
 copyreg.pickle(MappingProxyType, lambda mapping: (_frozen_mapping, (dict(mapping),)))
 
 
 def usable_cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -49,47 +49,47 @@ def usable_cores() -> int:
 
 @contextmanager
 def unreachable_by_interrupts() -> Iterator[None]:
-    """Begin threads and processes that Ctrl-C does not reach: it is for this process alone."""
-    ensure_running()  # beginning its process unblocks the signal
+    """Start threads and processes in the block that do not receive Ctrl-C."""
+    ensure_running()  # starting the resource tracker later would unblock the signal
     with interrupts_blocked():
         yield
 
 
 class WorkerPool:
-    """Worker processes, and the pipe through which they report their progress."""
+    """Worker processes, and the pipe for their progress."""
 
     def __init__(self, count: int, preload: Callable[[], None]) -> None:
-        """Prepare ``count`` workers; each begins with ``preload``."""
+        """Prepare ``count`` workers; each runs ``preload`` first."""
         context = get_context("spawn")
         self._reader, self._writer = context.Pipe(duplex=False)
         self._executor = ProcessPoolExecutor(
-            count, context, initializer=_begin, initargs=(self._writer, preload)
+            count, context, initializer=_start_worker, initargs=(self._writer, preload)
         )
         self._texts: dict[int, str] = {}
 
     def submit(self, work: Work[Job, Result], job: Job, index: int) -> "Future[bytes]":
-        """Give a job to a worker; its future holds the pickled result, or the failure."""
+        """Submit a job to a worker; the future contains the pickled result, or the failure."""
         with postponed(), unreachable_by_interrupts():
             try:
-                return self._executor.submit(_work, dumps((work, job), protocol=5), index)
-            except BrokenProcessPool as error:  # a worker was killed before this job was given
+                return self._executor.submit(_run_job, dumps((work, job), protocol=5), index)
+            except BrokenProcessPool as error:  # a worker was killed before this job
                 failed: Future[bytes] = Future()
                 failed.set_exception(error)
                 return failed
 
     def report_to(self, report: Progress) -> None:
-        """Report the progress of this process and of the workers from now on."""
+        """Start reporting the progress of this process and of the workers."""
         self._report = report
         Thread(target=self._forward, daemon=True).start()
 
     def say(self, index: int, text: str) -> None:
-        """Set the progress text of a job, empty at its end."""
+        """Set the progress text of a job, empty if the job has ended."""
         self._texts[index] = text
         if text:
             self._report(" | ".join(self._texts[k] for k in sorted(self._texts) if self._texts[k]))
 
     def close(self) -> None:
-        """End the workers, whatever they do."""
+        """Kill the workers."""
         with suppress(Exception):
             self._executor.shutdown(wait=False, cancel_futures=True)
         for process in active_children():
@@ -105,13 +105,13 @@ class WorkerPool:
 
 @contextmanager
 def worker_pool(count: int, preload: Callable[[], None]) -> Iterator[WorkerPool | None]:
-    """Give a pool of workers that load the modules of the jobs; None for no worker."""
+    """Yield a pool of workers that import the modules of the jobs, or None for no worker."""
     if count < 1:
         yield None
         return
     pool = WorkerPool(count, preload)
     try:
-        pool.submit(_nothing, None, -1)
+        pool.submit(_do_nothing, None, -1)
         yield pool
     finally:
         pool.close()
@@ -125,13 +125,13 @@ def map_jobs(
     pool: WorkerPool | None,
     cost: Callable[[Job], float],
 ) -> list[Result]:
-    """Return ``work(job, report)`` of every job, in their order.
+    """Return ``work(job, report)`` of every job, in the order of the jobs.
 
-    work    found by its name in its module; jobs and results are frozen records
+    work    a function of a module, with frozen records as jobs and results
     report  receives the progress
-    pool    workers beside this process, which does the job of the largest cost itself
+    pool    additional workers; this process runs the job with the largest cost itself
 
-    Raises the ``PiezoidError`` of the first job in order that has one.
+    Raises the ``PiezoidError`` of the first job that raises one.
     """
     if pool is None or len(jobs) < 2:
         return [work(job, report) for job in jobs]
@@ -144,7 +144,7 @@ def map_jobs(
             results[index] = _result_of(work, jobs[index], partial(pool.say, index))
             pool.say(index, "")
     for index, job in enumerate(jobs):
-        result = results[index] if index in results else _received(futures[index])
+        result = results[index] if index in results else _result_from(futures[index])
         if result is None:
             result = _result_of(work, job, report)
         if isinstance(result, PiezoidError):
@@ -160,38 +160,38 @@ def _result_of(work: Work[Job, Result], job: Job, report: Progress) -> Result | 
         return refusal
 
 
-def _received(future: "Future[bytes]") -> Any:
-    """Return the result of a worker; None if the worker was killed or failed."""
+def _result_from(future: "Future[bytes]") -> Any:
+    """Return the result of a worker, or None if the worker was killed or failed."""
     try:
         return loads(future.result())
     except Exception:
         return None
 
 
-def _begin(writer: Connection, preload: Callable[[], None]) -> None:
+def _start_worker(writer: Connection, preload: Callable[[], None]) -> None:
     """Prepare a worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ.update(dict.fromkeys(_THREADS, "1"))  # before anything loads linear algebra
+    os.environ.update(dict.fromkeys(_THREADS, "1"))  # before linear algebra is imported
     _Reports.writer = writer
     preload()
 
 
 class _Reports:
-    """Where this worker reports to."""
+    """Pipe for the progress of this worker."""
 
     writer: Connection
 
 
-def _work(letter: bytes, index: int) -> bytes:
+def _run_job(pickled_job: bytes, index: int) -> bytes:
     def report(text: str) -> None:
         with suppress(OSError):
             _Reports.writer.send((index, text[:_MAX_MESSAGE]))
 
-    work, job = loads(letter)
+    work, job = loads(pickled_job)
     result = _result_of(work, job, report)
     report("")
     return dumps(result, protocol=5)
 
 
-def _nothing(_: object, __: Progress) -> None:
-    """Let a worker begin to load before there is a job."""
+def _do_nothing(_: object, __: Progress) -> None:
+    """First job of a pool, which makes the workers start to import."""

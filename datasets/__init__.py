@@ -1,6 +1,6 @@
-"""Bundled recordings with their manifest, and the simulator that made them.
+"""Bundled recordings with their manifest, and the simulator that produced them.
 
-May import none of the library, so that the library is tested against independent physics.
+Imports nothing of the library, so that the library is tested against independent physics.
 """
 
 from importlib.resources import files
@@ -17,7 +17,7 @@ def recordings() -> tuple[Path, ...]:
 
 
 def stage_files() -> tuple[Path, ...]:
-    """Return every bundled file of the three-axis stage, as `make demo` fits them."""
+    """Return all bundled files of the three-axis stage, the input of `make demo`."""
     spectroscopies = tuple(FOLDER / entry["file"] for entry in _manifest()["spectroscopy"])
     return recordings() + spectroscopies
 

@@ -1,4 +1,4 @@
-"""From recordings of a piezo stage to a calibrated, verified controller.
+"""Turn recordings of a piezo stage into a calibrated, verified controller.
 
     import piezoid
 
@@ -21,14 +21,10 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.2.0"
 
-# Name to the module that holds it.
+# Module of each public name.
 _PUBLIC = {
     **dict.fromkeys(
-        (
-            *("calibrate", "diagnose", "fit", "plan"),
-            *("read", "read_lab", "report"),
-        ),
-        "piezoid.verbs",
+        ("calibrate", "diagnose", "fit", "plan", "read", "read_lab", "report"), "piezoid.verbs"
     ),
     **dict.fromkeys(
         ("design", "export", "learn", "simulate_loop", "verify"), "piezoid.control_verbs"
@@ -67,7 +63,7 @@ _PUBLIC = {
     "to_frame": "piezoid.records.frames",
 }
 
-if TYPE_CHECKING:  # what is imported when it is first used
+if TYPE_CHECKING:  # at run time __getattr__ imports these names
     from piezoid.calibration.calibrate import Calibration as Calibration
     from piezoid.control_verbs import design as design
     from piezoid.control_verbs import export as export
@@ -130,9 +126,9 @@ def __dir__() -> list[str]:
 
 
 class _Package(ModuleType):
-    """Package whose ``design`` and ``export`` stay the verbs, although folders have these names.
+    """Package whose attributes ``design`` and ``export`` remain the verbs.
 
-    Importing ``piezoid.design.design_stage`` would otherwise replace the verb by the folder.
+    Importing ``piezoid.design.design_stage`` would otherwise replace the verb by the subpackage.
     """
 
     def __setattr__(self, name: str, value: object) -> None:

@@ -1,7 +1,7 @@
-"""Verbs of ``import piezoid`` about controllers: each takes records and returns one record.
+"""Verbs of ``import piezoid`` for controllers: each takes records and returns one record.
 
 ``lab`` is the path of a lab.toml, a ``Lab`` or None. ``progress`` is called with one sentence
-whenever a new step begins.
+at the start of each step.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from piezoid.numerics.executor import on_one_thread
 from piezoid.raw_counts import refuse_counts
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
-from piezoid.sealed_files import Place, digest_of, lab_of, path_of
+from piezoid.sealed_files import FilePath, digest_of, lab_of, path_of
 from piezoid.verification.closed_loop import LoopRecord, run_axis
 from piezoid.verification.criteria import limits_from_toml
 from piezoid.verification.plant import lateral_plant
@@ -37,18 +37,18 @@ Controller = Design | Shipping | ParameterFile
 def design(
     model: ActuatorModel,
     *,
-    lab: Lab | Place | None = None,
+    lab: Lab | FilePath | None = None,
     sampling_rate_Hz: float | None = None,
-    specification: Place | None = None,
+    specification: FilePath | None = None,
     progress: Progress = None,
 ) -> Design:
-    """Design controllers with proven margins for every axis that is known well enough.
+    """Design controllers with proven margins for every axis with sufficient recordings.
 
     sampling_rate_Hz  of the controller; default: as declared in lab.toml at the fit
     specification     path of a design.toml, which replaces defaults of the specification
 
-    Raises ``TemplateError`` if no controller meets the specification and ``DesignError`` if too
-    little is known about every axis.
+    Raises ``TemplateError`` if no controller meets the specification and ``DesignError`` if the
+    recordings are insufficient for every axis.
 
     >>> [(axis.axis, axis.recommended.method) for axis in design.axes]
     [('x', 'mpi_dob')]
@@ -74,17 +74,17 @@ def export(
     model: ActuatorModel,
     design: Design,
     *,
-    lab: Lab | Place | None = None,
+    lab: Lab | FilePath | None = None,
     threads: int = 1,
     progress: Progress = None,
 ) -> Shipping:
     """Convert a design into parameters for firmware, verify them, and keep the axes that pass.
 
-    returned  ``parameters`` of the axes that ship, or None; ``verification``; ``reasons`` by axis
-              why it does not ship
+    returned  ``parameters`` of the axes that ship, or None; ``verification``; ``reasons`` of each
+              axis that does not ship
 
     Raises ``ParameterFileError`` if the design belongs to another model or lab.toml and
-    ``LabFileError`` for a tunnelling tip without its limits of current.
+    ``LabFileError`` for a tunnelling tip without current limits.
 
     >>> shipping = piezoid.export(model, design, lab="lab.toml")
     >>> shipping.verification.passed, shipping.reasons
@@ -92,7 +92,7 @@ def export(
     """
     if design.model_digest != digest_of(model):
         raise ParameterFileError(
-            f"the design was made from the model {design.model_digest[:19]}..., this one is "
+            f"the design was made from the model {design.model_digest[:19]}..., but this model is "
             f"{digest_of(model)[:19]}...",
             needed="the model from which the design was made",
             remedy="Design controllers for this model, or load the model of the design.",
@@ -112,14 +112,14 @@ def verify(
     parameters: ParameterFile | Shipping,
     model: ActuatorModel,
     *,
-    lab: Lab | Place | None = None,
-    limits: Place | None = None,
+    lab: Lab | FilePath | None = None,
+    limits: FilePath | None = None,
     seed: int = 0,
     threads: int = 1,
     design: Design | None = None,
     bounds: bool = False,
 ) -> Verification:
-    """Simulate the compiled controller on the identified stage and compare it with all limits.
+    """Simulate the compiled controller on the identified stage and check all limits.
 
     parameters  result of ``export``, or a ``ParameterFile``
     limits      path of a limits.toml; default: [verification] of lab.toml
@@ -151,19 +151,19 @@ def simulate_loop(
     controller: Controller,
     *,
     axis: str | None = None,
-    lab: Lab | Place | None = None,
+    lab: Lab | FilePath | None = None,
     seed: int = 0,
 ) -> LoopRecord:
-    """Simulate the compiled controller on this stage, from rest in the middle of its range.
+    """Simulate the compiled controller on the identified stage, from rest at mid-range.
 
     reference_m  (samples,)  m in the coordinates of the sensor, at the sampling rate of the
                  controller; ``zero_m`` of an axis is near the middle of its range
     controller   ``Design``, result of ``export``, or ``ParameterFile``
-    axis         default: the only one there is; a tunnelling axis follows a current, A
+    axis         default: the only axis; for a tunnelling axis the reference is a current, A
     lab          of the design
     seed         of the sensor noise
 
-    A reference beyond the range of the controller is limited; ``status`` then reports it. Raises
+    A reference outside the range of the controller is limited, and ``status`` reports it. Raises
     ``ParameterFileError`` for an axis without a controller.
 
     >>> reference_m = model["x"].zero_m + 1e-6 * np.sin(2e-3 * np.arange(8000))
@@ -176,8 +176,8 @@ def simulate_loop(
     reference = np.asarray(reference_m, dtype=np.float64)
     if reference.ndim != 1 or not len(reference) or not np.isfinite(reference).all():
         raise ParameterFileError(
-            f"axis {parameters.axis}: a reference of shape {reference.shape}, "
-            f"{int(np.sum(~np.isfinite(reference)))} of its numbers not finite",
+            f"axis {parameters.axis}: a reference of shape {reference.shape} with "
+            f"{int(np.sum(~np.isfinite(reference)))} numbers that are not finite",
             needed="one finite number for each sample, shape (samples,)",
             remedy="Pass the reference of one axis, in metres.",
         )
@@ -196,8 +196,8 @@ def learn(
     *,
     controller: Controller | None = None,
     axis: str | None = None,
-    lab: Lab | Place | None = None,
-    before: Learned | None = None,
+    lab: Lab | FilePath | None = None,
+    previous: Learned | None = None,
     period: Recording | None = None,
     sampling_rate_Hz: float | None = None,
     gain: float = 1.0,
@@ -211,14 +211,14 @@ def learn(
     [Norrlof & Gunnarsson 2002].
 
     reference_m       (points,)  one period, m, at the sampling rate of the controller
-    controller        the table is added to its output; None: the table is the whole voltage
-    before, period    the last table, and the recording of the motion with it, from point 0 on
+    controller        its output is added to the table; None: the table is the total voltage
+    previous, period  previous table, and the motion recorded with it, starting at point 0
     sampling_rate_Hz  without a controller; default: as declared in lab.toml at the fit
     gain              learning gain relative to the optimum for the worst plant
 
     Raises ``DesignError`` if the learning filter does not contract, ``ParameterFileError`` if the
-    reference exceeds range or slew rate, and ``RecordingError`` if the recording is not of this
-    period, of another rate or of another reference.
+    reference exceeds range or slew rate, and ``RecordingError`` if the recording has another
+    period, sampling rate or reference.
 
     >>> phase = 2 * np.pi * np.arange(2000) / 2000
     >>> reference_m = model["x"].zero_m + 2e-6 * np.sin(phase)
@@ -238,51 +238,51 @@ def learn(
         plant = lateral_plant(axis_model, sampling_rate_Hz=rate_Hz)
     else:
         plant = plant_of(parameters, model, declared or Lab())
-    if (before is None) != (period is None):
+    if (previous is None) != (period is None):
         raise RecordingError(
-            f"{'no table' if before is None else 'no recording'} is given",
+            f"{'no table' if previous is None else 'no recording'} is given",
             needed="a recorded period and the table that was active during the recording",
             remedy="Pass both, or neither for the first table.",
         )
-    if before is None or period is None:
+    if previous is None or period is None:
         return first_table(
             axis_model, plant, reference_m, parameters=parameters, gain=gain, sources=sources
         )
-    refuse_changed(before, reference_m, sources=sources, closed_loop=parameters is not None)
-    return next_table(before, axis_model, plant, period, parameters=parameters)
+    refuse_changed(previous, reference_m, sources=sources, closed_loop=parameters is not None)
+    return next_table(previous, axis_model, plant, period, parameters=parameters)
 
 
 def _axis_parameters(
     controller: Controller, model: ActuatorModel, lab: Lab | None, axis: str | None
 ) -> AxisParameters:
-    """Return the runtime parameters of one axis; None: the only one."""
+    """Return the runtime parameters of an axis; None selects the only axis."""
     file = _parameters_of(controller, model, lab)
     if axis is None and len(file.axes) > 1:
         raise ParameterFileError(
-            f"no axis named, there are controllers of {', '.join(a.axis for a in file.axes)}",
+            f"no axis named; there are controllers for {', '.join(a.axis for a in file.axes)}",
             needed="one axis",
-            remedy="Name it, as in axis='x'.",
+            remedy="Name the axis, as in axis='x'.",
         )
     return file.axes[0] if axis is None else file.axis(axis)
 
 
 def _parameters_of(controller: Controller, model: ActuatorModel, lab: Lab | None) -> ParameterFile:
-    """Return the runtime parameters of a stage, or of a design even if it may not ship."""
+    """Return the runtime parameters in a controller record; a design need not be verified."""
     if isinstance(controller, ParameterFile):
         return controller
     if isinstance(controller, Shipping):
         if controller.parameters is None:
             reasons = "; ".join(f"axis {a}: {why}" for a, why in controller.reasons.items())
             raise ParameterFileError(
-                f"nothing ships: {reasons}",
+                f"no controller ships: {reasons}",
                 needed="a controller that passed its verification",
-                remedy="Read the reasons, or take .refused for study.",
+                remedy="Read the reasons, or examine .refused.",
             )
         return controller.parameters
     if not isinstance(controller, Design):
         raise ParameterFileError(
             f"a controller of type {type(controller).__name__}",
-            needed="a Design, what export returned, or a ParameterFile",
+            needed="a Design, the result of export, or a ParameterFile",
             remedy="Pass the result of piezoid.design(model).",
         )
     return export_stage(model, controller, design_digest=digest_of(controller), lab=lab)

@@ -1,7 +1,7 @@
-"""Digests: provenance of records and files, and detection of changes.
+"""Digests of records and files, for provenance and to detect changes.
 
-A sealed file is JSON text that carries the SHA-256 of its own bytes, computed with the digest's
-place filled by zeros. Any changed bit, white space included, breaks the seal.
+A sealed file is JSON text that contains the SHA-256 of its own bytes, computed with zeros in place
+of the digest. Any change, even of white space, invalidates the digest.
 """
 
 import hashlib
@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 from piezoid.errors import ParameterFileError
 
 _ZEROS = "0" * 64
-_MOST_DIGITS = 20  # of 64 bits
+_MAX_DIGITS = 20  # of 64 bits
 _DIGEST = re.compile(rb'"digest": "sha256:([0-9a-f]{64})"')
 
 
@@ -24,15 +24,16 @@ def digest_of_bytes(content: bytes) -> str:
 
 
 def digest_of_json(value: object) -> str:
-    """Return the digest of a JSON value's one canonical text."""
+    """Return the digest of the canonical text of a JSON value."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return digest_of_bytes(text.encode())
 
 
 def seal(schema: str, content: Mapping[str, Any]) -> bytes:
-    """Write ``content`` as sealed JSON of the given schema, for example ``piezoid.model/1``.
+    """Return ``content`` as sealed JSON of a schema such as ``piezoid.model/1``.
 
-    Numbers are printed so that they come back exactly; NaN and infinity are refused by ``json``.
+    Numbers are printed with enough digits to be read back exactly. Raises ``ValueError`` for NaN
+    and infinity.
     """
     record = {"schema": schema, "digest": f"sha256:{_ZEROS}", **content}
     text = json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
@@ -43,9 +44,9 @@ def seal(schema: str, content: Mapping[str, Any]) -> bytes:
 def seal_stream(
     schema: str, content: Mapping[str, Any], lines: Iterable[bytes], stream: BinaryIO
 ) -> None:
-    """Write sealed JSON whose last entry, a list, may be longer than memory.
+    """Write sealed JSON whose last entry, a list, may exceed the memory.
 
-    content  its last value is the empty list that ``lines`` fill
+    content  its last value is an empty list, to be filled with ``lines``
     lines    one JSON value each, without line breaks
     stream   empty, binary, seekable
     """
@@ -69,7 +70,7 @@ def seal_stream(
 
 
 def unseal(content: bytes, schema: str, file: str) -> dict[str, Any]:
-    """Read sealed JSON back, refusing another schema or a single changed bit.
+    """Return the content of sealed JSON; raise for another schema or a wrong digest.
 
     content  bytes  the file
     schema   str    expected schema, ``piezoid.<name>/<version>``
@@ -79,17 +80,17 @@ def unseal(content: bytes, schema: str, file: str) -> dict[str, Any]:
     if match is None:
         raise ParameterFileError(
             f"{file}: no digest found",
-            needed=f"the one that every sealed file of schema {schema} carries",
+            needed=f"the digest of a sealed file of schema {schema}",
             remedy="Write the file again with piezoid; it cannot be edited by hand.",
         )
     blank = content[: match.start(1)] + _ZEROS.encode() + content[match.end(1) :]
     expected = hashlib.sha256(blank).hexdigest()
     if expected != match.group(1).decode():
         raise ParameterFileError(
-            f"{file}: the content's digest is {expected[:12]}..., the file says "
+            f"{file}: the digest of the content is {expected[:12]}..., but the file states "
             f"{match.group(1).decode()[:12]}...",
             needed="the file, byte for byte as piezoid wrote it",
-            remedy="Take the original, or write it again from the recordings.",
+            remedy="Use the original, or write it again from the recordings.",
         )
     try:
         record = json.loads(content, parse_int=_integer)
@@ -112,13 +113,13 @@ def unseal(content: bytes, schema: str, file: str) -> dict[str, Any]:
 
 
 def _integer(digits: str) -> int:
-    """Read an integer with a limited number of digits, which a float can represent."""
-    if len(digits) > _MOST_DIGITS:
+    """Return an integer; raise ``ValueError`` for more digits than a float can represent."""
+    if len(digits) > _MAX_DIGITS:
         raise ValueError(f"a whole number of {len(digits)} digits")
     return int(digits)
 
 
 def digest_of_file(path: Path) -> str:
-    """Return the digest of a file's bytes, read in pieces."""
+    """Return the digest of a file, which may exceed the memory."""
     with path.open("rb") as stream:
         return "sha256:" + hashlib.file_digest(stream, "sha256").hexdigest()

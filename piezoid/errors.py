@@ -1,36 +1,36 @@
 """All exceptions of piezoid.
 
     PiezoidError
-    +-- RecordingError            the data cannot carry the question
+    +-- RecordingError            the recordings are unsuitable
     |   +-- UnreadableFileError       file, line, column
     |   +-- UnitError                 a column without a known unit or meaning
     |   +-- ExcitationError           too few reversals, too small a range or band
-    +-- LabFileError              lab.toml says something we cannot use
-    +-- IdentificationError       the fit has no usable answer
+    +-- LabFileError              lab.toml contains an unusable declaration
+    +-- IdentificationError       the fit has no usable solution
     |   +-- InfeasibleFitError        the constraints contradict each other
-    |   +-- NotInvertibleError        weights leave the invertible region
+    |   +-- NotInvertibleError        the weights have no inverse
     +-- DesignError               no controller meets the specification
     |   +-- UnstableLoopError
     |   +-- TemplateError             which template, at which frequency, by how much
-    +-- ParameterFileError        wrong schema, failed digest, unknown name
+    +-- ParameterFileError        wrong schema, wrong digest, unknown name
     +-- OutputFolderError         a folder that may not be written
-    +-- PictureError              nothing of that kind can be drawn
+    +-- PictureError              a plot that does not exist
     +-- RuntimeLibraryError       compiled library missing or of another layout
 
-A verdict is data; an error is an exception. Every message has three parts: what was found, what
-was needed, what to do next. Wrong types from programmers raise Python's own errors.
+A failed verdict is a result and not an exception. Every message has three parts: what was found,
+what is needed, and what to do next. Arguments of a wrong type raise Python's own exceptions.
 """
 
-_LONGEST = 2000
+_MAX_LENGTH = 2000  # characters; the heading of a damaged file can have a megabyte
 
 
-def _said(part: str) -> str:
-    """Escape a part of a message: names in it may come from any file.
+def _escape(part: str) -> str:
+    """Truncate a part of a message, and escape its unprintable characters.
 
-    A megabyte of heading is cut; what would move a cursor, turn the text or break its encoding is
-    shown as a code.
+    Names in a message may come from any file. Escape codes could move the cursor, reverse the text
+    or break its encoding.
     """
-    part = part if len(part) <= _LONGEST else f"{part[:_LONGEST]} ..."
+    part = part if len(part) <= _MAX_LENGTH else f"{part[:_MAX_LENGTH]} ..."
     return "".join(
         c if c.isprintable() or c in "\n\xa0\u202f" else c.encode("unicode_escape").decode("ascii")
         for c in part
@@ -40,35 +40,34 @@ def _said(part: str) -> str:
 class PiezoidError(Exception):
     """Base of all errors: problem, need and remedy.
 
-    found    str  what was found, with its number, unit and place; a sentence without its stop
-    needed   str  what was needed instead: a thing, named, never a clause
-    remedy   str  what to do next, a whole sentence
-    numbers  the values behind the message, for whoever catches it
+    found    str  the problem with number, unit and location; a sentence without full stop
+    needed   str  the requirement, as a noun phrase
+    remedy   str  what to do next, a complete sentence
+    numbers  the values in the message, for the caller
     """
 
     exit_status = 3
 
     def __init__(self, found: str, *, needed: str, remedy: str, **numbers: object) -> None:
-        self.found, self.needed, self.remedy = map(_said, (found, needed, remedy))
-        # Two sentences and a label: what is needed may be a thing, several, or a range.
+        self.found, self.needed, self.remedy = map(_escape, (found, needed, remedy))
         super().__init__(f"{self.found}. Needed: {self.needed}. {self.remedy}")
         self.numbers = numbers
 
     def __reduce__(self) -> tuple[object, ...]:
-        # An error comes back from another process as it was said there, word for word.
-        return _said_again, (type(self), str(self)), self.__dict__
+        # Pickle the complete message, which __init__ would compose from its parts.
+        return _rebuild, (type(self), str(self)), self.__dict__
 
 
-def _said_again(kind: type[PiezoidError], message: str) -> PiezoidError:
+def _rebuild(kind: type[PiezoidError], message: str) -> PiezoidError:
     return kind.__new__(kind, message)
 
 
 class RecordingError(PiezoidError):
-    """The data cannot carry the question."""
+    """The recordings are unsuitable for the requested result."""
 
 
 class UnreadableFileError(RecordingError):
-    """A file is missing, damaged or of no known format."""
+    """A file is missing, damaged or of an unknown format."""
 
 
 class UnitError(RecordingError):
@@ -84,7 +83,7 @@ class LabFileError(PiezoidError):
 
 
 class IdentificationError(PiezoidError):
-    """The fit has no usable answer."""
+    """The fit has no usable solution."""
 
     exit_status = 4
 
@@ -112,7 +111,7 @@ class TemplateError(DesignError):
 
 
 class ParameterFileError(PiezoidError):
-    """A file of ours is of another schema, changed, or incomplete."""
+    """A sealed file has another schema, was changed, or is incomplete."""
 
 
 class OutputFolderError(PiezoidError):
@@ -122,8 +121,8 @@ class OutputFolderError(PiezoidError):
 
 
 class PictureError(PiezoidError):
-    """The requested kind of picture does not exist for a record."""
+    """The requested plot does not exist for a record."""
 
 
 class RuntimeLibraryError(PiezoidError):
-    """The compiled library is missing or of another layout."""
+    """The compiled library is missing or has another layout."""

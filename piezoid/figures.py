@@ -1,7 +1,7 @@
-"""Pictures for papers, one matplotlib axes for each record: units in every label, ``ax`` accepted.
+"""Plots for papers: one matplotlib axes for each record, with units in every label.
 
-Nothing is computed here that a record does not hold or say. Without ``ax`` a figure of its own is
-made, as wide as a column of a journal; the caller's style sheet holds for everything else.
+The plots show the content of records and compute no further results. Without ``ax`` a new figure
+has the width of a journal column; the style sheet of the caller determines everything else.
 """
 
 from collections.abc import Collection
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 WIDTH_inch, HEIGHT_inch = 5.0, 3.4
 MEASURED, MODEL, THIRD, FAINT = "#404040", "#c1440e", "#1f6f8b", "#9a9a9a"
-_POINTS = 20_000  # of a line: more than any page resolves
+_POINTS = 20_000  # of a line: more than a printed page resolves
 _PREFIXES = ((1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"))
 _LOOPS = (1.0, 0.6, 0.3)  # of the range of the drive
 _SAMPLES = 400  # of half a loop
@@ -66,16 +66,16 @@ def plot(
                measured and predicted ``loop``, or their ``error`` over time.
                Comparison: ``loop`` or ``error``.
                Diagnosis: size of each effect, or its upper bound.
-               Design: how much of a disturbance each loop leaves, over frequency.
+               Design: output sensitivity of each loop over frequency.
                Verification: error over frequency by method (``comparison``), or all ``verdicts``.
                LoopRecord: reference and position over time (``path``), or the ``error``.
                Plan: drive of the next experiment over time.
-    kind       default: the first that is named above
-    axis       of a recording, a stage or a design with several
-    recording  drawn beside what the model predicts
-    ax         matplotlib axes to draw into; default: those of a new figure
+    kind       default: the first kind in the list above
+    axis       of a recording, stage or design with several axes
+    recording  to compare with the prediction of the model
+    ax         matplotlib axes to draw into; default: a new figure
 
-    Raises ``PictureError`` for another kind or record, or for an axis that is not there.
+    Raises ``PictureError`` for another kind or record, or for a missing axis.
 
     >>> piezoid.plot(recordings["sweep.csv"], "time").get_xlabel()
     'time (s)'
@@ -105,7 +105,7 @@ def plot(
             return _plan(record, ax=ax)
         case _:
             raise PictureError(
-                f"no picture of a {type(record).__name__}",
+                f"no plot of a {type(record).__name__}",
                 needed="a recording, model, comparison, diagnosis, design, verification, loop "
                 "record or plan",
                 remedy="Pass one of those records.",
@@ -113,7 +113,7 @@ def plot(
 
 
 def in_units_of(axes: "Axes", counted: Collection[str]) -> "Axes":
-    """Return axes with counts in their labels, where metres or volts were recorded in counts."""
+    """Return axes with counts in their labels, if metres or volts were recorded in counts."""
     for panel in axes.figure.axes if counted else ():
         for name in ("title", "xlabel", "ylabel"):
             panel.set(**{name: in_counts(getattr(panel, f"get_{name}")(), counted)})
@@ -129,7 +129,7 @@ def _recording(
     voltage_V, time_s = recording.voltage_V(axis), recording.time_s
     channel = recording.find(Quantity.DISPLACEMENT, axis)
     if kind == "loop":
-        recording.displacement_m(axis)  # raises where there is none
+        recording.displacement_m(axis)  # raises without a displacement
     axes = _axes(ax)
     if channel is not None:
         scale, unit = _scaled(channel.values, "m")
@@ -148,7 +148,7 @@ def _recording(
     drive.set_xlabel("time (s)")
     drive.tick_params(axis="y", colors=THIRD)
     drive.spines["top"].set_visible(False)
-    axes.set_zorder(drive.get_zorder() + 1)  # what was measured in front
+    axes.set_zorder(drive.get_zorder() + 1)  # draw the displacement in front of the drive
     axes.patch.set_visible(False)
     return in_units_of(axes, recording.counted)
 
@@ -169,7 +169,7 @@ def _comparison(
     if kind == "error":
         _error_line(axes, comparison.time_s, comparison.error_m, "m")
         _, unit = _scaled(comparison.error_m, "m")
-        axes.set(ylabel=f"measured less predicted, {axis} ({unit})")
+        axes.set(ylabel=f"measured minus predicted, {axis} ({unit})")
     else:
         scale, unit = _scaled(comparison.measured_m, "m")
         measured, predicted = scale * comparison.measured_m, scale * comparison.predicted_m
@@ -187,8 +187,8 @@ def _comparison(
 def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Axes":
     """Draw the loops of a model at three ranges of the drive, or the response of its linear part.
 
-    The loops are those of the hysteresis, as it is driven slowly, after a full cycle. The band is
-    the 95 % interval of the loading curve, about the largest of them.
+    The loops are quasi-static loops of the hysteresis after one full cycle. The band around the
+    largest loop is the 95 % interval of the loading curve.
     """
     _check("model", kind, ("loop", "response"))
     axes = _axes(ax)
@@ -233,17 +233,21 @@ def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
     errors = diagnosis.baseline.rms_m, diagnosis.final.rms_m
     marks_m = [diagnosis.noise_floor_rms_m, *errors]
     scale, unit = _scaled(np.array([max(marks_m)]), "m")
-    least_m = 0.5 * min(size for size in [*marks_m, *(s for _, s in rows)] if size > 0.0)
-    bar: dict[str, Any] = {"left": scale * least_m, "height": 0.6, "color": MODEL}
+    left_m = 0.5 * min(size for size in [*marks_m, *(s for _, s in rows)] if size > 0.0)
+    bar: dict[str, Any] = {"left": scale * left_m, "height": 0.6, "color": MODEL}
     mark: dict[str, Any] = {"marker": "<", "color": MEASURED, "markerfacecolor": "white"}
     for index, (_, size_m) in enumerate(rows):
         if index < n_found:
             label = "found" if index == 0 else None
-            axes.barh(index, scale * (size_m - least_m), label=label, **bar)
+            axes.barh(index, scale * (size_m - left_m), label=label, **bar)
         else:
-            label = "not found, at most" if index == n_found else None
+            label = "not found: upper bound" if index == n_found else None
             axes.plot(scale * size_m, index, label=label, linestyle="none", **mark)
-    lines = (("sensor's noise", ":", FAINT), ("error before", "-", FAINT), ("after", "--", THIRD))
+    lines = (
+        ("sensor noise", ":", FAINT),
+        ("error without effects", "-", FAINT),
+        ("error with effects", "--", THIRD),
+    )
     for value_m, (label, style, shade) in zip(marks_m, lines, strict=True):
         axes.axvline(scale * value_m, linestyle=style, color=shade, linewidth=1.0, label=label)
     axes.set_xscale("log")
@@ -257,23 +261,23 @@ def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
 
 
 def _design(design: Design, *, axis: str | None, ax: "Axes | None" = None) -> "Axes":
-    """Draw |S_yp|, nominal and the worst of the family."""
+    """Draw |S_yp| of the nominal plant with the band of the plant family."""
     names = [axis_design.axis for axis_design in design.axes]
     if axis is not None and axis not in names:
         raise PictureError(
             f"no axis {axis!r} in this design",
             needed=f"one of {', '.join(names)}",
-            remedy="Name one of those.",
+            remedy="Name one of these axes.",
         )
     axes = _axes(ax)
     for index, axis_design in enumerate(design.axes if axis is None else (design.axis(axis),)):
         loop, color = axis_design.recommended, f"C{index}"
         nyquist = np.log10(0.5 * loop.members[0].sampling_rate_Hz)
         frequency_Hz = np.logspace(nyquist - _DECADES, nyquist, 600)
-        remaining = np.stack(
+        sensitivity = np.stack(
             [np.abs(sensitivities(m, loop.R, loop.S, frequency_Hz).Syp) for m in loop.members]
         )
-        level_dB = 20.0 * np.log10(np.maximum(remaining, 1e-6))
+        level_dB = 20.0 * np.log10(np.maximum(sensitivity, 1e-6))
         label = (
             f"axis {axis_design.axis}, {METHOD_NAMES[loop.method]}, "
             f"bandwidth {with_unit(loop.bandwidth_Hz, 'Hz')}"
@@ -286,7 +290,7 @@ def _design(design: Design, *, axis: str | None, ax: "Axes | None" = None) -> "A
     axes.set(
         xscale="log",
         xlabel="frequency (Hz)",
-        ylabel=r"disturbance left, $|S_{yp}|$ (dB)",
+        ylabel=r"output sensitivity, $|S_{yp}|$ (dB)",
         ylim=(max(axes.get_ylim()[0], -80.0), axes.get_ylim()[1]),
     )
     axes.legend(frameon=False, fontsize="small")
@@ -294,7 +298,7 @@ def _design(design: Design, *, axis: str | None, ax: "Axes | None" = None) -> "A
 
 
 def _verification(verification: Verification, kind: str, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw the error of each method over frequency, or every verdict against its limit."""
+    """Draw the error of each method over frequency, or every verdict relative to its limit."""
     _check("verification", kind, ("comparison", "verdicts"))
     if kind == "verdicts" or not verification.comparison:
         return _verdicts(verification, ax)
@@ -313,7 +317,7 @@ def _verification(verification: Verification, kind: str, *, ax: "Axes | None" = 
             color=MODEL if ships else (MEASURED, THIRD, FAINT)[index % 3],
             label=METHOD_NAMES[method] + (", ships" if ships else ""),
         )
-    axes.set(xscale="log", yscale="log", xlabel="turns of the spiral a second (Hz)")
+    axes.set(xscale="log", yscale="log", xlabel="turns of the spiral per second (Hz)")
     axes.set(ylabel=f"position error, rms ({unit})")
     axes.legend(frameon=False, fontsize="small")
     return axes
@@ -326,7 +330,7 @@ def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None" = None) -> "A
     if kind == "error":
         _error_line(axes, loop.time_s, loop.error, loop.unit)
         _, unit = _scaled(loop.error, loop.unit)
-        axes.set(ylabel=f"reference less {quantity}, {loop.axis} ({unit})")
+        axes.set(ylabel=f"reference minus {quantity}, {loop.axis} ({unit})")
         return axes
     scale, unit = _scaled(loop.reference, loop.unit)
     reference, position = scale * loop.reference, scale * loop.position
@@ -338,7 +342,7 @@ def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None" = None) -> "A
 
 
 def _plan(plan: Plan, *, ax: "Axes | None" = None) -> "Axes":
-    """Draw the planned drive over time, with the limits it keeps."""
+    """Draw the planned drive over time with its limits."""
     axes, drive = _axes(ax), plan.drive
     time_s = np.arange(len(drive.voltage_V)) / drive.sampling_rate_Hz
     _line(axes, time_s, drive.voltage_V, color=MEASURED, linewidth=0.9)
@@ -352,7 +356,7 @@ def _plan(plan: Plan, *, ax: "Axes | None" = None) -> "Axes":
 def _axes(
     ax: "Axes | None", *, width_inch: float = WIDTH_inch, height_inch: float = HEIGHT_inch
 ) -> "Axes":
-    """Return the axes that were given, or those of a new figure."""
+    """Return ``ax``, or the axes of a new figure."""
     if ax is not None:
         from matplotlib.axes import Axes
 
@@ -360,7 +364,7 @@ def _axes(
             raise PictureError(
                 f"ax is of type {type(ax).__name__}",
                 needed="matplotlib axes",
-                remedy="Pass what matplotlib.pyplot.subplots returned, one axes at a time.",
+                remedy="Pass one of the axes that matplotlib.pyplot.subplots returned.",
             )
         return ax
     import matplotlib.pyplot as plt
@@ -376,25 +380,25 @@ def _check(record: str, kind: str, kinds: tuple[str, ...]) -> None:
         raise PictureError(
             f"{record}: kind {kind!r}",
             needed=f"one of {', '.join(kinds)}",
-            remedy="Name one of those.",
+            remedy="Pass one of these kinds.",
         )
 
 
 def _scaled(values: Array, base: str) -> tuple[float, str]:
-    """Return the factor and the unit in which values are read most easily."""
+    """Return the factor and the unit with the prefix that suits the largest value."""
     largest = float(np.abs(values).max(initial=0.0))
     fitting = [(1.0 / size, f"{prefix}{base}") for size, prefix in _PREFIXES if largest >= size]
     return fitting[-1] if fitting else (1.0, base)
 
 
 def _line(axes: "Axes", x: Array, y: Array, **style: Any) -> None:
-    """Draw a curve with no more points than a page resolves."""
+    """Draw a curve with at most about ``_POINTS`` points."""
     step = max(1, len(x) // _POINTS)
     axes.plot(x[::step], y[::step], **style)
 
 
 def _error_line(axes: "Axes", time_s: Array, error: Array, base: str) -> None:
-    """Draw an error over time about a line at zero."""
+    """Draw an error over time, and a line at zero."""
     scale, _ = _scaled(error, base)
     _line(axes, time_s, scale * error, color=MODEL, linewidth=0.8)
     axes.axhline(0.0, color=FAINT, linewidth=0.6)
@@ -402,7 +406,7 @@ def _error_line(axes: "Axes", time_s: Array, error: Array, base: str) -> None:
 
 
 def _loop(model: AxisModel, share: float) -> tuple[Array, Array]:
-    """Return a closed loop over a share of the range, about its middle, falling first."""
+    """Return a closed loop over a fraction of the range around its middle, falling first."""
     low_V, high_V = model.voltage_V
     middle_V, half_V = 0.5 * (low_V + high_V), 0.5 * share * (high_V - low_V)
     share_of = np.concatenate([np.linspace(1.0, -1.0, _SAMPLES), np.linspace(-1.0, 1.0, _SAMPLES)])
@@ -415,7 +419,7 @@ def _loop(model: AxisModel, share: float) -> tuple[Array, Array]:
 
 
 def _verdicts(verification: Verification, ax: "Axes | None") -> "Axes":
-    """Draw value over limit of every verdict that has a limit above 0."""
+    """Draw the ratio of value to limit for every verdict with a limit above 0."""
     verdicts = [v for v in verification.verdicts if v.limit > 0.0]
     height_inch = 0.9 + 0.2 * max(len(verdicts), 4)
     axes = _axes(ax, width_inch=1.6 * WIDTH_inch, height_inch=height_inch)

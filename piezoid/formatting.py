@@ -4,15 +4,15 @@ import math
 from dataclasses import dataclass
 
 PREFIXES = ((1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"), (1e6, "M"))
-UNKNOWN = "not known"
+UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """A unit a reader likes: so many SI units make one of it.
+    """A unit with an SI prefix.
 
-    factor  SI units in one of it
-    unit    its name, empty for a plain number
+    factor  SI units per unit of this scale
+    unit    name with prefix; empty for a number without unit
     """
 
     factor: float
@@ -20,10 +20,10 @@ class Scale:
 
 
 def scale_for(largest: float, unit: str) -> Scale:
-    """Return the scale in which a number of this size has one to three digits before the point.
+    """Return the scale in which a number has one to three digits before the decimal point.
 
-    largest  size of the number in SI
-    unit     SI unit; ``%`` and the empty one take no prefix, nor do angles
+    largest  the number in SI units
+    unit     SI unit; ``%`` and the empty unit take no prefix
     """
     size = abs(largest)
     if unit in ("", "%") or not math.isfinite(size) or size == 0.0:
@@ -74,7 +74,7 @@ def interval_digits(low: float, high: float) -> int:
 
 
 def p_value(probability: float) -> str:
-    """Return a p-value with two digits; below a thousandth its size means nothing.
+    """Return a p-value with two digits, or ``< 0.001``.
 
     >>> p_value(8.4e-8)
     '< 0.001'

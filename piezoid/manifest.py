@@ -1,7 +1,7 @@
 """Manifests: the files of a folder that piezoid wrote, with their digests.
 
-A manifest is sealed JSON. While files are exchanged one by one it lists, beside the new digest of
-a file, those that the file may have had before.
+A manifest is sealed JSON. While files are replaced one by one, it lists both the new and the
+previous digests of each file.
 """
 
 import os
@@ -15,7 +15,7 @@ from piezoid.errors import PiezoidError
 
 MANIFEST = "manifest.json"
 SCHEMA = "piezoid.manifest/1"
-# What versions without a manifest wrote beside sealed files; replaced with ``force`` only.
+# Unsealed files of versions without a manifest; replaced only with ``force``.
 UNSEALED = (
     *("report.html", "diagnosis.html", "design.html", "summary.html", "parameters.parquet"),
     *("drive.csv", "bundle/piezo_params.h", "bundle/piezoid_runtime.h"),
@@ -24,22 +24,22 @@ UNSEALED = (
 )
 _MAX_SEALED_bytes = 1 << 27
 
-Listed = Mapping[str, Collection[str]]  # file names and the digests that each may have
+Listed = Mapping[str, Collection[str]]  # file names, each with its valid digests
 
 
 def is_as_written(path: Path) -> bool:
-    """Tell whether a file is unchanged since piezoid wrote it, if there is a manifest."""
+    """Return whether a file is unchanged since piezoid wrote it; True without a manifest."""
     listed = manifest_in(path.parent)
     return listed is None or digest_of_file(path) in listed.get(path.name, ())
 
 
 def missing_files(folder: Path) -> list[str]:
-    """Return the files that the manifest of a folder lists and that are not there."""
+    """Return the files in the manifest of a folder that do not exist."""
     return [n for n in manifest_in(folder) or () if not is_regular(folder / n)]
 
 
 def lists_results(folder: str | Path) -> bool:
-    """Return whether a folder bears a manifest of a calibrated stage or of a batch."""
+    """Return whether a folder has the manifest of a calibrated stage or of a batch."""
     listed = manifest_in(Path(folder)) or ()
     return "model.json" in listed or "batch.json" in listed
 
@@ -81,7 +81,7 @@ def _is_sealed(content: bytes) -> bool:
 
 
 def _read_small(path: Path) -> bytes:
-    """Return the content of a regular file; None for links, pipes and large files."""
+    """Return the content of a regular file; empty for links, pipes and large files."""
     try:
         if is_regular(path) and path.lstat().st_size <= _MAX_SEALED_bytes:
             return path.read_bytes()
@@ -91,12 +91,12 @@ def _read_small(path: Path) -> bytes:
 
 
 def is_regular(path: Path) -> bool:
-    """Return whether a path is a regular file, and no link to one."""
+    """Return whether a path is a regular file and not a link."""
     return os.path.lexists(path) and stat.S_ISREG(path.lstat().st_mode)
 
 
 def manifest_of(files: Mapping[str, str], *, previous: Listed | None = None) -> bytes:
-    """Return the manifest of files with their digests, and with those that are replaced."""
+    """Return the manifest of files with their digests, and with the previous digests."""
     record: dict[str, object] = {"files": dict(sorted(files.items()))}
     if previous is not None:
         record["previous"] = {name: sorted(digests) for name, digests in sorted(previous.items())}

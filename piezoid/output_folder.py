@@ -1,15 +1,17 @@
-"""Write folders of results without replacing, removing or following files of others.
+"""Write folders of results without changing files that piezoid did not write.
 
-A folder is written if it is new, empty, or bears a manifest: ``manifest.json``, sealed, lists each
-file that piezoid wrote there with its digest. In a folder without one, sealed files are ours.
+A folder is written if it is new, empty, or has a manifest: the sealed file ``manifest.json`` lists
+each file that piezoid wrote there, with its digest. Without a manifest, only sealed files count as
+written by piezoid.
 
-* Only listed files are replaced or removed; one that was edited only with ``force``.
-* Links are not followed. Files, folders, links, pipes and devices of others stay, and so do modes.
+* Only listed files are replaced or removed; edited files only with ``force``.
+* Links are not followed. Foreign files, folders, links, pipes and devices are kept, as are modes.
 * The root of a disk, a home folder, the working directory and a repository are never written.
 
-Killed at any moment, a folder that holds nothing else is as before or finished: it is exchanged in
-one step. Beside objects of others, and where the system has no such step, each file is whole, old
-or new; the manifest lists both until the last one is in its place, and the next run goes on.
+If the process is killed, a folder without foreign objects is either unchanged or complete, because
+it is exchanged in one step. With foreign objects, or on systems without that step, each file is
+either old or new. The manifest lists both until the last file is replaced, and the next run
+continues.
 """
 
 import ctypes
@@ -50,25 +52,25 @@ def check_folder(
     names: Iterable[str] | None = None,
     inputs: Iterable[Path] = (),
 ) -> None:
-    """Decide whether a folder may be written, before any work is done.
+    """Check whether a folder may be written, before any work is done.
 
     folder  new, empty, or with files that piezoid wrote
-    force   replace these files, edited ones too
-    new     refuse a folder that holds results, unless ``force``
-    names   files to write or to remove, as far as they are known; None: all that are listed
-    inputs  files that are read: none of them may lie in a folder that is replaced
+    force   replace these files, including edited files
+    new     refuse a folder with results, unless ``force``
+    names   files to be written or removed, if known; None: all listed files
+    inputs  files that are read, which must not lie in the folder
 
-    Raises ``OutputFolderError`` (exit status 2), and ``PermissionError`` where nothing can be
-    written.
+    Raises ``OutputFolderError`` (exit status 2), and ``PermissionError`` without permission to
+    write.
     """
     target = _target_of(folder)
     for file in inputs:
         if Path(os.path.realpath(file)).is_relative_to(target):
-            raise refusal(f"{folder} holds {file}, which is read")
+            raise refusal(f"{folder} contains {file}, which is read")
     listed = _listed_in(target)
     if listed and new and not force:
         raise OutputFolderError(
-            f"{folder} is not empty: it holds results",
+            f"{folder} is not empty: it contains results",
             needed="a new or an empty folder",
             remedy="Name another folder, or add --force to replace its results.",
         )
@@ -88,13 +90,13 @@ def write_folder(
     force: bool = False,
     shared: bool = False,
 ) -> None:
-    """Write a folder of results, replacing those it holds.
+    """Write a folder of results, replacing earlier results.
 
-    contents  file names, with / for sub-folders, and their bytes, or what writes them to a stream
-    force     as for ``check_folder``, which decides once more
-    shared    one of very many folders beside each other, each written by one process only: nobody
-              is waited for, and ``remove_unfinished`` removes what killed runs left. Without
-              ``force``, results that nobody edited are replaced
+    contents  file names, with / for subfolders, and their bytes or a function that writes them
+    force     as for ``check_folder``, which is called again
+    shared    one of many neighbouring folders, each written by a single process: the parent is not
+              locked, and ``remove_unfinished`` deletes the remains of killed runs. Unedited
+              results are replaced without ``force``
     """
     with nullcontext() if shared else _exclusive_access(folder):
         listed = _listed_in(_target_of(folder))
@@ -111,9 +113,9 @@ def add_to_folder(
 ) -> None:
     """Add files to a folder of results, or replace them there.
 
-    contents  as for ``write_folder``; every other file stays as it is
-    gone      files and sub-folders of ours that do not stay, unless ``contents`` has them
-    force     replace files of ours although they were edited
+    contents  as for ``write_folder``; other files are not changed
+    gone      files and subfolders of piezoid to remove, unless ``contents`` has them
+    force     replace edited files of piezoid
     """
     with _exclusive_access(folder):
         listed = _listed_in(_target_of(folder))
@@ -123,7 +125,7 @@ def add_to_folder(
 
 
 def remove_unfinished(folder: Path, name: str = "") -> None:
-    """Remove unfinished folders of killed runs beside a folder; without a name, all of them."""
+    """Remove the unfinished folders in a folder that killed runs left, for one name or for all."""
     for entry in os.listdir(folder) if folder.is_dir() else ():
         written, _, _ = entry.removesuffix(_UNFINISHED).rpartition(".")
         is_unfinished = entry.endswith(_UNFINISHED) and written.startswith(".")
@@ -134,20 +136,20 @@ def remove_unfinished(folder: Path, name: str = "") -> None:
 def write_file(
     path: Path, content: bytes, *, opening: bytes, force: bool = False, only_check: bool = False
 ) -> None:
-    """Write one file atomically, where none exists or, with ``force``, over a file of piezoid.
+    """Write one new file atomically, or with ``force`` replace a file of piezoid.
 
-    opening     what every file of ours of this type begins with
-    only_check  decide whether it may be written, before any work is done
+    opening     first bytes of every file of this type that piezoid writes
+    only_check  check whether the file may be written, but do not write it
     """
     with _errors_about(path):
         mode = _mode_of(path)
         if mode is not None and not stat.S_ISREG(mode):
-            raise refusal(f"{path} is no regular file")
+            raise refusal(f"{path} is not a regular file")
         if mode is not None and not (force and _begins_with(path, opening)):
             raise OutputFolderError(
-                f"{path} is already there",
+                f"{path} already exists",
                 needed="the name of a new file",
-                remedy="Name another file; --force replaces only one that this command wrote.",
+                remedy="Name another file; --force replaces only files that this command wrote.",
             )
         if only_check:
             return
@@ -161,7 +163,7 @@ def write_file(
 
 
 def _target_of(folder: str | Path) -> Path:
-    """Return the folder behind a name; refuse other files and protected folders."""
+    """Return the absolute path of a folder; refuse links, files and protected folders."""
     path = Path(folder)
     parent, name = (path, "") if path.name in ("", "..") else (path.parent, path.name)
     target = Path(os.path.realpath(parent)) / name
@@ -175,22 +177,22 @@ def _target_of(folder: str | Path) -> Path:
 
 
 def _protection_of(target: Path) -> str:
-    """Return why a folder is never written, whatever it holds; empty if it may be."""
+    """Return the reason why a folder is never written, or empty."""
     if os.path.ismount(target):
-        return "is a disk of its own"
+        return "is the root of a disk"
     homes = [os.path.expanduser("~")]
-    with suppress(ImportError, KeyError):  # not every system has users, nor every user an entry
+    with suppress(ImportError, KeyError):  # no pwd on this system, or no entry for this user
         import pwd
 
         homes.append(pwd.getpwuid(os.getuid()).pw_dir)
     if any(Path(os.path.realpath(home)).is_relative_to(target) for home in homes):
-        return "is or holds a home folder"
+        return "is or contains a home folder"
     with suppress(FileNotFoundError):
         if Path.cwd().is_relative_to(target):
-            return "is where this command runs"
+            return "is or contains the working directory"
     for name in _REPOSITORIES:
         if os.path.lexists(target / name):
-            return f"is a repository: it holds {name}"
+            return f"is a repository: it contains {name}"
     return ""
 
 
@@ -199,7 +201,7 @@ def refusal(reason: str) -> OutputFolderError:
     return OutputFolderError(
         reason,
         needed="a folder that is new, empty, or written by piezoid",
-        remedy="Name another folder, or one below it; --force replaces only what piezoid wrote.",
+        remedy="Name another folder or a subfolder; --force replaces only files of piezoid.",
     )
 
 
@@ -211,7 +213,7 @@ def _listed_in(target: Path) -> Listed:
     if listed is None:
         listed = files_without_manifest(target)
         if not listed and os.listdir(target):
-            raise refusal(f"{target} is not empty and bears no manifest of piezoid")
+            raise refusal(f"{target} is not empty and has no manifest of piezoid")
     return listed
 
 
@@ -226,7 +228,7 @@ def _check_names(target: Path, listed: Listed, names: Iterable[str], *, force: b
         path = target / name
         for above in _folders_of([name]):
             if os.path.lexists(target / above) and not _is_folder(target / above):
-                raise refusal(f"{target / above} is no folder of piezoid")
+                raise refusal(f"{target / above} is not a folder of piezoid")
         if not os.path.lexists(path) or (name == MANIFEST and manifest_in(target) is not None):
             continue
         if name not in listed or not is_regular(path):
@@ -235,8 +237,8 @@ def _check_names(target: Path, listed: Listed, names: Iterable[str], *, force: b
             reason = "was edited since piezoid wrote it" if listed[name] else "is in no manifest"
             raise OutputFolderError(
                 f"{path} {reason}",
-                needed="the file as it was written",
-                remedy="Move it to keep it, or add --force to replace it.",
+                needed="the unchanged file",
+                remedy="Move the file to keep it, or add --force to replace it.",
             )
 
 
@@ -245,7 +247,7 @@ def _is_folder(path: Path) -> bool:
 
 
 def _folders_of(names: Iterable[str]) -> list[str]:
-    """Return the sub-folders that names lie in, the outer ones first."""
+    """Return the subfolders in file names, parents first."""
     above = {str(p) for name in names for p in PurePosixPath(name).parents if str(p) != "."}
     return sorted(above, key=lambda folder: (folder.count("/"), folder))
 
@@ -265,13 +267,13 @@ def _write(
             fresh.mkdir()
             _fill(fresh / MANIFEST, manifest_of(dict.fromkeys((*contents, *unchanged), "")))
             digests = {n: _fill(fresh / n, content) for n, content in contents.items()}
-            for name in unchanged:  # an edited file keeps the digest that piezoid wrote
+            for name in unchanged:  # the manifest keeps the original digest of an edited file
                 recorded = listed[name]
                 actual = digest_of_file(target / name) if len(recorded) > 1 else ""
                 digests[name] = actual if actual in recorded else min(recorded, default="")
             _fill(fresh / _UNION, manifest_of(digests))
-            (fresh / _UNION).replace(fresh / MANIFEST)  # killed here, the files are listed
-            with interrupts_blocked():  # until every file is in its place
+            (fresh / _UNION).replace(fresh / MANIFEST)  # if killed now, the files are listed
+            with interrupts_blocked():
                 _check_names(target, listed, (*contents, *gone), force=force)
                 _put(fresh, target, digests, listed, gone)
         finally:
@@ -287,8 +289,8 @@ def _put(
         return
     new = [name for name in digests if is_regular(fresh / name)]
     unchanged = [name for name in digests if name not in new]
-    is_ready = _holds_only(target, listed) and _take_over(target, fresh, unchanged)
-    if is_ready and _rename(fresh, target, _EXCHANGE):
+    is_exchangeable = _holds_only(target, listed) and _take_over(target, fresh, unchanged)
+    if is_exchangeable and _rename(fresh, target, _EXCHANGE):
         _remove_listed(fresh, listed)
         _return_others(fresh, target)
         return
@@ -315,7 +317,7 @@ def _holds_only(target: Path, listed: Listed) -> bool:
 
 
 def _take_over(target: Path, fresh: Path, unchanged: Iterable[str]) -> bool:
-    """Give the finished folder the unchanged files, and all modes; False if that is impossible."""
+    """Link the unchanged files into the finished folder and copy modes; False if impossible."""
     new, old = fresh.stat(), target.stat()
     if (new.st_uid, new.st_gid) != (old.st_uid, old.st_gid):
         return False
@@ -337,7 +339,7 @@ def _mode_of(path: Path) -> int | None:
 
 
 def _move(source: Path, path: Path, *, is_ours: bool = True) -> None:
-    """Move a file over a file of piezoid, keeping its mode, or to a free name."""
+    """Move a file to an unused name, or over a file of piezoid while keeping its mode."""
     mode = _mode_of(path)
     if mode is not None and is_ours and stat.S_ISREG(mode):
         source.chmod(stat.S_IMODE(mode))
@@ -349,7 +351,7 @@ def _move(source: Path, path: Path, *, is_ours: bool = True) -> None:
 
 
 def _rename(source: Path, path: Path, flag: int) -> bool:
-    """Rename without replacing, or exchange, atomically; return whether it was done."""
+    """Rename without replacing, or exchange, atomically; return whether it succeeded."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError):
@@ -360,7 +362,7 @@ def _rename(source: Path, path: Path, flag: int) -> bool:
 
 
 def _return_others(source: Path, target: Path) -> None:
-    """Move files that appeared at the moment of the exchange into the new folder."""
+    """Move files that appeared during the exchange into the new folder."""
     for name in os.listdir(source) if source.is_dir() else ():
         if _is_folder(source / name) and _is_folder(target / name):
             _return_others(source / name, target / name)
@@ -371,7 +373,7 @@ def _return_others(source: Path, target: Path) -> None:
 
 
 def _remove_listed(folder: Path, names: Iterable[str]) -> None:
-    """Remove the listed files of a folder, and the folder if it is empty then."""
+    """Remove the listed files of a folder, and then the folder if it is empty."""
     _remove(folder, (*names, _UNION, MANIFEST))
     with suppress(OSError):
         folder.rmdir()
@@ -390,7 +392,7 @@ def _remove(folder: Path, names: Collection[str]) -> None:
 
 
 def _fill(path: Path, content: Content) -> str:
-    """Write a new file to the disk and return its digest."""
+    """Write a new file, flush it to the disk, and return its digest."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w+b") as stream:
         if isinstance(content, bytes):
@@ -408,7 +410,7 @@ def _scratch_path(target: Path) -> Path:
 
 @contextmanager
 def _errors_about(path: str | Path) -> Iterator[None]:
-    """Name this path in errors of the disk, instead of a temporary file."""
+    """Name this path instead of a temporary file in ``OSError``."""
     try:
         yield
     except OSError as error:
@@ -417,10 +419,9 @@ def _errors_about(path: str | Path) -> Iterator[None]:
 
 @contextmanager
 def _exclusive_access(folder: str | Path) -> Iterator[None]:
-    """Lock the parent of a folder against other runs; the lock of a killed run ends with it.
+    """Lock the parent of a folder against other runs; the lock ends with the process.
 
-    Some network disks and systems have no locks: there, of two runs at the same moment the later
-    one counts.
+    On network disks and systems without locks, the later of two simultaneous runs prevails.
     """
     target = _target_of(folder)
     with _errors_about(folder):
@@ -439,7 +440,7 @@ def _exclusive_access(folder: str | Path) -> Iterator[None]:
 
 @contextmanager
 def interrupts_blocked() -> Iterator[None]:
-    """Block Ctrl-C until the end of the block; processes that start in it never receive it."""
+    """Block Ctrl-C until the end of the block; processes started in it never receive it."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -1,9 +1,8 @@
-"""Units of recordings in counts of a converter, where neither metre nor volt is known.
+"""Results in counts of a converter, for recordings without a calibration in metres or volts.
 
-A sensor without calibration gives counts, and so may a drive. The numbers are treated as metres
-and volts, one count in place of one metre or one volt. Recordings, models and diagnoses carry the
-label ``counted``, the quantities that are in counts; results are converted where they leave the
-library, ``6.06 km`` becomes ``6.06 kcounts``.
+The library treats one count as one metre or one volt. The field ``counted`` of recordings, models
+and diagnoses names the quantities in counts. Texts are converted when they leave the library:
+``6.06 km`` becomes ``6.06 kcounts``.
 """
 
 import re
@@ -20,10 +19,10 @@ DISPLACEMENT, VOLTAGE = "displacement", "voltage"
 SYMBOLS = {DISPLACEMENT: "m", VOLTAGE: "V"}
 WORDS = {DISPLACEMENT: r"met(?:re|er)(s?)", VOLTAGE: r"volt(s?)"}
 TERM = r"[pnuµmkMG]?(?:m|V)"
-# A symbol without prefix is a unit only behind a number, in brackets or as the whole text.
+# A symbol without prefix is a unit only after a number, in brackets or as the complete text.
 UNIT = re.compile(rf"(?<![\w./-])(?:1/({TERM})|({TERM})(/(?:s|√Hz|Hz|{TERM}))?)(?![\w(])")
 NUMBER_BEFORE = re.compile(r"(?:\d|\d\)|\bper)[ \u202f\xa0]$")
-# Fields of a model or a diagnosis that hold sentences; the others hold names and numbers.
+# Fields of a model or a diagnosis with sentences; other fields contain names and numbers.
 TEXT_FIELDS = (
     *("verdict", "quality", "dynamics_remarks"),
     *("findings", "not_detected", "budget", "unexplained"),
@@ -34,7 +33,7 @@ Record = TypeVar("Record")
 def in_counts(text: str, counted: Collection[str]) -> str:
     """Replace metres, volts or both in a text by counts.
 
-    counted  of ``displacement`` and ``voltage``
+    counted  subset of ``displacement`` and ``voltage``
 
     >>> in_counts("33.2 km, noise 9.5 m; 12 µm/V", ("displacement",))
     '33.2 kcounts, noise 9.5 counts; 12 µcounts/V'
@@ -66,10 +65,10 @@ def in_counts(text: str, counted: Collection[str]) -> str:
 
 
 def record_in_counts(record: Any, counted: Collection[str]) -> Any:
-    """Return a record, a tuple or a table with counts in every text in it.
+    """Return a record, tuple or mapping with counts in all of its texts.
 
-    A size in nanometres, ``value`` with ``unit`` and ``ci95``, loses its prefix: its number
-    becomes counts, not billionths of a count.
+    A size in nanometres (``value``, ``unit`` and ``ci95``) is converted to counts without prefix,
+    because a billionth of a count has no meaning.
     """
     if not counted:
         return record
@@ -96,7 +95,7 @@ def record_in_counts(record: Any, counted: Collection[str]) -> Any:
 
 
 def texts_in_counts(labelled: Record) -> Record:
-    """Return the model of an axis, or a diagnosis, with its sentences in its units.
+    """Return the model of an axis, or a diagnosis, with counts in its sentences.
 
     >>> texts_in_counts(model["x"]) is model["x"]
     True
@@ -112,27 +111,27 @@ def texts_in_counts(labelled: Record) -> Record:
 def refuse_counts(
     axis: str, counted: Collection[str], *, quantities: Collection[str] = (DISPLACEMENT, VOLTAGE)
 ) -> None:
-    """Raise ``LabFileError`` if a quantity that has to be in SI units is in counts.
+    """Raise ``LabFileError`` if a quantity that must be in SI units is in counts.
 
-    axis        its name
-    counted     the quantities in counts
-    quantities  that what follows needs in SI units
+    axis        name of the axis
+    counted     quantities in counts
+    quantities  quantities that must be in SI units
 
     >>> refuse_counts("x", counted=())
     """
     for quantity in (name for name in quantities if name in counted):
         raise LabFileError(
             f"axis {axis}: its {quantity} is recorded in counts of the converter",
-            needed=f"how many {SYMBOLS[quantity]} one count is: nothing can be played or shipped "
-            "in counts",
-            remedy="Write into the [[recording]] of each file in lab.toml, and fit again:\n\n"
+            needed=f"the size of one count in {SYMBOLS[quantity]}; no drive or controller can be "
+            "written in counts",
+            remedy="Add to the [[recording]] of each file in lab.toml, and fit again:\n\n"
             f"scale = {{ {quantity} = ... }}\n",
         )
 
 
 @contextmanager
 def errors_in_counts(counted: Collection[str]) -> Iterator[None]:
-    """Raise errors of this package with counts in their messages."""
+    """Convert the messages of piezoid errors in the block to counts."""
     try:
         yield
     except PiezoidError as error:

@@ -1,8 +1,8 @@
-"""Convert records to JSON values and back by the types of their fields, exactly.
+"""Convert records to JSON values and back exactly, by the types of their fields.
 
-A frozen record becomes a table of its fields, an array or a tuple becomes a list, an enumeration
-its value. Where a file is laid out in another way than its record, a ``RecordLayout`` says how. A
-number that may be infinite is written as null, the only word JSON has for it.
+A frozen record becomes a table of its fields, an array or tuple a list, an enumeration its value.
+If the layout of a file differs from its record, a ``RecordLayout`` defines it. An infinite number
+is written as null, because JSON has no infinity.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -42,32 +42,32 @@ class RecordLayout:
 
 
 def to_json(value: Any, layouts: Sequence[RecordLayout] = ()) -> Any:
-    """Convert a record, an array, or a container of such to JSON values.
+    """Convert a record, an array, or a container of these to JSON values.
 
-    An infinite number becomes None where the type of its field admits one of both, and is left for
-    ``seal`` to refuse elsewhere.
+    An infinite number becomes None if the type of its field allows infinity or None; otherwise
+    ``seal`` refuses it.
     """
-    return _written(value, layouts, may_be_infinite=False)
+    return _to_json(value, layouts, may_be_infinite=False)
 
 
 def fields_of(record: Any) -> dict[str, Any]:
-    """Return the fields of a record by name, as they are."""
+    """Return the fields of a record by name, without conversion."""
     return {field.name: getattr(record, field.name) for field in fields(record)}
 
 
 def from_json(kind: type[Record], value: Any, layouts: Sequence[RecordLayout] = ()) -> Record:
-    """Rebuild a record from the values of ``to_json``; refuses as ``from_fields`` does."""
+    """Rebuild a record from the result of ``to_json``; raises the errors of ``from_fields``."""
     return cast(Record, _read(kind, value, layouts, ""))
 
 
 def from_fields(kind: type[Record], value: Any, layouts: Sequence[RecordLayout] = ()) -> Record:
-    """Build a record from a table of its fields, whatever layout its class has.
+    """Build a record from a table of its fields, without the layout of its class.
 
-    A field with a default may be missing: an earlier version did not know it. A name that is a
-    property of the class is computed again, not read.
+    A field with a default may be missing, because earlier versions did not write it. Entries for
+    properties of the class are ignored.
 
-    Raises ``ValueError`` for any other missing or unknown name, and for a value of another type,
-    with the path of the entry.
+    Raises ``ValueError`` with the path of the entry for any other missing or unknown name, and for
+    a value of a wrong type.
     """
     return _by_fields(kind, value, layouts, "")
 
@@ -81,10 +81,10 @@ def read_sealed(
     remedy: str,
     layouts: Sequence[RecordLayout] = (),
 ) -> Record:
-    """Read the record of a sealed file back.
+    """Return the record of a sealed file.
 
-    Raises ``ParameterFileError`` where a bit was changed, the schema is another, or an entry is
-    missing, unknown or of another type; ``remedy`` is for wrong entries.
+    Raises ``ParameterFileError`` for a wrong digest, another schema, and missing or unknown
+    entries or entries of a wrong type; ``remedy`` applies to wrong entries.
     """
     record = unseal(content, schema, file)
     content_entries = {
@@ -102,28 +102,28 @@ def refusing(schema: str, file: str, *, remedy: str) -> Iterator[None]:
     except _WRONG as error:
         raise ParameterFileError(
             f"{file}: {type(error).__name__} at {error}",
-            needed=f"every entry of schema {schema}, of its own kind",
+            needed=f"every entry of schema {schema}, with its type",
             remedy=remedy,
         ) from error
 
 
-def _written(value: Any, layouts: Sequence[RecordLayout], *, may_be_infinite: bool) -> Any:
+def _to_json(value: Any, layouts: Sequence[RecordLayout], *, may_be_infinite: bool) -> Any:
     layout = next((candidate for candidate in layouts if isinstance(value, candidate.kind)), None)
     if layout is not None:
         return to_json(layout.write(value), layouts)
     if is_dataclass(value) and not isinstance(value, type):
         infinite = _fields_that_may_be_infinite(type(value))
         return {
-            name: _written(field_value, layouts, may_be_infinite=name in infinite)
+            name: _to_json(field_value, layouts, may_be_infinite=name in infinite)
             for name, field_value in fields_of(value).items()
         }
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, tuple | list):
-        return [_written(item, layouts, may_be_infinite=may_be_infinite) for item in value]
+        return [_to_json(item, layouts, may_be_infinite=may_be_infinite) for item in value]
     if isinstance(value, Mapping):
         return {
-            name: _written(item, layouts, may_be_infinite=may_be_infinite)
+            name: _to_json(item, layouts, may_be_infinite=may_be_infinite)
             for name, item in value.items()
         }
     if isinstance(value, Enum):

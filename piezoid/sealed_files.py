@@ -1,6 +1,6 @@
-"""Read sealed files of a stage back into records.
+"""Read and write the sealed files of a stage.
 
-A sealed file is JSON with its schema and a digest of its content; the same record, the same bytes.
+A sealed file is JSON with its schema and a digest. The same record gives the same bytes.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +21,7 @@ from piezoid.learning.learn import Learned, learned_from_json
 from piezoid.records.lab import Lab, read_lab
 from piezoid.verification.verification import Verification, verification_from_json
 
-Place = str | Path
+FilePath = str | Path
 Sealed = (
     ActuatorModel
     | Diagnosis
@@ -33,15 +33,15 @@ Sealed = (
 )
 
 
-def load(path: Place) -> Sealed:
-    """Read a sealed file of any schema back; for a folder, its model.json.
+def load(path: FilePath) -> Sealed:
+    """Return the record of a sealed file; for a folder, of its model.json.
 
-    returned  of model.json an ActuatorModel, of diagnosis.json a tuple with the diagnosis of each
-              axis, of design.json a Design, of params.json a ParameterFile, of verification.json
-              a Verification, of learning.json a Learned
+    returned  ActuatorModel for model.json, a tuple with the Diagnosis of each axis for
+              diagnosis.json, Design for design.json, ParameterFile for params.json, Verification
+              for verification.json, Learned for learning.json
 
-    Raises ``ParameterFileError`` where a bit was changed or the file is none of these, and
-    ``OSError`` where it cannot be read.
+    Raises ``ParameterFileError`` for a wrong digest or another schema, and ``OSError`` if the file
+    cannot be read.
 
     >>> piezoid.save(model, "model.json")
     >>> piezoid.load("model.json").stage == model.stage
@@ -58,10 +58,10 @@ def load(path: Place) -> Sealed:
     kind = schema.partition("/")[0]
     if kind not in _READERS:
         raise ParameterFileError(
-            f"{file.name} is of {f'schema {schema!r}' if schema else 'no schema'}",
+            f"{file.name} has {f'schema {schema!r}' if schema else 'no schema'}",
             needed=f"one of {', '.join(_READERS)}",
             remedy="Pass model.json, diagnosis.json, design.json, params.json, "
-            "verification.json or learning.json of a stage's folder.",
+            "verification.json or learning.json.",
         )
     return _READERS[kind](content, str(file))
 
@@ -84,11 +84,11 @@ _READERS: Mapping[str, Callable[[bytes, str], Sealed]] = {
 }
 
 
-def save(record: Sealed | Sequence[Diagnosis], path: Place) -> None:
-    """Write a record into its sealed file; ``load`` reads it back, number for number.
+def save(record: Sealed | Sequence[Diagnosis], path: FilePath) -> None:
+    """Write a record to a sealed file, from which ``load`` restores the exact numbers.
 
-    record  an ActuatorModel, a Diagnosis or several, a Design, a ParameterFile, a Verification,
-            a Learned
+    record  an ActuatorModel, one or several Diagnosis records, a Design, a ParameterFile, a
+            Verification, or a Learned
 
     >>> piezoid.save(design, "design.json")
     >>> type(piezoid.load("design.json")).__name__
@@ -98,7 +98,7 @@ def save(record: Sealed | Sequence[Diagnosis], path: Place) -> None:
 
 
 def sealed(record: object) -> bytes:
-    """Return the bytes of a record's sealed file; the same record, the same bytes."""
+    """Return the content of the sealed file of a record."""
     if isinstance(record, ActuatorModel):
         return write_model(record)
     if isinstance(record, Diagnosis):
@@ -111,15 +111,15 @@ def sealed(record: object) -> bytes:
     if several and all(isinstance(part, Diagnosis) for part in several):
         return write_diagnosis(several[0], further_axes=several[1:])
     raise ParameterFileError(
-        f"{type(record).__name__} has no sealed file",
+        f"a {type(record).__name__} has no sealed file",
         needed="an ActuatorModel, a Diagnosis, a Design, a ParameterFile, a Verification or a "
         "Learned",
-        remedy="Save what a Shipping holds: its parameters and its verification.",
+        remedy="Of a Shipping, save its parameters and its verification.",
     )
 
 
 def digest_of(record: object) -> str:
-    """Return the digest in a record's sealed file."""
+    """Return the digest in the sealed file of a record."""
     return str(loads(sealed(record))["digest"])
 
 
@@ -128,7 +128,7 @@ def path_of(path: object) -> Path:
     if isinstance(path, str | Path):
         return Path(path)
     raise RecordingError(
-        f"{type(path).__name__} given for a file",
+        f"{type(path).__name__} given as a path",
         needed="the path of a file",
         remedy="Pass a string or a pathlib.Path.",
     )

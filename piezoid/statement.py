@@ -1,7 +1,7 @@
 """Statements about data, model or controller.
 
 Checks, fits, diagnosis, design and verification return statements. The terminal, the report and
-the JSON files select and print them; they never judge a fact again.
+the JSON files select and print statements without evaluating results again.
 """
 
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ class Kind(StrEnum):
     """Subject of a statement."""
 
     FINDING = "finding"  # a property of the data, the stage or the model that was detected
-    LIMIT = "limit"  # what these data do not show, or what a figure does not cover
+    LIMIT = "limit"  # a property that these data do not show, or a limit of a result
 
 
 class Level(IntEnum):
@@ -33,10 +33,10 @@ class Statement:
     Args:
         kind: finding or limit.
         level: note, warning or action.
-        quantity: what was measured or is missing, as an identifier (``"baseline_step"``).
-        text: the sentence that a reader sees; complete without the other fields.
-        axis: name of the axis; empty if the statement concerns the whole stage.
-        place: place in a file (a column, a line, a row); empty if it concerns no single place.
+        quantity: identifier of the quantity (``"baseline_step"``).
+        text: the sentence for the reader; complete without the other fields.
+        axis: name of the axis; empty if the statement concerns the stage.
+        place: location in a file (column, line or row); empty if it concerns no single location.
         recording: name of the recording; empty if it concerns all recordings of the axis.
         value: the measured number in SI units; None if the statement has no number.
         unit: SI unit of ``value``.
@@ -80,7 +80,7 @@ def finding(
     value: float | None = None,
     unit: str = "",
 ) -> Statement:
-    """Return a finding about recorded data, for the report and ``piezoid inspect``."""
+    """Return a finding about recorded data, shown by the report and ``piezoid inspect``."""
     return Statement(
         kind=Kind.FINDING,
         level=Level.NOTE,

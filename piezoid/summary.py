@@ -1,4 +1,4 @@
-"""Summary of a record: one short table, printed as text at a prompt and as HTML in a notebook."""
+"""Summary of a record: a short table, shown as text at a prompt and as HTML in a notebook."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -10,13 +10,13 @@ from piezoid.raw_counts import in_counts
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Summary:
-    """A table with a title, one row of headings and a few remarks below.
+    """A table with a title, a row of headings and remarks.
 
     title     first line
     headings  of the columns; empty for a table of names and values
     rows      cells as text, one tuple per row
     notes     lines below the table
-    counted   quantities in counts of a converter, of ``displacement`` and ``voltage``
+    counted   quantities in counts, a subset of ``displacement`` and ``voltage``
     """
 
     title: str
@@ -57,7 +57,7 @@ class Summary:
 
 
 class Summarised(ABC):
-    """Base of records with a summary at a prompt and in a notebook.
+    """Base class of records with a summary at a prompt and in a notebook.
 
     Dataclasses that inherit from it take ``repr=False``.
     """

@@ -1,23 +1,23 @@
-"""Read TOML written by people; text that would take the parser minutes is rejected."""
+"""Read TOML files of users, and reject text for which the parser would need minutes."""
 
 import tomllib
 from typing import Any
 
-# The parser takes time with the square of a key's parts; a line of a thousand numbers is nothing.
-_MOST_WORK = 4_000_000
+# The time of the parser grows with the square of the number of parts of a key.
+_MAX_WORK = 4_000_000
 
 
 def read_toml(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text.
 
-    Raises ``ValueError``, with the line or the reason, for a text that is no TOML or that no
-    person would write: keys of thousands of parts, lists nested without end, endless numbers.
+    Raises ``ValueError``, with the line or the reason, for text that is not TOML, keys with
+    thousands of parts, deeply nested lists, and very long numbers.
     """
     work = 0
     for number, line in enumerate(text.split("\n"), start=1):
         work += line.count(".") ** 2
-        if work > _MOST_WORK:
-            raise ValueError(f"line {number} holds {line.count('.')} dots")
+        if work > _MAX_WORK:
+            raise ValueError(f"line {number} contains {line.count('.')} dots")
     try:
         return tomllib.loads(text)
     except RecursionError as error:

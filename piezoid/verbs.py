@@ -1,7 +1,7 @@
-"""Verbs of ``import piezoid`` about recordings and models: each returns one record.
+"""Verbs of ``import piezoid`` for recordings and models: each returns one record.
 
 ``lab`` is the path of a lab.toml, a ``Lab`` or None. ``progress`` is called with one sentence
-whenever a new step begins.
+at the start of each step.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -31,22 +31,22 @@ from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording, counted_in
 from piezoid.records.table import RawTable
-from piezoid.sealed_files import Place, lab_of, path_of, sealed
+from piezoid.sealed_files import FilePath, lab_of, path_of, sealed
 from piezoid.verification.verify_stage import Shipping
 
 Recordings = Recording | Collection | Iterable[Recording]
 Progress = Callable[[str], None] | None
 
 
-def read(*files: Place, lab: Lab | Place | None = None) -> Collection:
+def read(*files: FilePath, lab: Lab | FilePath | None = None) -> Collection:
     """Read recordings of one stage from files of any supported format.
 
     files  paths; one file may hold several recordings
     lab    columns, units and sections to use
 
     Raises ``UnreadableFileError``, ``UnitError``, ``RecordingError`` or ``LabFileError`` for files
-    that cannot be used. Conditions that do not prevent a fit are in each recording's
-    ``statements``.
+    that cannot be used. Problems that do not prevent a fit are in the ``statements`` of each
+    recording.
 
     >>> [recording.name for recording in piezoid.read("sweep.csv", "check.csv", lab="lab.toml")]
     ['sweep.csv', 'check.csv']
@@ -55,12 +55,12 @@ def read(*files: Place, lab: Lab | Place | None = None) -> Collection:
         raise RecordingError(
             "no file is given",
             needed="one recording or more",
-            remedy="Name its file, as in piezoid.read('sweep.csv').",
+            remedy="Name a file, as in piezoid.read('sweep.csv').",
         )
     return collect([path_of(file) for file in files], lab_of(lab))
 
 
-def read_lab(path: Place) -> Lab:
+def read_lab(path: FilePath) -> Lab:
     """Read a lab.toml; raise ``LabFileError`` with the line or table that cannot be used.
 
     >>> piezoid.read_lab("lab.toml").acquisition.dac_bits
@@ -73,7 +73,7 @@ def read_lab(path: Place) -> Lab:
 def fit(
     recordings: Recordings,
     *,
-    lab: Lab | Place | None = None,
+    lab: Lab | FilePath | None = None,
     sweeps: Sequence[RawTable] = (),
     responses: Sequence[FrequencyResponseRecord] = (),
     progress: Progress = None,
@@ -110,7 +110,7 @@ def diagnose(
     *,
     model: ActuatorModel | None = None,
     axis: str | None = None,
-    lab: Lab | Place | None = None,
+    lab: Lab | FilePath | None = None,
     threads: int = 1,
     progress: Progress = None,
 ) -> Diagnosis:
@@ -137,7 +137,7 @@ def diagnose(
     if model is not None:
         axis_model = model[selected_axis or ""]
         if any(model.sources.get(r.name) != r.digest for r in axis_recordings):
-            axis_model = replace(axis_model, starts=())  # the initial states of other recordings
+            axis_model = replace(axis_model, starts=())  # initial states are of other recordings
     with errors_in_counts(counted_in(axis_recordings)):
         diagnosis = engine.diagnose(
             axis_recordings,
@@ -155,16 +155,16 @@ def plan(
     model: ActuatorModel,
     diagnosis: Diagnosis,
     *,
-    lab: Lab | Place | None = None,
+    lab: Lab | FilePath | None = None,
     recordings: Recordings = (),
     effect: str | None = None,
     clock_Hz: float | None = None,
     seed: int = 0,
 ) -> Plan:
-    """Choose the drive of the next experiment: the one that best resolves an open question.
+    """Choose the drive of the next experiment, which best resolves an open question.
 
-    recordings  the diagnosed ones, to compare the new drive with
-    effect      effect to resolve; default: the least certain one
+    recordings  of the diagnosis, to compare the new drive with
+    effect      effect to resolve; default: the least certain effect
     clock_Hz    rate of the converters, if neither lab nor model states it
     seed        of the random drives
 
@@ -192,13 +192,13 @@ def report(
     diagnoses: Sequence[Diagnosis] = (),
     design: Design | None = None,
     shipping: Shipping | None = None,
-    lab: Lab | Place | None = None,
+    lab: Lab | FilePath | None = None,
 ) -> str:
     """Return the report of a stage as one self-contained HTML page.
 
     recordings  of the fit, for loops and residuals
     lab         of the fit
-    diagnoses, design, shipping  sections of the report; those of None are left out
+    diagnoses, design, shipping  contents of sections; None omits the section
 
     >>> page = piezoid.report(model, recordings, diagnoses=[diagnosis])
     >>> page.startswith("<!DOCTYPE html>")
@@ -228,9 +228,9 @@ def report(
 
 @on_one_thread
 def calibrate(
-    recordings: Recordings | Place | Sequence[Place],
+    recordings: Recordings | FilePath | Sequence[FilePath],
     *,
-    lab: Lab | Place | None = None,
+    lab: Lab | FilePath | None = None,
     threads: int = 1,
     progress: Progress = None,
 ) -> Calibration:

@@ -1,4 +1,4 @@
-"""simulate: recordings of a virtual stage with known faults."""
+"""The verb ``simulate``: recordings of a virtual stage with known effects."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ from piezoid.records.lab import Lab
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VirtualStage:
-    """Recordings of a virtual stage with known faults.
+    """Recordings of a virtual stage with known effects.
 
-    recordings  of it
-    lab         what its owner would declare
-    truth       what is hidden in it: ``effects`` with their sizes, the noise, the ceramic
-    files       name and bytes, as ``piezoid simulate`` writes them
+    recordings  of the stage
+    lab         declarations of its laboratory
+    truth       ``effects`` with their sizes, the noise, and the ceramic
+    files       names and contents of the files that ``piezoid simulate`` writes
     """
 
     recordings: Collection
@@ -38,15 +38,15 @@ def simulate(
     drives: Sequence[str] | None = None,
     careless: bool = False,
 ) -> VirtualStage:
-    """Record a virtual stage; it shares no code with the model.
+    """Simulate recordings of a virtual stage, which shares no code with the model.
 
-    seed      decides everything left to chance
-    effects   to hide, by name; a mapping gives sizes in percent of the stroke
-    truth     kind of ceramic; default: drawn
-    drives    names of the drives to play; default: what fits the effects
-    careless  nobody cycles the drive before recording: the memory is unknown
+    seed      random seed
+    effects   names of effects to add; a mapping gives sizes in percent of the stroke
+    truth     type of ceramic; default: random
+    drives    names of the drives to record; default: chosen for the effects
+    careless  do not cycle the drive before recording, so that the initial state is unknown
 
-    Raises ``RecordingError`` for a name that is not known, with those there are.
+    Raises ``RecordingError`` for an unknown name, with the available names.
 
     >>> stage = simulate(7, effects={"creep": 0.8})
     >>> [effect["effect"] for effect in stage.truth["effects"]]
@@ -67,8 +67,8 @@ def simulate(
     except ValueError as error:
         raise RecordingError(
             str(error),
-            needed="names and sizes that the virtual laboratory knows",
-            remedy="Choose among those it names.",
+            needed="names and sizes of the virtual laboratory",
+            remedy="Choose from the names in this message.",
         ) from error
     files: dict[str, bytes] = written.campaign_files(campaign)
     with TemporaryDirectory(prefix="piezoid-") as name:

@@ -1,4 +1,4 @@
-"""Reports: records in, one self-contained HTML page out.
+"""Reports: one self-contained HTML page from the records of a stage.
 
 Start at render.py; page.py holds the records behind a page.
 May import the library, never the command line.

@@ -1,7 +1,7 @@
-"""A chart: two axes in engineering units, and layers as paths on a grid of fine steps.
+"""Charts: two axes in engineering units, and layers as SVG paths on a grid of fine steps.
 
-Paths are written with whole numbers, each relative to the one before: short, and the same bytes on
-every machine. One step is a twentieth of a pixel, so a curve may be magnified before it shows.
+Paths consist of integers, each relative to the previous point: they are short, and the same bytes
+on every machine. One step is a twentieth of a pixel, so that curves can be magnified.
 """
 
 import heapq
@@ -16,21 +16,21 @@ from piezoid.formatting import Scale, scale_for
 from piezoid.numerics.arrays import Array, runs_of
 from piezoid_reports.quantities import MINUS
 
-MAX_SPLIT = 50_000  # samples of a curve that are split one by one
+MAX_SPLIT = 50_000  # samples of a curve at which it may be split
 Indices = NDArray[np.int_]
 
 MAX_INTERVALS = 7  # between labels
-FEWEST_LABELS = 3  # labels of an axis over decades
+MIN_LABELS = 3  # on a logarithmic axis
 MANTISSAS = ((1,), (1, 2, 5), tuple(range(1, 10)))
 
-Ticks = tuple[tuple[float, str], ...]  # place along the axis, label
+Ticks = tuple[tuple[float, str], ...]  # position along the axis, label
 
-WIDTH, HEIGHT = 640, 360
-FINE = 20
-INVISIBLE = 0.15 * FINE
-TIMES = 10_000  # parts of a recording, in which times of points are written
+WIDTH, HEIGHT = 640, 360  # pixels
+STEPS = 20  # fine steps per pixel
+INVISIBLE = 0.15 * STEPS
+TIME_STEPS = 10_000  # resolution of the times of points, per duration of a recording
 BINS = 520
-MARGIN = 0.04  # of the range, left free at both ends of an axis
+MARGIN = 0.04  # of the range, added at both ends of an axis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +39,8 @@ class Axis:
 
     label      name of the quantity, without unit
     scale      the unit it is shown in
-    low, high  its ends, in that unit
-    decades    values along it are log10 of what is shown; labels are the numbers themselves
+    low, high  ends of the axis, in that unit
+    decades    the axis is logarithmic: values are log10 of the labelled numbers
     """
 
     label: str
@@ -51,15 +51,15 @@ class Axis:
 
     @property
     def ticks(self) -> tuple[tuple[float, str], ...]:
-        """Round numbers along the axis: place as a share of its length, and label."""
+        """Round numbers along the axis: position as a fraction of its length, and label."""
         numbers = (decade_ticks if self.decades else even_ticks)(self.low, self.high)
         length = self.high - self.low
         return tuple(((value - self.low) / length, label) for value, label in numbers)
 
-    def places(self, values: Array, length: int) -> Array:
-        """Return where SI values lie, in fine steps from the low end."""
+    def positions(self, values: Array, length: int) -> Array:
+        """Return the positions of SI values, in fine steps from the low end."""
         scaled = np.asarray(values) / self.scale.factor
-        return np.asarray((scaled - self.low) / (self.high - self.low) * (length * FINE))
+        return np.asarray((scaled - self.low) / (self.high - self.low) * (length * STEPS))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class Layer:
     name   for the legend
     path   its points, in fine steps
     kind   ``line`` or ``area``
-    times  when each of its points was, in ten thousandths of the record; or empty
+    times  time of each point in 1 / ``TIME_STEPS`` of the recording, or empty
     """
 
     role: str
@@ -80,11 +80,11 @@ class Layer:
     times: str = ""
 
 
-def axis_over(label: str, values: Sequence[Array], unit: str, *, even: bool = False) -> Axis:
-    """Return an axis that shows all finite values, symmetric about zero if ``even``."""
+def axis_over(label: str, values: Sequence[Array], unit: str, *, symmetric: bool = False) -> Axis:
+    """Return an axis over all finite values, on request symmetric about zero."""
     finite = np.concatenate([np.asarray(v)[np.isfinite(v)] for v in values])
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
-    if even:
+    if symmetric:
         high = max(abs(low), abs(high))
         low = -high
     if high <= low:
@@ -101,7 +101,7 @@ def axis_over(label: str, values: Sequence[Array], unit: str, *, even: bool = Fa
 
 
 def axis_from_zero(label: str, largest: float, unit: str) -> Axis:
-    """Return an axis from zero to a little above a size in SI units."""
+    """Return an axis from zero to slightly above a value in SI units."""
     scale = scale_for(largest, unit)
     high = (1.0 + MARGIN) * (largest or 1.0) / scale.factor
     return Axis(label=label, scale=scale, low=0.0, high=high)
@@ -109,13 +109,13 @@ def axis_from_zero(label: str, largest: float, unit: str) -> Axis:
 
 def decades_over(label: str, values: Sequence[Array], unit: str) -> Axis:
     """Return a logarithmic axis; values are log10 of numbers in ``unit``, prefix included."""
-    even = axis_over(label, values, "")
-    return replace(even, scale=Scale(factor=1.0, unit=unit), decades=True)
+    linear = axis_over(label, values, "")
+    return replace(linear, scale=Scale(factor=1.0, unit=unit), decades=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Canvas:
-    """Two axes and the area between them, on which layers are drawn."""
+    """Two axes and the area on which layers are drawn."""
 
     x: Axis
     y: Axis
@@ -125,65 +125,65 @@ class Canvas:
     def line(
         self, role: str, name: str, x: Array, y: Array, *, points: int = 2400, timed: bool = False
     ) -> Layer:
-        """Draw a curve with at most so many points.
+        """Draw a curve with at most ``points`` points.
 
-        timed  keep when each point was, for a curve whose samples are evenly spaced in time
+        timed  save the time of each point; the samples must be evenly spaced in time
         """
-        across, up = self.x.places(x, self.width), self.y.places(y, self.height)
-        parts = whole_parts(across + up)
+        across, up = self.x.positions(x, self.width), self.y.positions(y, self.height)
+        parts = finite_runs(across + up)
         total = max(sum(part.stop - part.start for part in parts), 1)
         path = ""
         times: list[int] = []
         for part in parts:
             share = max(2, int(points * (part.stop - part.start) / total))
             a, b = across[part], up[part]
-            indices, _ = thinned(a, b, tolerance=INVISIBLE, points=share)
-            path += self._path(a[indices], b[indices], is_whole=timed)
+            indices, _ = simplify_curve(a, b, tolerance=INVISIBLE, points=share)
+            path += self._path(a[indices], b[indices], repeats=timed)
             if timed:
-                times += (TIMES * (indices + part.start) // len(x)).tolist()
+                times += (TIME_STEPS * (indices + part.start) // len(x)).tolist()
         return Layer(role=role, name=name, path=path, kind="line", times=" ".join(map(str, times)))
 
     def dots(self, role: str, name: str, x: Array, y: Array) -> Layer:
-        """Draw a dot for every pair of finite values: a stroke of no length with a round end."""
+        """Draw a dot for every pair of finite values, as a stroke of zero length."""
         is_finite = np.isfinite(x) & np.isfinite(y)
-        across = self.x.places(x[is_finite], self.width)
-        up = self.y.places(y[is_finite], self.height)
+        across = self.x.positions(x[is_finite], self.width)
+        up = self.y.positions(y[is_finite], self.height)
         strokes = (self._path(across[k : k + 1], up[k : k + 1]) for k in range(len(across)))
         return Layer(role=role, name=name, path="".join(strokes), kind="line")
 
     def band(self, role: str, name: str, x: Array, low: Array, high: Array) -> Layer:
         """Draw the area between two curves."""
-        across = self.x.places(x, self.width)
+        across = self.x.positions(x, self.width)
         up = np.concatenate(
-            [self.y.places(high, self.height), self.y.places(low, self.height)[::-1]]
+            [self.y.positions(high, self.height), self.y.positions(low, self.height)[::-1]]
         )
         path = self._path(np.concatenate([across, across[::-1]]), up) + "z"
         return Layer(role=role, name=name, path=path, kind="area")
 
     def range_over_time(self, role: str, name: str, x: Array, y: Array) -> Layer:
-        """Draw least and greatest y of every pixel; a line where samples are few."""
+        """Draw minimum and maximum of y in every bin, or a line if the samples are few."""
         path = ""
-        few = np.isfinite(y).sum() <= 2 * BINS
-        for part in whole_parts(y):
-            if few:
-                a, b = self.x.places(x[part], self.width), self.y.places(y[part], self.height)
-                path += self._path(a, b)
+        is_line = np.isfinite(y).sum() <= 2 * BINS
+        for part in finite_runs(y):
+            if is_line:
+                across = self.x.positions(x[part], self.width)
+                path += self._path(across, self.y.positions(y[part], self.height))
                 continue
             share = max(2, round(BINS * (part.stop - part.start) / len(y)))
             path += self.band(role, name, *envelope(x[part], y[part], share)).path
-        return Layer(role=role, name=name, path=path, kind="line" if few else "area")
+        return Layer(role=role, name=name, path=path, kind="line" if is_line else "area")
 
-    def _path(self, across: Array, up: Array, *, is_whole: bool = False) -> str:
-        """Write points as one relative path; y runs downwards on a page.
+    def _path(self, across: Array, up: Array, *, repeats: bool = False) -> str:
+        """Write points as one relative path, with y downwards as in SVG.
 
-        is_whole  with those that stand where the one before stood
+        repeats  also write points that coincide with the previous point
         """
         x = np.rint(across).astype(int)
-        y = np.rint(self.height * FINE - up).astype(int)
+        y = np.rint(self.height * STEPS - up).astype(int)
         dx, dy = np.diff(x), np.diff(y)
         steps = [f"{a},{b}" for a, b in zip(dx.tolist(), dy.tolist(), strict=True)]
-        steps = [step for step in steps if is_whole or step != "0,0"]
-        # The separator before a minus is the minus itself.
+        steps = [step for step in steps if repeats or step != "0,0"]
+        # A minus needs no separator before it.
         text = " ".join(steps).replace(" -", "-").replace(",-", "-")
         return f"M{x[0]},{y[0]}l{text or '0,0'}"
 
@@ -200,7 +200,7 @@ def even_ticks(low: float, high: float) -> Ticks:
 
 
 def decade_ticks(low: float, high: float) -> Ticks:
-    """Return round numbers where the axis runs over powers of ten: ends and places are log10."""
+    """Return round numbers on a logarithmic axis; ends and positions are log10."""
     for mantissas in MANTISSAS:
         numbers = [
             (k + math.log10(m), m, k)
@@ -208,7 +208,7 @@ def decade_ticks(low: float, high: float) -> Ticks:
             for m in mantissas
             if low - 1e-9 <= k + math.log10(m) <= high + 1e-9
         ]
-        if len(numbers) >= FEWEST_LABELS:
+        if len(numbers) >= MIN_LABELS:
             spacing = math.ceil(len(numbers) / MAX_INTERVALS) if mantissas == (1,) else 1
             return tuple((value, _power(m, k)) for value, m, k in numbers if k % spacing == 0)
     ticks = even_ticks(10.0**low, 10.0**high)
@@ -216,7 +216,7 @@ def decade_ticks(low: float, high: float) -> Ticks:
 
 
 def round_step(size: float) -> float:
-    """Return the round number next above a step."""
+    """Return the smallest of 1, 2, 5 times a power of ten that is not below a step."""
     power = 10.0 ** math.floor(math.log10(size))
     for digit in (1.0, 2.0, 5.0):
         if size <= digit * power * 1.0000001:
@@ -232,18 +232,18 @@ def _power(mantissa: int, power: int) -> str:
     return f"{mantissa}e{power}".replace("-", MINUS)
 
 
-def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Indices, float]:
-    """Choose the points of a polyline that stays close to a curve.
+def simplify_curve(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Indices, float]:
+    """Return the samples of a polyline that stays close to a curve.
 
     The chord with the largest distance is split at its farthest sample, until no distance exceeds
-    the tolerance or the points are spent (Douglas and Peucker 1973, largest distance first).
+    the tolerance or ``points`` is reached (Douglas and Peucker 1973, largest distance first).
 
     x, y       (samples,)  in the same unit
-    tolerance  distance that cannot be seen
-    points     the largest number of points
+    tolerance  largest distance that is not visible
+    points     largest number of points
     returned   (points,) indices, and the largest distance of a sample from the polyline
     """
-    # Samples at which the curve enters another cell; cells grow until these can be split singly.
+    # Samples at which the curve enters another cell. Cells grow until at most MAX_SPLIT remain.
     cell = 0.5 * tolerance
     while True:
         number = np.floor(np.stack([x, y]) / cell)
@@ -263,7 +263,7 @@ def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Indic
 
 
 def _farthest(x: Array, y: Array, first: int, stop: int) -> tuple[float, int, int, int]:
-    """Return minus the largest distance of a sample from a chord, that sample, and the chord."""
+    """Return minus the largest distance from a chord, its sample, and the ends of the chord."""
     if stop - first < 2:
         return 0.0, first, first, stop
     a, b = x[first + 1 : stop] - x[first], y[first + 1 : stop] - y[first]
@@ -276,7 +276,7 @@ def _farthest(x: Array, y: Array, first: int, stop: int) -> tuple[float, int, in
 
 
 def envelope(x: Array, y: Array, bins: int) -> tuple[Array, Array, Array]:
-    """Return the middle of every bin of x, and the least and greatest y in it, without empty bins.
+    """Return the centre, minimum and maximum of y in every bin of x that is not empty.
 
     x  (samples,)  not decreasing
     """
@@ -288,6 +288,6 @@ def envelope(x: Array, y: Array, bins: int) -> tuple[Array, Array, Array]:
     return middle, np.minimum.reduceat(y, first), np.maximum.reduceat(y, first)
 
 
-def whole_parts(y: Array) -> list[slice]:
-    """Return the stretches of at least two samples without NaN."""
+def finite_runs(y: Array) -> list[slice]:
+    """Return the runs of at least two finite samples."""
     return [slice(a, b) for a, b in runs_of(np.isfinite(y)) if b - a > 1]

@@ -1,9 +1,9 @@
-"""The residual without and with one effect, and its look-alike put into a healthy simulation.
+"""Residuals without and with one effect, and the look-alike: a healthy stage with that effect.
 
-If the model contains the effect as an extension, the residual without it is the measurement minus
-the model without that extension. If it does not, the tangent columns of all such effects are
-fitted to the residual beside the model's own Jacobian, and the residual without an effect is the
-remaining residual plus the part of that effect.
+If the model contains the effect as an extension, the residual without the effect is the
+measurement minus the model without that extension. For all other effects the tangent columns are
+fitted to the residual together with the Jacobian of the model. The residual without such an effect
+is then the remaining residual plus the contribution of the effect.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,8 +30,8 @@ from piezoid.records.recording import Channel, Quantity
 from piezoid_reports.traces import Trace, rms
 
 ROWS = 3000  # of each recording
-MIN_SHARE = 1e-6  # of a recording's stroke: a smaller effect is not simulated
-RECORDINGS = 6  # those with the largest residuals
+MIN_SHARE = 1e-6  # of the stroke: a smaller effect is not simulated
+MAX_RECORDINGS = 6  # with the largest residuals
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,8 +40,8 @@ class EffectSimulation:
 
     rows         (rows,)  indices of the samples
     without_m    (rows,)  residual without the effect in the model
-    with_m       (rows,)  residual with it
-    lookalike_m  (rows,)  residual of a healthy stage with the effect added, and noise
+    with_m       (rows,)  residual with the effect in the model
+    lookalike_m  (rows,)  residual of a healthy stage to which the effect and noise are added
     """
 
     trace: Trace
@@ -54,44 +54,48 @@ class EffectSimulation:
 def compare_effects(
     axis: AxisModel, traces: Sequence[Trace], diagnosis: Diagnosis
 ) -> dict[str, tuple[EffectSimulation, ...]]:
-    """Return for every finding the residuals without and with it, worst recordings first."""
-    worst = traces[:RECORDINGS]
+    """Return by effect the residuals without and with it, largest residual first."""
+    worst = traces[:MAX_RECORDINGS]
     if not worst:
         return {}
     effects = [f for f in diagnosis.findings if f.effect != SOMETHING_ELSE]
     missing = [
         f for f in effects if effect_named(f.effect).without(axis, worst[0].recording) is None
     ]
-    fitted = _linearised(axis, worst, missing, diagnosis.stroke_m)
+    fitted = _fit_tangents(axis, worst, missing, diagnosis.stroke_m)
     comparisons = {}
     for finding in effects:
-        pictures = [_simulation(axis, finding, trace, fitted[k]) for k, trace in enumerate(worst)]
+        simulations = [
+            _simulate(axis, finding, trace, fit) for trace, fit in zip(worst, fitted, strict=True)
+        ]
         # The look-alike gets the sign of the effect.
-        likeness = 0.0
-        for picture in pictures:
-            lookalike_m = picture.lookalike_m - picture.lookalike_m.mean()
-            likeness += float(np.nansum((picture.without_m - picture.with_m) * lookalike_m))
-        sign = -1.0 if likeness < 0.0 else 1.0
+        correlation = 0.0
+        for simulation in simulations:
+            lookalike_m = simulation.lookalike_m - simulation.lookalike_m.mean()
+            change_m = simulation.without_m - simulation.with_m
+            correlation += float(np.nansum(change_m * lookalike_m))
+        sign = -1.0 if correlation < 0.0 else 1.0
         comparisons[finding.effect] = tuple(
-            replace(picture, lookalike_m=sign * picture.lookalike_m) for picture in pictures
+            replace(simulation, lookalike_m=sign * simulation.lookalike_m)
+            for simulation in simulations
         )
     return comparisons
 
 
-def _simulation(
-    axis: AxisModel, finding: Finding, trace: Trace, fitted: "TangentFit"
+def _simulate(
+    axis: AxisModel, finding: Finding, trace: Trace, fit: "TangentFit"
 ) -> EffectSimulation:
     if effect_named(finding.effect).shows.kind == "spectrum":
         rows = np.flatnonzero(np.isfinite(trace.modelled_m))
-        full_m = fitted.whole_m.get(finding.effect)
-        linear_m = np.zeros(len(rows)) if full_m is None else full_m[rows]
-        part_m = linear_m + carried_part(axis, finding.effect, trace)[rows]
+        total_m = fit.total_m.get(finding.effect)
+        linear_m = np.zeros(len(rows)) if total_m is None else total_m[rows]
+        part_m = linear_m + extension_part(axis, finding.effect, trace)[rows]
         with_m = trace.residual_m[rows] - linear_m
     else:
-        rows, with_m = fitted.rows, fitted.with_m
-        separate_m = fitted.part_m.get(finding.effect)
+        rows, with_m = fit.rows, fit.with_m
+        tangent_m = fit.part_m.get(finding.effect)
         part_m = (
-            carried_part(axis, finding.effect, trace)[rows] if separate_m is None else separate_m
+            extension_part(axis, finding.effect, trace)[rows] if tangent_m is None else tangent_m
         )
     return EffectSimulation(
         trace=trace,
@@ -108,17 +112,17 @@ class TangentFit:
 
     rows     indices of the samples
     with_m   (rows,)  residual with every tangent fitted
-    part_m   (rows,)  by effect, its part that the model's parameters cannot imitate
-    whole_m  (samples,)  by effect, all of its part
+    part_m   (rows,)  by effect, its contribution that the parameters of the model cannot imitate
+    total_m  (samples,)  by effect, its total contribution
     """
 
     rows: NDArray[np.int_]
     with_m: Array
     part_m: Mapping[str, Array] = field(default_factory=dict)
-    whole_m: Mapping[str, Array] = field(default_factory=dict)
+    total_m: Mapping[str, Array] = field(default_factory=dict)
 
 
-def _linearised(
+def _fit_tangents(
     axis: AxisModel, traces: Sequence[Trace], missing: Sequence[Finding], stroke_m: float
 ) -> list[TangentFit]:
     """Fit the tangents of all effects that the model lacks to its residual."""
@@ -157,7 +161,7 @@ def _linearised(
             rows=rows[k],
             with_m=remaining_m[k],
             part_m={f.effect: split[j][k] for j, (f, _) in enumerate(pairs)},
-            whole_m={
+            total_m={
                 f.effect: _tangent_part(drive, suspect.tangent, scales[j], shares[j], k)
                 for j, (f, suspect) in enumerate(pairs)
             },
@@ -198,8 +202,8 @@ def _lookalike(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array
     return np.asarray(change_m - change_m.mean() + axis.quality.noise_rms_m * noise)
 
 
-def carried_part(axis: AxisModel, effect: str, trace: Trace) -> Array:
-    """Return the contribution of an effect to the model, about its mean; 0 without one."""
+def extension_part(axis: AxisModel, effect: str, trace: Trace) -> Array:
+    """Return the contribution of an effect to the simulation, minus its mean; 0 without one."""
     without = effect_named(effect).without(axis, trace.recording)
     if without is None:
         return np.zeros(len(trace.time_s))

@@ -1,4 +1,4 @@
-"""The picture of one finding: residual without and with it, and its look-alike, where it shows."""
+"""Figure of one finding: residual without and with the effect, and the look-alike."""
 
 from itertools import pairwise
 
@@ -15,50 +15,51 @@ from piezoid_reports.parts import Figure
 from piezoid_reports.quantities import number, percent
 from piezoid_reports.traces import rms
 
-DECADES = ("time_since_turn",)
-PHASES = "part of a period"
+LOG_COORDINATES = ("time_since_turn",)
+PHASE_LABEL = "part of a period"
 
 CLASSES = 48
-MIN_ROWS = 12  # of a class
-BANDS = 160  # of a spectrum, evenly over the decades
+MIN_ROWS = 12  # in a class
+BANDS = 160  # of a spectrum, evenly spaced over the decades
 MIN_CHANGE = 1e-3  # of the residual: a smaller change is not visible
 HEIGHT = 280
 
 
-def figure_of(finding: Finding, pictures: tuple[EffectSimulation, ...]) -> Figure | None:
-    """Return the residual without and with an effect; None if no recording shows a difference."""
+def figure_of(finding: Finding, simulations: tuple[EffectSimulation, ...]) -> Figure | None:
+    """Draw the residual without and with an effect; None if no recording shows a difference."""
     effect = effect_named(finding.effect)
     appearance, is_fault = effect.shows, effect.fault is not None
-    is_visible = any(not np.array_equal(picture.without_m, picture.with_m) for picture in pictures)
-    if not pictures or not (is_visible or is_fault):
+    is_visible = any(not np.array_equal(s.without_m, s.with_m) for s in simulations)
+    if not simulations or not (is_visible or is_fault):
         return None
     if appearance.kind == "spectrum":
-        clearest = _clearest(pictures)
+        clearest = _clearest(simulations)
         without, with_effect = rms(clearest.without_m), rms(clearest.with_m)
-        # A resonance may lie where the fit leaves samples out.
+        # The rows that the fit leaves out may contain the resonance.
         is_shown = abs(without - with_effect) > MIN_CHANGE * without
         return _spectrum(finding, appearance, clearest) if is_shown else None
     if appearance.kind == "time":
-        return _over_time(finding, appearance, _clearest(pictures))
-    figure = _in_classes(finding, appearance, pictures)
-    return figure or _over_time(finding, over_time(appearance), _clearest(pictures))
+        return _over_time(finding, appearance, _clearest(simulations))
+    figure = _in_classes(finding, appearance, simulations)
+    return figure or _over_time(finding, over_time(appearance), _clearest(simulations))
 
 
-def _clearest(pictures: tuple[EffectSimulation, ...]) -> EffectSimulation:
+def _clearest(simulations: tuple[EffectSimulation, ...]) -> EffectSimulation:
     """Return the recording in which the effect is largest."""
-    return max(pictures, key=lambda picture: rms(picture.without_m) - rms(picture.with_m))
+    return max(simulations, key=lambda s: rms(s.without_m) - rms(s.with_m))
 
 
-def _over_time(finding: Finding, appearance: Appearance, picture: EffectSimulation) -> Figure:
+def _over_time(finding: Finding, appearance: Appearance, simulation: EffectSimulation) -> Figure:
     coordinate, sign = (
-        values[picture.rows] for values in appearance.along(picture.trace.recording)
+        values[simulation.rows] for values in appearance.along(simulation.trace.recording)
     )
     x = _axis(appearance, coordinate)
-    curves = [sign * values for values in (picture.without_m, picture.with_m, picture.lookalike_m)]
-    y = axis_over("residual", curves, "m", even=True)
+    residuals_m = (simulation.without_m, simulation.with_m, simulation.lookalike_m)
+    curves = [sign * residual_m for residual_m in residuals_m]
+    y = axis_over("residual", curves, "m", symmetric=True)
     canvas = Canvas(x=x, y=y, height=HEIGHT)
     without, with_effect, lookalike = curves
-    # A running mean: a slow curve is seen through the noise.
+    # A running mean shows slow changes under the noise.
     width = max(len(lookalike) // 150, 1)
     padded = np.pad(lookalike, (width // 2, width - 1 - width // 2), mode="edge")
     slow = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
@@ -66,7 +67,7 @@ def _over_time(finding: Finding, appearance: Appearance, picture: EffectSimulati
         finding,
         appearance,
         canvas,
-        picture.trace.recording.name,
+        simulation.trace.recording.name,
         (
             canvas.range_over_time("before", "without it", coordinate, without),
             canvas.range_over_time("model", "with it", coordinate, with_effect),
@@ -82,59 +83,58 @@ def _axis(appearance: Appearance, coordinate: Array) -> Axis:
 
 
 def _in_classes(
-    finding: Finding, appearance: Appearance, pictures: tuple[EffectSimulation, ...]
+    finding: Finding, appearance: Appearance, simulations: tuple[EffectSimulation, ...]
 ) -> Figure | None:
     coordinates, signs = zip(
-        *(appearance.along(picture.trace.recording) for picture in pictures), strict=True
+        *(appearance.along(simulation.trace.recording) for simulation in simulations), strict=True
     )
-    coordinate = np.concatenate(
-        [p[picture.rows] for p, picture in zip(coordinates, pictures, strict=True)]
-    )
-    sign = np.concatenate([s[picture.rows] for s, picture in zip(signs, pictures, strict=True)])
+    rows = [simulation.rows for simulation in simulations]
+    coordinate = np.concatenate([c[k] for c, k in zip(coordinates, rows, strict=True)])
+    sign = np.concatenate([s[k] for s, k in zip(signs, rows, strict=True)])
     without, with_effect, lookalike = (
-        sign * np.concatenate([getattr(picture, name) for picture in pictures])
+        sign * np.concatenate([getattr(simulation, name) for simulation in simulations])
         for name in ("without_m", "with_m", "lookalike_m")
     )
     classes = [_classes(coordinate, values) for values in (without, with_effect, lookalike)]
-    if any(len(rows) < 2 for rows in classes):
+    if any(len(curve) < 2 for curve in classes):
         return None
     x = _axis(appearance, coordinate)
     y = axis_over(
-        "residual", [classes[0][:, 1:], classes[1][:, 1:], classes[2][:, 2]], "m", even=True
+        "residual", [classes[0][:, 1:], classes[1][:, 1:], classes[2][:, 2]], "m", symmetric=True
     )
     canvas = Canvas(x=x, y=y, height=HEIGHT)
     layers: list[Layer] = []
-    for role, name, rows in (
+    for role, name, curve in (
         ("rising", "without it", classes[0]),
         ("falling", "with it", classes[1]),
     ):
-        middle, low, median, high = rows.T
+        middle, low, median, high = curve.T
         layers.append(canvas.band(f"{role}-band", f"{name}: middle half", middle, low, high))
         layers.append(canvas.line(role, f"{name}: median", middle, median))
     layers.append(canvas.line("limit", "look-alike: median", classes[2][:, 0], classes[2][:, 2]))
-    title = (
-        f"{len(pictures)} recordings" if len(pictures) > 1 else pictures[0].trace.recording.name
-    )
+    name = simulations[0].trace.recording.name
+    if len(simulations) > 1:
+        name = f"{len(simulations)} recordings"
     is_finite = np.isfinite(coordinate)
     return _titled(
         finding,
         appearance,
         canvas,
-        title,
+        name,
         tuple(layers),
         (rms(without[is_finite]), rms(with_effect[is_finite])),
     )
 
 
 def _classes(coordinate: Array, values: Array) -> Array:
-    """Return middle and quartiles of classes: some of equal count, some of equal width."""
+    """Return median coordinate and quartiles by class; edges: equal counts and equal widths."""
     is_finite = np.isfinite(coordinate) & np.isfinite(values)
     coordinate, values = coordinate[is_finite], values[is_finite]
     if len(coordinate) < 4 * MIN_ROWS:
         return np.zeros((0, 4))
     share = np.linspace(0.0, 1.0, CLASSES // 2 + 1)
-    even = coordinate.min() + share * np.ptp(coordinate)
-    edges = np.unique(np.concatenate([np.quantile(coordinate, share), even]))
+    equal_width = coordinate.min() + share * np.ptp(coordinate)
+    edges = np.unique(np.concatenate([np.quantile(coordinate, share), equal_width]))
     rows = []
     for low, high in pairwise(edges):
         inside = (coordinate >= low) & ((coordinate < high) | (high == edges[-1]))
@@ -145,12 +145,12 @@ def _classes(coordinate: Array, values: Array) -> Array:
 
 
 def _spectrum(
-    finding: Finding, appearance: Appearance, picture: EffectSimulation
+    finding: Finding, appearance: Appearance, simulation: EffectSimulation
 ) -> Figure | None:
-    rate_Hz = picture.trace.recording.sampling_rate_Hz
+    rate_Hz = simulation.trace.recording.sampling_rate_Hz
     curves = [
         _density(values, rate_Hz)
-        for values in (picture.without_m, picture.with_m, picture.lookalike_m)
+        for values in (simulation.without_m, simulation.with_m, simulation.lookalike_m)
     ]
     if len(curves[0]) < 2:
         return None
@@ -163,14 +163,13 @@ def _spectrum(
         ("limit", "look-alike", curves[2]),
     )
     layers = tuple(canvas.line(role, name, c[:, 0], c[:, 1]) for role, name, c in spectra)
-    name = picture.trace.recording.name
-    return _titled(
-        finding, appearance, canvas, name, layers, (rms(picture.without_m), rms(picture.with_m))
-    )
+    name = simulation.trace.recording.name
+    errors_m = rms(simulation.without_m), rms(simulation.with_m)
+    return _titled(finding, appearance, canvas, name, layers, errors_m)
 
 
 def _density(values: Array, rate_Hz: float) -> Array:
-    """Return decades of frequency and of amplitude density, the largest in each band."""
+    """Return log10 of frequency and of the largest amplitude density in each band."""
     window = np.hanning(len(values))
     spectrum = np.fft.rfft((values - values.mean()) * window)
     density = np.abs(spectrum) * np.sqrt(2.0 / (rate_Hz * np.sum(window**2)))
@@ -207,17 +206,17 @@ def _titled(
 
 
 def unnamed_figure(finding: Finding) -> Figure | None:
-    """Return the remainder in classes of its coordinate with the fitted curve, None without it."""
+    """Draw an unexplained residual in classes of its coordinate, with the fitted curve."""
     classes = finding.seen
     if classes is None or len(classes.place) < 2:
         return None
-    label = PHASES if not classes.unit else words(finding.coordinate)
+    label = PHASE_LABEL if not classes.unit else words(finding.coordinate)
     coordinate = np.array(classes.place)
     low, median, high, fitted = (
         np.array(values)
         for values in (classes.low_m, classes.median_m, classes.high_m, classes.fitted_m)
     )
-    if finding.coordinate in DECADES:
+    if finding.coordinate in LOG_COORDINATES:
         coordinate = np.log10(np.maximum(coordinate, 1e-9))
         x = decades_over(label, [coordinate], classes.unit)
     else:
@@ -229,7 +228,7 @@ def unnamed_figure(finding: Finding) -> Figure | None:
     elif finding.parameters:
         name, value = next(iter(finding.parameters.items()))
         quantity, _, unit = name.rpartition("_")
-        against = f"the {PHASES} ({quantity} {number(value, unit)})"
+        against = f"the {PHASE_LABEL} ({quantity} {number(value, unit)})"
     explained = f"{percent(finding.share)} of the stroke"
     if finding.size.unit.startswith("nm"):
         explained = f"{number(finding.size.value * 1e-9, 'm')} rms, {explained}"
@@ -238,14 +237,13 @@ def unnamed_figure(finding: Finding) -> Figure | None:
     return Figure(
         title=f"{words(finding.effect).capitalize()}: residual against {against}",
         caption=f"The curve explains {explained}; p {p_value(finding.p_value)}.",
-        guide="Residual in classes of the coordinate, median and middle half. Where the curve, "
-        "fitted to other parts of the recordings, follows the median, the residual depends on "
-        "the coordinate.",
+        guide="Residual in classes of the coordinate: median and middle half. The curve is fitted "
+        "to other parts of the recordings; if it follows the median, the residual depends on the "
+        "coordinate.",
         canvas=canvas,
         layers=(
             canvas.band("rising-band", "residual: middle half", coordinate, low, high),
             canvas.line("rising", "residual: median", coordinate, median),
             canvas.line("limit", "fitted curve", coordinate, fitted),
         ),
-        flicker=(),
     )

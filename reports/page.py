@@ -1,4 +1,4 @@
-"""The records of a page, and quantities that several sections derive from them."""
+"""Records of a page, and quantities that several sections derive from them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,29 +20,29 @@ from piezoid.verification.verification import Verification
 from piezoid_reports.quantities import number
 from piezoid_reports.traces import Trace, traces_of
 
-MAX_DRAWN = 2  # recordings of an axis that get figures, those fitted worst; a table has all
-TRACKED_Hz = 10.0  # of the spirals that the verification compares
+MAX_PLOTTED = 2  # recordings per axis, those with the largest residual; a table lists all
+SPIRAL_Hz = 10.0  # rate of the spiral whose tracking error the page shows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Page:
-    """The records that a page shows.
+    """Records shown on one page.
 
     Args:
         model: the fitted stage.
-        recordings: those at hand, of the fit or not.
-        sweeps: Z spectroscopies that the junction was fitted to.
+        recordings: available recordings, including those outside the fit.
+        sweeps: Z spectroscopies to which the junction was fitted.
         responses: measured frequency responses.
         design: controllers, if they were designed.
-        undesigned: why they were not, or empty.
-        diagnoses: of the axes that have one.
-        undiagnosed: why other axes have no diagnosis, whole sentences.
-        verification: of what ships.
-        unshipped: by axis, why its controller does not ship.
+        undesigned: reason if no controllers were designed, or empty.
+        diagnoses: one for each diagnosed axis.
+        undiagnosed: reasons why other axes have no diagnosis, in complete sentences.
+        verification: of the shipped controllers.
+        unshipped: by axis, the reason why its controller does not ship.
         files: sealed files of the folder by name, for the chain of digests.
-        lab: what the laboratory declared.
+        lab: declarations of the laboratory.
         comparison: of an earlier model with these recordings, if one was named.
-        model_digest: of model.json; empty if the model is in no file.
+        model_digest: of model.json; empty if the model is saved in no file.
         statements: about the stage, the most important first.
         has_summary: whether the page begins with a summary.
     """
@@ -66,12 +66,12 @@ class Page:
 
     @cached_property
     def traces(self) -> Mapping[str, tuple[Trace, ...]]:
-        """By axis, measurement beside simulation, largest residual first."""
+        """Measurement and simulation of every recording by axis, largest residual first."""
         return {n: traces_of(axis, self.recordings) for n, axis in self.model.axes.items()}
 
     @property
     def headline(self) -> tuple[Statement, ...]:
-        """The statements that the summary shows: the most important one of each level."""
+        """Statements of the summary: the most important action and the most important warning."""
         if not self.has_summary:
             return ()
         facts = (
@@ -81,13 +81,13 @@ class Page:
         return tuple(fact for fact in facts if fact is not None)
 
     def text_of(self, statement: Statement) -> str:
-        """Return a statement, on a stage of several axes with its axis in front."""
+        """Return the text of a statement, preceded by its axis if the stage has several axes."""
         is_named = len(self.model.axes) > 1 and statement.axis in self.model.axes
         return f"Axis {statement.axis}: {statement.text}" if is_named else statement.text
 
     @property
     def counted(self) -> tuple[str, ...]:
-        """The quantities recorded in counts: ``displacement``, ``voltage``."""
+        """Quantities recorded in counts: ``displacement``, ``voltage``."""
         diagnosed = {name for diagnosis in self.diagnoses for name in diagnosis.counted}
         return tuple(sorted({*self.model.counted, *diagnosed}))
 
@@ -98,7 +98,7 @@ class Page:
 
     @property
     def axis_designs(self) -> tuple[AxisDesign, ...]:
-        """The designed axes, the tip among them."""
+        """The designed axes, including the tip."""
         return () if self.design is None else self.design.axes
 
     def loop_of(self, axis: str) -> LoopDesign | None:
@@ -112,30 +112,30 @@ class Page:
         verification = self.verification
         return verification is not None and verification.passed and axis in verification.methods
 
-    def drawn(self, axis: AxisModel) -> tuple[Trace, ...]:
-        """Return the recordings of an axis that get figures."""
-        return self.traces.get(axis.axis, ())[:MAX_DRAWN]
+    def plotted_traces(self, axis: AxisModel) -> tuple[Trace, ...]:
+        """Return the recordings of an axis that are plotted."""
+        return self.traces.get(axis.axis, ())[:MAX_PLOTTED]
 
     @property
     def points(self) -> int:
-        """Points of one curve, so that a page of many figures stays light."""
-        n_drawn = sum(len(self.drawn(axis)) for axis in self.axes)
-        return max(400, min(2400, 40_000 // max(n_drawn, 1)))
+        """Number of points per curve, which falls with the number of plotted recordings."""
+        n_plotted = sum(len(self.plotted_traces(axis)) for axis in self.axes)
+        return max(400, min(2400, 40_000 // max(n_plotted, 1)))
 
 
 def tracking_error(page: Page, axis: str) -> str:
-    """Return the rms error of the shipped controller on the spiral; empty if none was run."""
+    """Return the rms error of the shipped controller on the spiral, or empty without one."""
     verification = page.verification
     if verification is None:
         return ""
     for row in verification.comparison:
-        if (row.method, row.frequency_Hz) == (verification.methods.get(axis), TRACKED_Hz):
+        if (row.method, row.frequency_Hz) == (verification.methods.get(axis), SPIRAL_Hz):
             return number(row.rms_m, "m")
     return ""
 
 
 def guarantee(page: Page, axis: AxisModel) -> str:
-    """Return the guaranteed error of the loop of an axis, or why there is none of use."""
+    """Return the guaranteed error of the loop of an axis, or why it has no useful one."""
     loop, verification = page.loop_of(axis.axis), page.verification
     certificate = None if loop is None else loop.certificate
     bound_m = guaranteed_error_m(certificate, axis, is_verified=page.ships(axis.axis))
@@ -143,15 +143,15 @@ def guarantee(page: Page, axis: AxisModel) -> str:
         return bound_m
     assert certificate is not None
     assert verification is not None
-    speed_m_per_s = spiral_speed_m_per_s(TRACKED_Hz, verification.radius_m)
+    speed_m_per_s = spiral_speed_m_per_s(SPIRAL_Hz, verification.radius_m)
     slow_m = certificate.guaranteed_at(speed_m_per_s)
     fastest = number(certificate.reference_slew_m_per_s, "m/s")
     limit = f"{number(bound_m, 'm')} up to {fastest}; faster: not covered"
-    return f"{number(slow_m, 'm')} at {TRACKED_Hz:g} Hz, {limit}" if slow_m < bound_m else limit
+    return f"{number(slow_m, 'm')} at {SPIRAL_Hz:g} Hz, {limit}" if slow_m < bound_m else limit
 
 
 def guaranteed_limit(page: Page, axis: AxisModel) -> str:
-    """Return the guaranteed error at every covered speed, or why there is none of use."""
+    """Return the guaranteed error at every covered speed, or why the axis has no useful one."""
     loop = page.loop_of(axis.axis)
     certificate = None if loop is None else loop.certificate
     bound_m = guaranteed_error_m(certificate, axis, is_verified=page.ships(axis.axis))

@@ -1,4 +1,4 @@
-"""The parts of a section: headings, sentences, tables, figures, and their containers."""
+"""Parts of a section: headings, sentences, tables, figures, and their containers."""
 
 import itertools
 import re
@@ -14,7 +14,7 @@ FIRST_SENTENCE = re.compile(r"(?<=[.;])\s")
 
 @dataclass(frozen=True, kw_only=True)
 class Heading:
-    """A heading inside a chapter, such as an axis' name; ``tone`` is ``plain`` or ``bad``."""
+    """A heading inside a section; ``tone`` is ``plain`` or ``bad``."""
 
     kind: ClassVar[str] = "heading"
     text: str
@@ -22,11 +22,11 @@ class Heading:
 
 
 def axis_heading(axis: AxisModel) -> Heading:
-    """Return the heading of an axis, warning where the model does not apply."""
+    """Return the heading of an axis, with a warning if the model does not apply."""
     if axis.verdict.applies:
         return Heading(text=f"Axis {axis.axis}")
     return Heading(
-        text=f"Axis {axis.axis}: the model does not apply, these numbers only show why",
+        text=f"Axis {axis.axis}: the model does not apply; these numbers only show why",
         tone="bad",
     )
 
@@ -42,7 +42,7 @@ class Prose:
 
 @dataclass(frozen=True, kw_only=True)
 class Listing:
-    """Sentences one below the other."""
+    """A list of sentences."""
 
     kind: ClassVar[str] = "listing"
     items: tuple[str, ...]
@@ -50,15 +50,15 @@ class Listing:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Rows of texts.
+    """A table of texts.
 
     caption  content of the table, with its limits
     columns  headings with units
-    rows     texts; a row as long as ``columns``
-    digests  numbers of the columns that hold digests, which may break anywhere
-    wordy    numbers of the columns that hold sentences, which keep some width on a phone
-    links    for each row the relative place its first entry leads to; empty for none
-    is_open  whether it is shown at once; else it is folded behind its caption's first sentence
+    rows     one text for each column
+    digests  indices of the columns that hold digests, which may break anywhere
+    wordy    indices of the columns that hold sentences, which keep some width on a phone
+    links    relative address for the first entry of each row; empty for none
+    is_open  False: the table is folded under the first sentence of its caption
     """
 
     kind: ClassVar[str] = "table"
@@ -72,12 +72,12 @@ class Table:
 
     @property
     def summary(self) -> str:
-        """Title of the folded table: the first sentence of its caption, without its stop."""
+        """Title of the folded table: the first sentence of its caption, without full stop."""
         return FIRST_SENTENCE.split(self.caption, maxsplit=1)[0].rstrip(".;:")
 
     @property
     def details(self) -> str:
-        """The caption, if folded without the sentence by which the table is unfolded."""
+        """Caption of the table; if folded, without its first sentence, which is the title."""
         if self.is_open:
             return self.caption
         return "".join(FIRST_SENTENCE.split(self.caption, maxsplit=1)[1:])
@@ -86,23 +86,23 @@ class Table:
         if self.links and len(self.links) != len(self.rows):
             raise ValueError(f"{self.caption}: {len(self.links)} links for {len(self.rows)} rows")
         if any(len(row) != len(self.columns) for row in self.rows):
-            raise ValueError(f"{self.caption}: a row has not {len(self.columns)} entries")
+            raise ValueError(f"{self.caption}: a row does not have {len(self.columns)} entries")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """A chart that carries its numbers.
+    """A chart with its numbers.
 
-    title    one line
-    caption  one sentence with the figures that matter, with units
-    guide    how to read it: what good and bad look like; shown once in a section
-    canvas   on which the layers were drawn
-    layers   bottom first
-    flicker  roles that may be shown in turn, or empty
-    is_small  drawn for the first screen: no buttons, the caption for listeners alone
-    seen_as   title where there is little room, or empty; screen readers read ``title``
-    link     figures of the same name show the same stretch of time, or empty
-    span     of the record that is linked, in the unit of x; 0 where x is no time
+    title        one line
+    caption      one sentence with the most important numbers and their units
+    guide        how good and bad results look; shown once per page
+    canvas       on which the layers were drawn
+    layers       bottom first
+    flicker      roles that may be shown in turn, or empty
+    is_small     drawn for the summary: no buttons, and the caption only for screen readers
+    short_title  shown instead of ``title`` in the summary, or empty; screen readers read ``title``
+    link         figures with the same link show the same interval of time, or empty
+    span         duration of the linked recording, in the unit of x; 0 if x is not time
     """
 
     kind: ClassVar[str] = "figure"
@@ -113,13 +113,13 @@ class Figure:
     layers: tuple[Layer, ...]
     flicker: tuple[str, ...] = ()
     is_small: bool = False
-    seen_as: str = ""
+    short_title: str = ""
     link: str = ""
     span: float = 0.0
 
     @property
     def margins(self) -> tuple[int, int, int, int]:
-        """Room for ticks and names: left, top, right, bottom."""
+        """Margins for ticks and labels in pixels: left, top, right, bottom."""
         return (52, 22, 8, 34) if self.is_small else (64, 34, 16, 50)
 
 
@@ -136,13 +136,13 @@ class Bar:
 
 @dataclass(frozen=True, kw_only=True)
 class Waterfall:
-    """Bars below each other on one linear scale from zero.
+    """Bars on one linear scale from zero.
 
     Args:
         title: one line.
         caption: one sentence.
         axis: along the bars.
-        bars: in the order of the picture.
+        bars: from top to bottom.
     """
 
     kind: ClassVar[str] = "waterfall"
@@ -152,20 +152,20 @@ class Waterfall:
     bars: tuple[Bar, ...]
 
     def share(self, value_m: float) -> float:
-        """Return where a value lies along the axis, 0 to 1."""
+        """Return the position of a value along the axis, 0 to 1."""
         return value_m / self.axis.scale.factor / self.axis.high
 
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """One axis at a glance.
+    """Summary of one axis.
 
     Args:
         title: name of the axis.
         tone: ``good``, ``middling`` or ``bad``.
-        word: the grade that a reader sees.
-        figures: the loop and the residual against time, if they are drawn.
-        facts: names and values of the row beside them.
+        word: the grade as text.
+        figures: the loop and the residual against time, if they are plotted.
+        facts: names and values of the row next to the figures.
     """
 
     title: str
@@ -177,16 +177,16 @@ class Card:
 
 @dataclass(frozen=True, kw_only=True)
 class Headline:
-    """The sentences of the summary, each with its label; ``tone`` as of ``Prose``."""
+    """The sentences of the summary, each with its label; ``tone`` as in ``Prose``."""
 
-    kind: ClassVar[str] = "said"
+    kind: ClassVar[str] = "headline"
     sentences: tuple[tuple[str, str], ...]
     tone: str = "plain"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fold:
-    """Parts that a reader opens, such as the recordings that are fitted best."""
+    """Parts that are hidden until the reader opens them."""
 
     kind: ClassVar[str] = "fold"
     summary: str
@@ -195,7 +195,7 @@ class Fold:
 
 @dataclass(frozen=True, kw_only=True)
 class Cards:
-    """The axes of a stage beside each other."""
+    """The axes of a stage side by side."""
 
     kind: ClassVar[str] = "cards"
     cards: tuple[Card, ...]
@@ -206,17 +206,17 @@ TONES = ("plain", "good", "middling", "bad")
 
 
 def worst_tone(tones: Iterable[str]) -> str:
-    """Return the worst of some tones."""
+    """Return the worst of several tones."""
     return max(tones, key=TONES.index, default="plain")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """One chapter.
+    """One section of the page.
 
-    anchor  for links within the page; our own word, never a name from the data
+    anchor  for links within the page; a fixed word, never a name from the data
     title   heading
-    lead    one or two sentences that say what the chapter shows
+    lead    one or two sentences about the content of the section
     """
 
     anchor: str
@@ -226,21 +226,21 @@ class Section:
 
     @property
     def tone(self) -> str:
-        """The worst tone of its parts, for its mark in the navigation."""
+        """The worst tone of the parts, for the mark in the navigation."""
         tones = [part.tone for part in self.parts if isinstance(part, Heading | Prose | Headline)]
         tones += [c.tone for part in self.parts if isinstance(part, Cards) for c in part.cards]
         return worst_tone(tones)
 
     @property
     def blocks(self) -> tuple[tuple[Part, ...], ...]:
-        """The parts under each heading, those before the first by themselves."""
+        """The parts under each heading; the parts before the first heading are one block."""
         starts = [k for k, part in enumerate(self.parts) if isinstance(part, Heading)]
         cuts = sorted({0, *starts, len(self.parts)})
         return tuple(self.parts[a:b] for a, b in itertools.pairwise(cuts))
 
     @property
     def is_narrow(self) -> bool:
-        """Tell whether blocks may stand beside each other: none holds more than one figure."""
+        """Whether blocks fit side by side: none contains more than one figure."""
         return all(
             sum(isinstance(part, Figure | Waterfall | Cards) for part in block) <= 1
             for block in self.blocks
@@ -248,7 +248,7 @@ class Section:
 
     @property
     def is_folded(self) -> bool:
-        """Tell whether nothing but folded tables is in it: then paper leaves it out."""
+        """Whether the section contains only folded parts; it is then not printed on paper."""
         return all(
             isinstance(part, Heading | Fold) or (isinstance(part, Table) and not part.is_open)
             for part in self.parts

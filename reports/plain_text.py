@@ -1,22 +1,21 @@
-"""Names from files as text: characters that a browser does not show or executes become codes.
+"""Replace unprintable characters in names from files by escape codes.
 
-Escaping keeps ``<`` from being markup. Control characters, halves of pairs and marks that turn the
-direction of the text are no markup, yet break a page or make it lie; they become ``\\u202e``.
+HTML escaping handles ``<``, but not control characters, surrogates, or marks that reverse the
+direction of text. These become codes such as ``\\u202e``.
 """
 
 import unicodedata
 
-_SHOWN_AS_CODE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
-_OURS = {"\u202f"}
+_UNPRINTABLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}  # Unicode categories
 
 
 def printable(value: object) -> object:
-    """Return a text with codes for its unprintable characters; other values unchanged."""
+    """Replace the unprintable characters of a text by codes; return other values unchanged."""
     if not isinstance(value, str) or hasattr(value, "__html__") or value.isprintable():
         return value
     return "".join(
-        c
-        if c in _OURS or unicodedata.category(c) not in _SHOWN_AS_CODE
-        else c.encode("unicode_escape").decode("ascii")
+        c.encode("unicode_escape").decode("ascii")
+        if unicodedata.category(c) in _UNPRINTABLE
+        else c
         for c in value
     )

@@ -1,4 +1,4 @@
-"""Numbers for readers: engineering units chosen for each number, its interval beside it."""
+"""Numbers as text, with engineering units and 95 % intervals."""
 
 import math
 
@@ -6,7 +6,7 @@ from piezoid import formatting
 from piezoid.diagnosis.diagnosis import Finding
 from piezoid.formatting import UNKNOWN, interval_digits, scale_for
 
-NARROW = "\u202f"  # a narrow space at which no line breaks: number and unit stay together
+NARROW = "\u202f"  # narrow no-break space between number and unit
 MINUS = "\N{MINUS SIGN}"
 
 
@@ -19,7 +19,7 @@ def number(value: float, unit: str, digits: int = 3) -> str:
 
 
 def with_half_width(value: float, half: float, unit: str) -> str:
-    """Return a number and half its 95 % interval, both to the digits the interval allows."""
+    """Return a number and half its 95 % interval, both with the digits the interval allows."""
     if not (math.isfinite(value) and math.isfinite(half)):
         return number(value, unit)
     scale = scale_for(max(abs(value), half), unit)
@@ -32,12 +32,12 @@ def with_half_width(value: float, half: float, unit: str) -> str:
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits, without an exponent where it can be."""
+    """Return a number with a typographic minus; see `piezoid.formatting.significant`."""
     return formatting.significant(value, digits).replace("-", MINUS)
 
 
 def percent(share: float) -> str:
-    """Return a share of one in percent."""
+    """Return a fraction as a percentage."""
     return number(100.0 * share, "%")
 
 

@@ -1,4 +1,4 @@
-"""The page: records in, one self-contained HTML text out. No clock, no chance, no network."""
+"""Render records as one self-contained HTML page, without clock, random numbers or network."""
 
 import base64
 import hashlib
@@ -30,25 +30,25 @@ from piezoid.statement import select
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Section
 from piezoid_reports.plain_text import printable
-from piezoid_reports.sections import OF_DESIGN, OF_DIAGNOSIS, SECTIONS, Render
+from piezoid_reports.sections import DESIGN_SECTIONS, DIAGNOSIS_SECTIONS, SECTIONS, Renderer
 
 ALARM = (
     "The model does not apply to every axis.",
-    "The figures of an axis to which it does not apply only show why.",
+    "The figures of a rejected axis only show why it was rejected.",
 )
 
-UNDRAWN = (
-    "This page was drawn without the recordings.",
-    "Name the files of the fit to have loops and residuals drawn.",
+NO_RECORDINGS = (
+    "This page was made without the recordings.",
+    "Name the files of the fit to plot loops and residuals.",
 )
 
 
 def render(page: Page) -> str:
-    """Return report.html; recordings that are not of the fit are listed but not drawn."""
+    """Return report.html; recordings outside the fit are listed but not plotted."""
     page = replace(
         page,
         recordings=as_single_axes(page.recordings, None, page.model.coupled),
-        # What the folder's file carries, whatever version wrote it.
+        # The digest in the folder's model.json, whichever version wrote it.
         model_digest=_digest(page.files.get("model.json") or write_model(page.model)),
     )
     statements = stage_statements(
@@ -61,11 +61,12 @@ def render(page: Page) -> str:
         unshipped=page.unshipped,
         verification=page.verification,
     )
-    return _written(replace(page, statements=select(statements)), SECTIONS)
+    page = replace(page, statements=select(statements))
+    return _page_html(page, SECTIONS, alarm=_alarm(page))
 
 
 def render_design(model: ActuatorModel, design: Design) -> str:
-    """Return design.html: the controllers alone, designed after the fit."""
+    """Return design.html, which shows only the controllers."""
     page = Page(
         model=model,
         model_digest=_digest(write_model(model)),
@@ -73,7 +74,7 @@ def render_design(model: ActuatorModel, design: Design) -> str:
         statements=select(design_statements(design, model)),
         has_summary=False,
     )
-    return html(_title(model), _sections(page, OF_DESIGN), counted=page.counted)
+    return _page_html(page, DESIGN_SECTIONS, alarm=None)
 
 
 def render_diagnosis(
@@ -84,11 +85,11 @@ def render_diagnosis(
     comparison: ModelComparison | None = None,
     written: bytes = b"",
 ) -> str:
-    """Return diagnosis.html: causes in recordings, against a model that was fitted to them.
+    """Return diagnosis.html: effects in recordings, shown with a model fitted to them.
 
-    model    to draw on; it is in no file
+    model       for the figures; it is saved in no file
     comparison  of an earlier model with these recordings
-    written  diagnosis.json
+    written     content of diagnosis.json
     """
     page = Page(
         model=model,
@@ -99,28 +100,26 @@ def render_diagnosis(
         statements=select(diagnosis_statements(diagnosis)),
         has_summary=False,
     )
-    return _written(page, OF_DIAGNOSIS)
+    return _page_html(page, DIAGNOSIS_SECTIONS, alarm=_alarm(page))
 
 
 def _digest(content: bytes) -> str:
-    """Return the digest that a sealed file carries."""
+    """Return the digest in a sealed file."""
     return str(json.loads(content)["digest"])
 
 
-def _written(page: Page, chapters: Sequence[Render]) -> str:
-    alarm = None if page.recordings or not page.model.axes else UNDRAWN
-    alarm = alarm if page.model.applies else ALARM
-    sections = _sections(page, chapters)
-    return html(_title(page.model), sections, alarm=alarm, counted=page.counted)
+def _alarm(page: Page) -> tuple[str, str] | None:
+    """Return the warning above the page and its explanation, or None."""
+    if not page.model.applies:
+        return ALARM
+    return None if page.recordings or not page.model.axes else NO_RECORDINGS
 
 
-def _title(model: ActuatorModel) -> str:
-    """Return the stage's name, with the word before it where the name does not say it."""
-    return model.stage if "stage" in model.stage.lower() else f"Stage {model.stage}"
-
-
-def _sections(page: Page, chapters: Sequence[Render]) -> list[Section]:
-    return [section for make in chapters if (section := make(page)) is not None]
+def _page_html(page: Page, renderers: Sequence[Renderer], *, alarm: tuple[str, str] | None) -> str:
+    stage = page.model.stage
+    title = stage if "stage" in stage.lower() else f"Stage {stage}"
+    sections = [section for make in renderers if (section := make(page)) is not None]
+    return html(title, sections, alarm=alarm, counted=page.counted)
 
 
 def html(
@@ -130,12 +129,12 @@ def html(
     alarm: tuple[str, str] | None = None,
     counted: Sequence[str] = (),
 ) -> str:
-    """Return the whole page.
+    """Return an HTML page.
 
     title     a name from the data, shown as text
-    sections  its chapters
-    alarm     what must be known before anything is read, and why
-    counted   what was recorded in counts: no metre, or no volt, is then on the page
+    sections  in the order of the page
+    alarm     warning above the sections and its explanation, or None
+    counted   quantities recorded in counts; their metres or volts are shown as counts
     """
 
     def escaped(value: object) -> object:
@@ -143,14 +142,14 @@ def html(
         return printable(in_counts(str(value), counted) if is_text else value)
 
     environment = Environment(
-        loader=FunctionLoader(_text),
+        loader=FunctionLoader(_template),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         finalize=escaped,
     )
-    style, script = _text("style.css"), _text("figures.js")
+    style, script = _template("style.css"), _template("figures.js")
     return environment.get_template("page.html.j2").render(
         title=title,
         alarm=alarm,
@@ -164,7 +163,7 @@ def html(
 
 
 def policy_for(style: str, script: str) -> str:
-    """Return a policy that runs our two texts and nothing else, and never asks a network."""
+    """Return a content security policy that allows this style and script and no network."""
     return (
         f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; "
         "base-uri 'none'; form-action 'none'"
@@ -175,7 +174,7 @@ def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-def _text(name: str) -> str:
+def _template(name: str) -> str:
     return (files_of("piezoid_reports") / "templates" / name).read_text(encoding="utf-8")
 
 
@@ -189,7 +188,7 @@ def report_of(
     files: Mapping[str, bytes],
     lab: Lab | None,
 ) -> str:
-    """Return report.html of a stage from the records of its calibration.
+    """Return report.html from the records of a calibration.
 
     collection  recordings of the fit, for the figures
     files       sealed files, for the chain of digests
@@ -214,11 +213,11 @@ def report_of(
 def with_report(
     calibration: Calibration, collection: Collection | None, lab: Lab | None
 ) -> Calibration:
-    """Return a calibration with report.html among its files.
+    """Return the calibration with report.html added to its files.
 
     collection  recordings, for the figures of the report; None if they are larger than memory
     """
-    if collection is None:  # a collection of sweeps alone is false as well
+    if collection is None:  # not `or`: a collection without recordings is falsy
         collection = Collection(recordings=(), sweeps=(), responses=())
     page = report_of(
         calibration.model,

@@ -1,4 +1,4 @@
-"""A measured frequency response beside the modes fitted to it: gain, phase, coherence."""
+"""Figures of a measured frequency response with its model, and of multisine distortion."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from piezoid_reports.parts import Figure, Part
 from piezoid_reports.quantities import number, percent, significant
 
 GUIDE = "Good: odd and even lines at the noise. Bad: odd lines near the driven ones (hysteresis)."
-KINDS = {  # the axis' label, the figure's height, and what good and bad look like
+KINDS = {  # label of the axis, height of the figure in pixels, guide
     "gain": (
         "gain [dB of 1 m/V]",
         Canvas.height,
@@ -29,16 +29,16 @@ KINDS = {  # the axis' label, the figure's height, and what good and bad look li
         "Good: both fall together. Bad: they part at high frequency (a delay is missing).",
     ),
 }
-FLOOR = 0.1  # of the noise: below, an amplitude is drawn as that
-RUNNING_LINES = 9  # of the median of the noise
+FLOOR = 0.1  # of the noise: smallest amplitude that is drawn
+RUNNING_LINES = 9  # of the running median of the noise
 
 
 def response_parts(
-    page: Page, axis: AxisModel, dynamics: LinearDynamics, fitted: ResponseFit
+    page: Page, axis: AxisModel, dynamics: LinearDynamics, fit: ResponseFit
 ) -> list[Part]:
-    """Return gain, phase and coherence of a measured response; nothing without its file."""
+    """Return gain, phase and coherence of a measured response, if its file is available."""
     parts: list[Part] = []
-    record = next((r for r in page.responses if r.name == fitted.name), None)
+    record = next((r for r in page.responses if r.name == fit.name), None)
     if record is None:
         return parts
     record = record if record.axis_is_named else record.renamed(axis.axis)
@@ -46,21 +46,21 @@ def response_parts(
     if path is None:
         return parts
     f = record.frequency_Hz
-    is_used = path.is_coherent & ~np.isin(f, fitted.left_out_Hz)
-    measured = fitted.factor * measured_response(record, axis.axis, dynamics.declared)
+    is_used = path.is_coherent & ~np.isin(f, fit.left_out_Hz)
+    measured = fit.factor * measured_response(record, axis.axis, dynamics.declared)
     model = dynamics.response(f)
-    if fitted.slow is not None:
-        model = model * fitted.slow.response(f)
+    if fit.slow is not None:
+        model = model * fit.slow.response(f)
     decades = np.log10(f)
-    turned_deg = np.degrees(np.unwrap(np.angle(axis.polarity * model)))
-    # Each line beside the model: turns between distant lines are the model's.
-    measured_deg = turned_deg + np.degrees(np.angle(measured / model))
+    model_deg = np.degrees(np.unwrap(np.angle(axis.polarity * model)))
+    # Unwrap the measured phase with the model: lines may be too far apart to unwrap it directly.
+    measured_deg = model_deg + np.degrees(np.angle(measured / model))
     parts += [
         response_figure(
             "gain",
             f"Axis {axis.axis}: gain as measured, {record.name}",
-            f"{fitted.used} of {fitted.lines} lines are fitted; largest residual "
-            f"{significant(100.0 * fitted.left_relative, 2)} % at {number(fitted.left_Hz, 'Hz')}.",
+            f"{fit.used} of {fit.lines} lines are fitted; largest residual "
+            f"{significant(100.0 * fit.left_relative, 2)} % at {number(fit.left_Hz, 'Hz')}.",
             decades,
             (decibel(np.abs(measured)), decibel(np.abs(model))),
             is_used=is_used,
@@ -68,17 +68,17 @@ def response_parts(
         response_figure(
             "phase",
             f"Axis {axis.axis}: phase as measured",
-            "Lines that are not fitted are grey.",
+            "Lines outside the fit are grey.",
             decades,
-            (measured_deg, turned_deg),
+            (measured_deg, model_deg),
             is_used=is_used,
         ),
     ]
     if path.coherence is not None:
         title = f"Axis {axis.axis}: coherence as measured"
         numbers = (
-            f"{int(is_used.sum())} of {len(f)} lines are used; the least coherence that is "
-            f"is {significant(MIN_COHERENCE, 2)}."
+            f"{int(is_used.sum())} of {len(f)} lines are used; minimum coherence "
+            f"{significant(MIN_COHERENCE, 2)}."
         )
         parts.append(coherence_figure(title, numbers, decades, path.coherence, MIN_COHERENCE))
     return parts
@@ -98,7 +98,7 @@ def response_figure(
 
     kind     ``gain`` or ``phase``
     curves   measured and modelled, (lines,) each
-    is_used  lines that are fitted, None: all; the others are grey dots
+    is_used  lines that are fitted, None for all; other lines are grey dots
     band     95 % interval of the measurement
     """
     label, height, guide = KINDS[kind]
@@ -110,8 +110,8 @@ def response_figure(
         layers.append(canvas.band("rising-band", "measured, 95 %", decades, *band))
     if is_used is not None and not is_used.all():
         layers.append(canvas.dots("left-out", "not fitted", decades[~is_used], measured[~is_used]))
-    fitted = measured if is_used is None else np.where(is_used, measured, np.nan)
-    layers.append(canvas.line("measured", "measured", decades, fitted))
+    fitted_points = measured if is_used is None else np.where(is_used, measured, np.nan)
+    layers.append(canvas.line("measured", "measured", decades, fitted_points))
     layers.append(canvas.line("model", "model", decades, model))
     return Figure(
         title=title,
@@ -125,7 +125,7 @@ def response_figure(
 def coherence_figure(
     title: str, numbers: str, decades: Array, coherence: Array, min_coherence: float
 ) -> Figure:
-    """Draw coherence over decades of frequency, and the minimum that is used."""
+    """Draw coherence over decades of frequency, with the minimum for the fit."""
     x = decades_over("frequency", [decades], "Hz")
     canvas = Canvas(x=x, y=axis_over("coherence", [np.array([0.0, 1.0])], ""), height=200)
     return Figure(
@@ -135,7 +135,7 @@ def coherence_figure(
         canvas=canvas,
         layers=(
             canvas.line("measured", "coherence", decades, coherence),
-            canvas.line("limit", "least used", decades[[0, -1]], np.full(2, min_coherence)),
+            canvas.line("limit", "minimum", decades[[0, -1]], np.full(2, min_coherence)),
         ),
     )
 
@@ -154,7 +154,7 @@ def distortion_parts(page: Page, axis: AxisModel) -> list[Part]:
         x = decades_over("frequency", [decades, silent], "Hz")
         y = axis_over("amplitude [dB of 1 m]", [driven_dB, silent_dB, noise_dB], "")
         canvas = Canvas(x=x, y=y)
-        # A running median: a line for the noise instead of a cloud.
+        # A running median draws the noise as a line.
         padded_dB = np.pad(noise_dB, RUNNING_LINES // 2, mode="edge")
         windows_dB = np.lib.stride_tricks.sliding_window_view(padded_dB, RUNNING_LINES)
         driven_m = float(lines.driven_level_m()[0])
@@ -180,11 +180,11 @@ def distortion_parts(page: Page, axis: AxisModel) -> list[Part]:
 
 
 def _level(lines: DetectionLines, driven_m: float, *, even: bool) -> str:
-    """Return the level of even or odd distortion, or its limit if noise covers it."""
+    """Return the level of even or odd distortion as text, or its upper limit if noise hides it."""
     name = "even distortion" if even else "odd distortion"
     level_m = float(lines.level_m(even=even)[0])
     limit_m = float(lines.limit_m(even=even)[0])
     if level_m <= limit_m:
-        most_m = float(np.hypot(level_m, limit_m))
-        return f"{name} below {number(most_m, 'm')}, covered by noise"
-    return f"{name} {number(level_m, 'm')}, {percent(level_m / driven_m)} of that"
+        bound_m = float(np.hypot(level_m, limit_m))
+        return f"{name} below {number(bound_m, 'm')}, hidden in noise"
+    return f"{name} {number(level_m, 'm')}, {percent(level_m / driven_m)} of the driven lines"

@@ -1,4 +1,4 @@
-"""Traces: drive, measurement and simulation of each recording, sample by sample."""
+"""Drive, measurement and simulation of each recording, sample by sample."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,20 +10,20 @@ from piezoid.identification.simulation import simulate_fitted_rows, starts_of
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
-WIDE_SHARE = 0.5  # of the widest drive, from which a recording shows the loop
+WIDE_SHARE = 0.5  # of the widest drive range: above, a recording shows the loop
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trace:
-    """One recording of one axis beside the model's simulation of it.
+    """One recording of one axis and its simulation.
 
-    recording   as it was ingested, of this axis
-    time_s      (samples,)  s, from its first sample
+    recording   of this axis
+    time_s      (samples,)  s, from the first sample
     voltage_V   (samples,)  V
-    measured_m  (samples,)  m; NaN where nothing was measured: a gap in every curve
-    modelled_m  (samples,)  m; NaN where the model says nothing or the fit left the rows out
-    line_m      (samples,)  m; the best straight line of all recordings of the axis, each with its
-                own zero: what one would have without a hysteresis model. NaN where the model is
+    measured_m  (samples,)  m; NaN where no displacement was measured: a gap in every curve
+    modelled_m  (samples,)  m; NaN in rows that the fit left out
+    line_m      (samples,)  m; straight line with the common slope of all recordings of the axis
+                and the zero of this one: the model without hysteresis. NaN where modelled_m is
     """
 
     recording: Recording
@@ -34,8 +34,8 @@ class Trace:
     line_m: Array
 
     @property
-    def counted(self) -> int:
-        """How many samples the fit used."""
+    def used_samples(self) -> int:
+        """Number of samples that the fit used."""
         return int(np.isfinite(self.modelled_m).sum())
 
     @property
@@ -55,24 +55,24 @@ class Trace:
 
 
 def rms(values: Array) -> float:
-    """Return the root of the mean square of the values that are there."""
+    """Return the root mean square of the values that are not NaN."""
     return float(np.sqrt(np.nanmean(np.square(values))))
 
 
 def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[Trace, ...]:
-    """Return a trace for every recording the axis was fitted on, worst fitted first.
+    """Return a trace for every recording of the axis in the fit, largest residual first.
 
-    Recordings over less than half of the widest drive come last: they show no full loop.
+    Recordings over less than half of the widest drive range come last: they show no full loop.
     """
     fitted = [r for r in recordings if starts_of(axis_model, r)]
     modelled = [simulate_fitted_rows(axis_model, recording) for recording in fitted]
     axis = axis_model.axis
-    compared = [
+    modelled_pairs = [
         (r.voltage_V(axis)[np.isfinite(m)], r.displacement_m(axis)[np.isfinite(m)])
         for r, m in zip(fitted, modelled, strict=True)
     ]
-    covariance = sum(float(np.sum((u - u.mean()) * (y - y.mean()))) for u, y in compared)
-    variance = sum(float(np.sum((u - u.mean()) ** 2)) for u, _ in compared)
+    covariance = sum(float(np.sum((u - u.mean()) * (y - y.mean()))) for u, y in modelled_pairs)
+    variance = sum(float(np.sum((u - u.mean()) ** 2)) for u, _ in modelled_pairs)
     slope = covariance / variance if variance > 0.0 else 0.0
     traces = []
     for recording, modelled_m in zip(fitted, modelled, strict=True):
@@ -91,5 +91,5 @@ def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[T
             )
         )
     ranges_V = {id(trace): float(np.ptp(trace.voltage_V)) for trace in traces}
-    least_V = WIDE_SHARE * max(ranges_V.values(), default=0.0)
-    return tuple(sorted(traces, key=lambda t: (ranges_V[id(t)] < least_V, -rms(t.residual_m))))
+    min_range_V = WIDE_SHARE * max(ranges_V.values(), default=0.0)
+    return tuple(sorted(traces, key=lambda t: (ranges_V[id(t)] < min_range_V, -rms(t.residual_m))))

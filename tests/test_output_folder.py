@@ -162,7 +162,7 @@ def test_a_folder_without_our_manifest_is_refused_whatever_the_flags_say(
     assert held(mine) == {"notes.txt": b"precious"}
     with pytest.raises(OutputFolderError, match="is a file"):
         check_folder(mine / "notes.txt", force=force)
-    with pytest.raises(OutputFolderError, match="a disk of its own"):
+    with pytest.raises(OutputFolderError, match="the root of a disk"):
         check_folder("/", force=force)
 
 
@@ -208,7 +208,7 @@ def test_protected_folders_are_refused_even_where_they_bear_our_manifest(
     monkeypatch.chdir(tmp_path / "runs/stage/sub")
     refused = {
         "home folder": (places["home/me"], tmp_path / "home", "~/"),
-        "where this command runs": (
+        "the working directory": (
             Path("."),
             Path(".."),
             places["runs/stage"],
@@ -407,7 +407,7 @@ def test_a_single_file_replaces_one_of_ours_with_force_and_nothing_else(
     shutil.rmtree(place) if kind.endswith("folder") and kind[0] != "l" else place.unlink()
     write_file(place, ours, opening=ours)
     place.chmod(0o600)
-    with pytest.raises(OutputFolderError, match="already there"):
+    with pytest.raises(OutputFolderError, match="already exists"):
         write_file(place, ours + b"2", opening=ours)
     write_file(place, ours + b"2", opening=ours, force=True)
     assert (place.read_bytes(), place.stat().st_mode & 0o777) == (ours + b"2", 0o600)

@@ -1,6 +1,6 @@
-"""Simulated test stages: recordings whose effects are known.
+"""Simulated test stages with known effects.
 
-Start at ``campaign.draw_campaign``; ``stage.record`` runs one stage, ``truths`` holds the
-hysteresis laws and ``effects`` the faults and dynamics added to them.
-May import none of the library. To add a law or an effect, add a file and its line in the tuple.
+Start at ``campaign.draw_campaign``; ``stage.record`` simulates one recording, ``truths`` contains
+the hysteresis laws and ``effects`` the faults and dynamics added to them.
+Imports nothing of the library. To add a law or an effect, add a file and its line in the tuple.
 """

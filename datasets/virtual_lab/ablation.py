@@ -1,4 +1,4 @@
-"""How large a hidden effect really is: record again without it, and compare."""
+"""Size of a hidden effect: difference of the recordings with and without the effect."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,14 +12,14 @@ from piezoid_datasets.virtual_lab.stage import Rows, Run, Stage, follow, record
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HiddenEffect:
-    """One effect that is in the recordings.
+    """One effect in the recordings; sizes in percent of the stroke.
 
-    measure           how sizes are read, in the recording where they are largest
-    asked_percent     of the stroke: the size it was scaled to on the healthy bench
-    measured_percent  the size it has: what changes when it alone is taken out again
+    measure           definition of the size, in the recording where it is largest
+    asked_percent     size to which the effect was scaled on the healthy stage
+    measured_percent  actual size: the change if this effect alone is removed
     change_percent    rms of that change in each recording, by name
-    moving_percent    the largest rms of it about its own mean: where a zero is nobody's
-    numbers           the physical parameters, units in their names
+    moving_percent    largest rms of that change about its mean, which excludes shifts of the zero
+    numbers           physical parameters, with units in their names
     """
 
     name: str
@@ -32,19 +32,19 @@ class HiddenEffect:
 
 
 def healthy(stage: Stage, runs: Sequence[Run]) -> Bench:
-    """Follow every run with nothing wrong: what effects scale themselves by."""
-    sound = replace(stage, acts=())
-    traces = tuple(follow(sound, run, order) for order, run in enumerate(runs))
+    """Simulate every run without effects, as the reference by which effects are scaled."""
+    healthy_stage = replace(stage, acts=())
+    traces = tuple(follow(healthy_stage, run, order) for order, run in enumerate(runs))
     return Bench(rig=stage.rig, ceramic=stage.ceramic, traces=traces)
 
 
 def record_all(stage: Stage, runs: Sequence[Run], faults: Mapping[str, Fault]) -> tuple[Rows, ...]:
-    """Record every run with these faults installed."""
+    """Record every run with these faults."""
     faulty = replace(stage, acts=tuple(act for fault in faults.values() for act in fault.acts))
     return tuple(record(faulty, run, order) for order, run in enumerate(runs))
 
 
-def taken_out(
+def measure_effect(
     effect: Effect,
     asked_percent: float,
     stage: Stage,
@@ -52,7 +52,7 @@ def taken_out(
     faults: Mapping[str, Fault],
     recordings: Sequence[Rows],
 ) -> HiddenEffect:
-    """Measure what one effect does to the noise-free reading, all others staying in place."""
+    """Measure the change of the noise-free readings if one effect is removed."""
     others = {name: fault for name, fault in faults.items() if name != effect.name}
     without = record_all(stage, runs, others)
     changes = {a.run.name: change_m(a, b) for a, b in zip(recordings, without, strict=True)}
@@ -70,7 +70,7 @@ def taken_out(
     )
 
 
-def change_m(one: Rows, other: Rows) -> Array:
-    """Return the difference of two recordings of one run, over the rows both have."""
-    count = min(len(one.noise_free_m), len(other.noise_free_m))
-    return one.noise_free_m[:count] - other.noise_free_m[:count]
+def change_m(recording: Rows, reference: Rows) -> Array:
+    """Return the difference of two recordings of one run, over their common rows."""
+    count = min(len(recording.noise_free_m), len(reference.noise_free_m))
+    return recording.noise_free_m[:count] - reference.noise_free_m[:count]

@@ -1,10 +1,10 @@
-"""How the bundled recordings were made; running it again makes the same bytes.
+"""Produce the bundled recordings, always with the same bytes.
 
     python -m piezoid_datasets.virtual_lab.bundled FOLDER
 
-A scanner of three axes: X and Y are Preisach ceramics of their own with creep of 0.3 % per decade
-and unknown turns before each record; Z holds a tunnelling tip over two spots. Nothing else is
-hidden: what a good stage looks like.
+A scanner of three axes: X and Y are different Preisach ceramics with creep of 0.3 % per decade and
+unknown turning points before each recording; Z holds a tunnelling tip over two spots. There are no
+other effects: this is a good stage.
 """
 
 import sys
@@ -32,14 +32,14 @@ CREEP_PER_DECADE = 0.003
 
 
 def stage(rig: Rig = RIG, seed: int = SEED) -> Stage:
-    """Return the bench of one lateral axis; that of X without arguments."""
+    """Return the stage of one lateral axis, by default X."""
     ceramic = draw_preisach(np.random.default_rng(seed))
     acts = creep.creep_of(CREEP_PER_DECADE, 0.0).acts
     return Stage(rig=rig, ceramic=ceramic, acts=acts, seed=seed)
 
 
 def runs() -> tuple[Run, ...]:
-    """Return the plans: a sweep to fit, another kind of drive to check, several speeds."""
+    """Return the runs of X: a sweep for the fit, a different drive as a check, several speeds."""
     rng = np.random.default_rng([SEED, 1])
     minor = (1.0, -0.2, 0.5, -0.7, 0.3, -1.0)
     sweep = np.concatenate(
@@ -66,7 +66,7 @@ def runs() -> tuple[Run, ...]:
 
 
 def runs_y() -> tuple[Run, ...]:
-    """Return the plans of Y: a sweep to fit, and another kind of drive to check."""
+    """Return the runs of Y: a sweep for the fit, and a different drive as a check."""
     rng = np.random.default_rng([SEED_Y, 1])
     sweep = drives.decaying_sweep(500.0, 1.0, 12)
     check = drives.random_levels(500.0, 0.4, 20, rng)
@@ -77,7 +77,7 @@ def runs_y() -> tuple[Run, ...]:
 
 
 def rebuild() -> dict[str, bytes]:
-    """Return the bundled files by name, made anew."""
+    """Return the contents of the bundled files by name."""
     x, y = stage(), stage(RIG_Y, SEED_Y)
     files = {
         f"{run.name}.csv": csv_text(record(x, run, order)).encode()
@@ -91,7 +91,7 @@ def rebuild() -> dict[str, bytes]:
 
 
 def tip_files() -> dict[str, bytes]:
-    """Return the closed loops of Z and its spectroscopy; the loops' clock is the controller's."""
+    """Return the closed-loop recordings of Z at the rate of the controller, and a spectroscopy."""
     campaign = draw_junction_campaign(SEED_Z, seconds=LOOP_s)
     loops = {
         f"z_loop_{spot + 1}.csv": _loop_text(held).encode()
@@ -101,7 +101,7 @@ def tip_files() -> dict[str, bytes]:
 
 
 def _loop_text(held: JunctionRecord) -> str:
-    """Return drive, current and dither of every tick, without the time of each."""
+    """Return drive, current and dither of every sample as CSV, without a time column."""
     columns = (held.drive_V, 1e9 * held.current_A, held.reference_nepers)
     rows = zip(*(column.tolist() for column in columns), strict=True)
     lines = [f"{u:.7f},{i:.6f},{r:.6f}" for u, i, r in rows]

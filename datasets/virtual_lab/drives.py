@@ -1,7 +1,7 @@
-"""Drive waveforms a lab plays: all between -1 and 1, at rest at -1 before and after.
+"""Drive waveforms between -1 and 1, which start and end at -1.
 
-Each returns ``(samples,)`` positions in the drive range. A lab rounds its corners: an amplifier
-that is asked for a step rings the stage, so staircases rise along half a cosine.
+Each function returns ``(samples,)`` positions in the drive range. Staircases rise along half a
+cosine, because steps would excite the resonances of the stage.
 """
 
 import itertools
@@ -14,9 +14,9 @@ from piezoid_datasets.virtual_lab.signals import Array
 def decaying_sweep(
     rate_Hz: float, frequency_Hz: float, cycles: int, *, keep: float = 0.0, triangle: bool = True
 ) -> Array:
-    """Sweep around the middle with an amplitude falling linearly from full to ``keep``.
+    """Sweep around the middle with an amplitude that falls linearly from full to ``keep``.
 
-    The turning points lie inside each other, so every one of them stays in memory.
+    The turning points are nested, so that all of them remain in the memory.
     """
     phase = _cycles(rate_Hz, frequency_Hz, cycles)
     amplitude = 1.0 - (1.0 - keep) * phase / cycles
@@ -25,7 +25,7 @@ def decaying_sweep(
 
 
 def nested_loops(rate_Hz: float, slope_per_s: float, levels: tuple[float, ...]) -> Array:
-    """Walk through turning points at one speed: minor loops where the lab wants them."""
+    """Move through given turning points at constant speed."""
     stops = (-1.0, *levels, -1.0)
     parts = [np.array([-1.0])]
     for here, there in itertools.pairwise(stops):
@@ -34,9 +34,10 @@ def nested_loops(rate_Hz: float, slope_per_s: float, levels: tuple[float, ...]) 
 
 
 def random_levels(rate_Hz: float, move_s: float, moves: int, rng: np.random.Generator) -> Array:
-    """Glide up and down in turn between random levels, resting nowhere.
+    """Move up and down in turn between random levels, without pauses.
 
-    Each move goes a random part of the way to the edge: minor loops of every span at every bias.
+    Each move covers a random fraction of the distance to the edge, which gives minor loops of all
+    spans at all biases.
     """
     parts, here, edge = [np.array([-1.0])], -1.0, 0.95
     for _ in range(moves):
@@ -49,7 +50,7 @@ def random_levels(rate_Hz: float, move_s: float, moves: int, rng: np.random.Gene
 def staircase(
     rate_Hz: float, move_s: float, hold_s: float, steps: int, rng: np.random.Generator
 ) -> Array:
-    """Step to random levels of random sign and hold each."""
+    """Move to random levels and hold each."""
     levels = [-1.0, *rng.uniform(-0.95, 0.95, steps).tolist(), -1.0]
     held = np.ones(round(hold_s * rate_Hz))
     parts = [-held[: len(held) // 2]]
@@ -77,26 +78,26 @@ def chirp(rate_Hz: float, low_Hz: float, high_Hz: float, time_s: float, amplitud
 
 
 def long_hold(rate_Hz: float, move_s: float, level: float, hold_s: float) -> Array:
-    """Go up, come half the way back, hold: what moves now, moves by itself."""
+    """Rise to the end, return to a level, and hold it, so that creep and drift are visible."""
     held = np.full(round(hold_s * rate_Hz), level)
     up, back = glide(rate_Hz, -1.0, 1.0, move_s), glide(rate_Hz, 1.0, level, move_s)
     return np.concatenate((up, back, held, glide(rate_Hz, level, -1.0, move_s)))
 
 
 def wave(phase: Array, *, triangle: bool) -> Array:
-    """Return a sine of unit amplitude, or the triangle that turns where the sine does."""
+    """Return a sine of unit amplitude, or a triangle with the same turning points."""
     sine = np.sin(2.0 * np.pi * phase)
     return 2.0 / np.pi * np.arcsin(np.clip(sine, -1.0, 1.0)) if triangle else sine
 
 
 def ramp(rate_Hz: float, start: float, end: float, time_s: float) -> Array:
-    """Go straight from start (left out) to end."""
+    """Return a linear ramp from start (excluded) to end."""
     count = max(round(time_s * rate_Hz), 1)
     return start + (end - start) * np.arange(1, count + 1) / count
 
 
 def glide(rate_Hz: float, start: float, end: float, time_s: float) -> Array:
-    """Go from start (left out) to end along half a cosine."""
+    """Return half a cosine from start (excluded) to end."""
     count = max(round(time_s * rate_Hz), 1)
     return start + (end - start) * 0.5 * (1.0 - np.cos(np.pi * np.arange(1, count + 1) / count))
 

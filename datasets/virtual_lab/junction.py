@@ -1,13 +1,13 @@
-"""A tunnelling junction under a 20 kHz integral controller, with everything that disturbs it.
+"""A tunnelling junction under a 20 kHz integral controller, with its disturbances.
 
     converter -> amplifier pole -> Z piezo (instant) -> gap -> i_set exp(-k (gap - gap_set))
     -> shot and Johnson noise -> current sensor pole -> converter -> log -> integrator -> converter
 
-The chain between the converters runs on ten steps a tick, so that noise above half the sampling
-rate folds down as it does in a laboratory. Positive drive extends the tip: the gap falls, the
-current rises. The gap is moved by drift, a wandering surface, a vibration, a restless tip and
-mains hum; the current also picks up hum. Many junctions run side by side; each has a generator
-of its own, so a record does not depend on its neighbours.
+The chain between the converters runs at ten times the sampling rate, so that noise above half the
+sampling rate is aliased as in a laboratory. Positive drive extends the tip: the gap falls and the
+current rises. Drift, a random walk of the surface, a vibration, flicker of the tip and mains hum
+change the gap; the current also picks up hum. Several junctions are simulated in parallel, each
+with its own random generator, so that a recording does not depend on the others.
 """
 
 import math
@@ -83,11 +83,11 @@ class Junction:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JunctionRecord:
-    """What the controller can write down, tick by tick.
+    """Recording of the controller.
 
-    reference_nepers  (samples,)  the dithered set point, ln relative to set_point_A
-    drive_V           (samples,)  what the converter puts out, in whole steps
-    current_A         (samples,)  what the converter read, before that drive
+    reference_nepers  (samples,)  set point with dither, ln relative to set_point_A
+    drive_V           (samples,)  output of the converter, in integer steps
+    current_A         (samples,)  converted current before that drive
     """
 
     sampling_rate_Hz: float
@@ -105,10 +105,10 @@ def multisine(
     rms: float,
     rng: np.random.Generator,
 ) -> Array:
-    """Return a periodic dither of equal lines with random phases.
+    """Return a periodic multisine with equal amplitudes and random phases.
 
-    lines  harmonics of the period, below half of it
-    rms    of the whole, in whatever unit it is to have
+    lines  harmonics of the period, below half the sampling rate
+    rms    of the multisine, in its unit
     """
     spectrum = np.zeros(period_samples // 2 + 1, dtype=np.complex128)
     spectrum[list(lines)] = np.exp(2j * np.pi * rng.uniform(size=len(lines)))
@@ -125,13 +125,14 @@ def simulate_junctions(
     drive_dither_V: Array | None = None,
     settle_samples: int = 2000,
 ) -> tuple[JunctionRecord, ...]:
-    """Run junctions side by side under the same reference, one record each.
+    """Simulate junctions in parallel with the same reference, and return one recording each.
 
     junctions         of one sampling rate
-    reference_nepers  (samples,)  set point with dither; its first samples are repeated to settle
+    reference_nepers  (samples,)  set point with dither
     seeds             one for each junction
-    drive_dither_V    (samples,)  added to the controller's drive before the converter; none
-    settle_samples    run before the record starts; default: ten time constants of a slow loop
+    drive_dither_V    (samples,)  added to the drive before the converter; None for no dither
+    settle_samples    simulated before the recording, with the last samples of the reference;
+                      default: ten time constants of a slow loop
     """
     reference = _led_in(reference_nepers, settle_samples)
     added_V = np.zeros_like(reference_nepers) if drive_dither_V is None else drive_dither_V
@@ -150,12 +151,12 @@ def simulate_junctions(
 
 
 def _led_in(signal: Array, settle_samples: int) -> Array:
-    """The signal behind as many of its own last samples, repeated where it is shorter."""
+    """Return a signal preceded by its last samples, repeated if the signal is shorter."""
     return np.concatenate([np.resize(signal[::-1], settle_samples)[::-1], signal])
 
 
 class _Bench:
-    """The junctions as columns: their constants, disturbances and generators."""
+    """Constants, disturbances and generators of all junctions, one column each."""
 
     def __init__(self, junctions: Sequence[Junction], seeds: Sequence[int], ticks: int) -> None:
         rates_Hz = {junction.sampling_rate_Hz for junction in junctions}
@@ -189,7 +190,7 @@ class _Bench:
         )
 
     def run(self, reference: Array, added_V: Array) -> tuple[Array, Array]:
-        """Step every tick; returned (ticks, junctions) of drive and of current."""
+        """Simulate all samples and return drive and current, (ticks, junctions) each."""
         drive_step_V = self.column("drive_range_V") / 2**15
         current_step_A = self.column("input_range_V") / 2**15 / self.column("current_gain_V_per_A")
         set_point_A, lost_A = self.column("set_point_A"), self.column("lost_below_A")
@@ -211,14 +212,14 @@ class _Bench:
 
 
 def sunk_m(junction: Junction, ticks: int, tick_s: float, rng: np.random.Generator) -> Array:
-    """Return how far the surface has sunk below the tip at rest, (ticks,) m."""
+    """Return the distance by which the surface has moved away from the tip, (ticks,) m."""
     from scipy.signal import lfilter
 
     time_s = tick_s * np.arange(ticks)
     wander_m = np.cumsum(rng.standard_normal(ticks)) * junction.wander_m_per_root_s
     wander_m *= math.sqrt(tick_s)
     angle = 2.0 * np.pi * junction.vibration_Hz * tick_s
-    radius = math.exp(-0.05 * angle)  # a twentieth of critical damping
+    radius = math.exp(-0.05 * angle)  # 5 % of critical damping
     resonance = [1.0, -2.0 * radius * math.cos(angle), radius**2]
     shaken = lfilter([1.0], resonance, rng.standard_normal(ticks))
     vibration_m = junction.vibration_m * shaken / np.std(shaken)

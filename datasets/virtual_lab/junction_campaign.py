@@ -1,9 +1,9 @@
-"""A tunnelling tip over several spots: closed loops with a dither, one Z spectroscopy, the answer.
+"""A tunnelling tip over several spots: closed loops with a dither, a Z spectroscopy, the truth.
 
     recordings/  loop_1.csv ..., spectroscopy.dat, lab.toml
-    truth/       truth.json: barriers, electronics and unrest of every spot
+    truth/       truth.json: barriers, electronics and disturbances of every spot
 
-The spots differ in barrier and unrest; the electronics are one rig's.
+The spots differ in barrier and disturbances, but have the same electronics.
 """
 
 import json
@@ -24,17 +24,17 @@ from piezoid_datasets.virtual_lab.spectroscopy import Spectroscopy, draw_spectro
 SCHEMA = "piezoid.junction_truth/1"
 SPOTS = 3
 PERIOD_SAMPLES = 2000
-FEWEST_PERIODS = 12  # below, a dither is hard to tell from the noise
+FEWEST_PERIODS = 12  # with fewer periods, the noise hides the dither
 MAINS_FREE = [n for n in range(1, 400, 2) if (10 * n) % 50 and (10 * n) % 60]  # of 10 Hz
 DITHER_NEPERS = 0.15
 AMPLIFIER_GAIN_V_per_V = 15.0
 SPREAD = 0.05  # of the barrier from spot to spot
-CEILING_SHARE = 0.9  # of the current at which the converter ends: beyond it nothing is seen
+CEILING_SHARE = 0.9  # of the current at which the converter saturates
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JunctionCampaign:
-    """What a laboratory recorded of one tip, and the junctions behind it.
+    """Recordings of one tip, with the true parameters of its junctions.
 
     junctions     (spots)  the truth
     records       (spots)  closed loops
@@ -50,7 +50,7 @@ class JunctionCampaign:
 def draw_junction_campaign(seed: int, *, seconds: float) -> JunctionCampaign:
     """Draw a tip and its electronics, and record every spot; same arguments, same bytes.
 
-    seconds  of every closed loop, at least 1.2: whole periods of the dither, a tenth of a second
+    seconds  of every closed loop, at least 1.2; rounded down to dither periods of 0.1 s
 
     Raises ``ValueError`` for less.
     """
@@ -61,7 +61,7 @@ def draw_junction_campaign(seed: int, *, seconds: float) -> JunctionCampaign:
     if periods < FEWEST_PERIODS:
         least_s = FEWEST_PERIODS * PERIOD_SAMPLES / rate_Hz
         raise ValueError(f"{seconds:g} s of a closed loop is too short, at least {least_s:g} s")
-    # One sample more: differences take one, and all periods stay whole.
+    # One more sample, because differences need one: all periods remain complete.
     dither = multisine(PERIOD_SAMPLES, periods + 1, lines=MAINS_FREE, rms=DITHER_NEPERS, rng=rng)
     records = simulate_junctions(
         junctions,
@@ -77,7 +77,7 @@ def draw_junction_campaign(seed: int, *, seconds: float) -> JunctionCampaign:
 
 
 def junction_files(campaign: JunctionCampaign) -> dict[str, bytes]:
-    """Return the files of a campaign by path, sub-folder first."""
+    """Return the contents of the files of a campaign by relative path."""
     files = {
         f"recordings/{name_of(n)}": _csv(record).encode()
         for n, record in enumerate(campaign.records)
@@ -89,7 +89,7 @@ def junction_files(campaign: JunctionCampaign) -> dict[str, bytes]:
 
 
 def name_of(spot: int) -> str:
-    """Return the file name of a spot's closed loop, spots counted from 0."""
+    """Return the file name of the closed loop of a spot, counted from 0."""
     return f"loop_{spot + 1}.csv"
 
 
@@ -113,7 +113,7 @@ def _draw_spots(rng: np.random.Generator) -> tuple[Junction, ...]:
 
 
 def _csv(record: JunctionRecord) -> str:
-    """Drive, current and dither of every tick; the drive's steps stay whole in seven decimals."""
+    """Return drive, current and dither as CSV; seven decimals resolve the steps of the drive."""
     ticks = range(len(record.drive_V))
     rows = zip(
         ticks,
@@ -128,7 +128,7 @@ def _csv(record: JunctionRecord) -> str:
 
 
 def _lab_toml(campaign: JunctionCampaign) -> str:
-    """What the owner declares: nothing of barrier, unrest or latency."""
+    """Return the declarations of the owner, without barrier, disturbances and latency."""
     one = campaign.junctions[0]
     actuator = one.drive_gain_m_per_V / AMPLIFIER_GAIN_V_per_V
     ceiling_A = CEILING_SHARE * one.input_range_V / one.current_gain_V_per_A

@@ -1,6 +1,6 @@
-"""The analogue chain of a tunnelling junction, between one converter and the other.
+"""The analogue chain of a tunnelling junction between the two converters.
 
-Ten steps a tick, so that noise above half the sampling rate folds down as it does in a laboratory.
+It runs at ten times the sampling rate, so that noise is aliased as in a laboratory.
 """
 
 from collections.abc import Sequence
@@ -14,12 +14,12 @@ SUBSTEPS = 10
 _ELECTRON_C = 1.602176634e-19
 _BOLTZMANN_J_PER_K = 1.380649e-23
 _ROOM_K = 293.0
-_CHUNK = 1000  # ticks of noise drawn at once
+_CHUNK = 1000  # samples of noise per call of the generators
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Constants:
-    """What the chains of junctions side by side are made of; all but the tick (junctions,)."""
+    """Parameters of the chains of all junctions; all but ``tick_s`` are (junctions,)."""
 
     tick_s: float
     set_point_A: Array
@@ -34,7 +34,7 @@ class Constants:
 
 
 class Chain:
-    """Everything between the converters, advanced one tick at a time in closed form."""
+    """The chains between the converters, advanced sample by sample in closed form."""
 
     def __init__(
         self,
@@ -46,7 +46,7 @@ class Chain:
         self.surface_m = surface_m
         self.generators = generators
         step_s = constants.tick_s / SUBSTEPS
-        # The current is taken in the middle of each step, the amplifier also at the tick's end.
+        # The current is computed at the middle of each step, the amplifier also at the end.
         middles = np.arange(SUBSTEPS) + 0.5
         self.after_s = step_s * np.append(middles, SUBSTEPS)[:, None]
         amplifier = 2.0 * np.pi * constants.amplifier_pole_Hz
@@ -67,7 +67,7 @@ class Chain:
         self.noise = np.empty(0)
 
     def advance(self, tick: int, drive_V: Array) -> None:
-        """Let one tick pass with the new drive arriving after the latency."""
+        """Advance by one sample; the new drive arrives after the latency."""
         known = self.constants
         if tick % _CHUNK == 0:
             draws = [g.standard_normal((_CHUNK, SUBSTEPS)) for g in self.generators]

@@ -1,9 +1,8 @@
-"""A laboratory: the instruments on either side of the stage, and habits that are no fault.
+"""A laboratory: its instruments, and habits that are not faults.
 
-None of this is wrong with a stage, and a diagnosis has nothing to say of it: amplifiers and
-sensors of any bandwidth that are declared, some noise, drives that cycled over their range before
-a record began and then wandered, a zero that is set anew for every file. Axes that move without
-being felt and holds without creep are plans (``plans.PLANS``).
+A diagnosis must not report any of these: amplifiers and sensors with declared bandwidths, noise,
+drives that were cycled and then moved before a recording, and another zero in every file. Other
+axes without coupling and holds without creep are plans (``plans.PLANS``).
 """
 
 from dataclasses import dataclass, replace
@@ -14,18 +13,18 @@ from piezoid_datasets.virtual_lab.effects.effect import Act, Place, Scene
 from piezoid_datasets.virtual_lab.rig import Rig
 from piezoid_datasets.virtual_lab.signals import Array
 
-ZERO_SHARE = 0.02  # of the stroke: how far apart zeros of two files lie
-SETTLED = 30  # cycles; what a law of the zoo then still moves from one to the next is rounding
+ZERO_SHARE = 0.02  # of the stroke: standard deviation of the zero of a file
+SETTLED = 30  # cycles after which all laws of the zoo are periodic up to rounding
 
 
 @dataclass(frozen=True, kw_only=True)
 class Laboratory:
-    """What one laboratory has and does.
+    """Instruments and habits of one laboratory.
 
     amplifier_bandwidth_Hz, sensor_bandwidth_Hz  first-order, declared in lab.toml
-    noise_share   rms of the sensor's noise, of the stroke
-    cycles        full cycles before a record, drawn between these two
-    most_turns    turns of a wandering drive after them, drawn from none to this
+    noise_share   rms of the sensor noise, relative to the stroke
+    cycles        smallest and largest number of full cycles before a recording
+    most_turns    largest number of turning points after the cycles
     moves_zero    whether the zero differs between files
     """
 
@@ -37,7 +36,7 @@ class Laboratory:
     moves_zero: bool
 
     def furnished(self, rig: Rig) -> Rig:
-        """Return a rig with this laboratory's instruments."""
+        """Return a rig with the instruments of this laboratory."""
         return replace(
             rig,
             amplifier_bandwidth_Hz=self.amplifier_bandwidth_Hz,
@@ -46,7 +45,7 @@ class Laboratory:
         )
 
     def past_V(self, rig: Rig, rng: np.random.Generator) -> Array:
-        """Return the turns before one record: full cycles, then some that shrink."""
+        """Return the turning points before a recording: full cycles, then a shrinking sequence."""
         cycles = int(rng.integers(self.cycles[0], self.cycles[1] + 1))
         turns = int(rng.integers(0, self.most_turns + 1))
         middle_V = 0.5 * (rig.drive_min_V + rig.drive_max_V)
@@ -57,19 +56,19 @@ class Laboratory:
 
     @property
     def settled(self) -> "Laboratory":
-        """The same laboratory, did it always cycle until nothing changes any more."""
+        """The same laboratory, but with cycles until the loop is periodic."""
         return replace(self, cycles=(SETTLED, SETTLED), most_turns=0)
 
     @property
     def acts(self) -> tuple[Act, ...]:
-        """What it does to every reading."""
+        """Acts of the laboratory on every reading."""
         return (Act(name="zero of the file", place=Place.SENSOR, change=_moved_zero),) * int(
             self.moves_zero
         )
 
 
 def draw_laboratory(rng: np.random.Generator) -> Laboratory:
-    """Draw one: noise 0.02 to 0.1 % of the stroke, instruments from slow to quick."""
+    """Draw a laboratory with noise of 0.02 to 0.1 % of the stroke and random bandwidths."""
     return Laboratory(
         amplifier_bandwidth_Hz=float(np.round(np.exp(rng.uniform(*np.log((1.5e3, 8e3)))), -1)),
         sensor_bandwidth_Hz=float(np.round(np.exp(rng.uniform(*np.log((4e3, 15e3)))), -1)),

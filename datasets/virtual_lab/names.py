@@ -1,4 +1,4 @@
-"""Finding a member of a registry by name, or saying which names there are."""
+"""Look up a member of a registry by name."""
 
 from collections.abc import Sequence
 from typing import Protocol, TypeVar
@@ -7,14 +7,14 @@ from typing import Protocol, TypeVar
 class _Named(Protocol):
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the member."""
 
 
 Member = TypeVar("Member", bound=_Named)
 
 
 def named(known: Sequence[Member], name: str) -> Member:
-    """Return the member of that name; raise ``ValueError`` listing all names if there is none."""
+    """Return the member with a name; raise ``ValueError`` with all names if it does not exist."""
     for member in known:
         if member.name == name:
             return member

@@ -1,7 +1,7 @@
-"""Plans: the recordings a lab makes of one stage, and what each is good for.
+"""Plans: the recordings that a laboratory makes of one stage.
 
-A lab cycles the drive twice over its range before it records. Who forgot to is another story
-(the effect ``initial_state``), and so is a lab that never does (``careless_history_V``).
+A laboratory cycles the drive twice over its range before a recording. Exceptions are the effect
+``initial_state``, and ``careless_history_V`` for a laboratory that never cycles.
 """
 
 from collections.abc import Callable
@@ -21,10 +21,10 @@ Past = Callable[[Rig, np.random.Generator], Array]
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """One kind of recording.
+    """One type of recording.
 
-    name   of the file it becomes
-    shape  (rig, rng) -> rate of the rows in Hz, drive between -1 and 1, other axes' drives
+    name   of its file
+    shape  (rig, rng) -> rate of the rows in Hz, drive between -1 and 1, drives of other axes
     """
 
     name: str
@@ -32,9 +32,9 @@ class Plan:
 
 
 def run_of(plan: Plan, rig: Rig, rng: np.random.Generator, *, past_V: Past | None = None) -> Run:
-    """Make a plan concrete on a rig.
+    """Return a run of a plan on a rig.
 
-    past_V  (rig, rng) -> turns of the drive before the record; None: two cycles over its range
+    past_V  (rig, rng) -> turning points before the recording; None: two cycles over the range
     """
     rate_Hz, shape, others = plan.shape(rig, rng)
     history = cycled_history_V(rig) if past_V is None else past_V(rig, rng)
@@ -49,12 +49,12 @@ def run_of(plan: Plan, rig: Rig, rng: np.random.Generator, *, past_V: Past | Non
 
 
 def cycled_history_V(rig: Rig) -> Array:
-    """Return the turns of a drive that was cycled over its whole range."""
+    """Return the turning points of a drive that was cycled over its full range."""
     return np.array([rig.drive_max_V, rig.drive_min_V] * CYCLES_BEFORE)
 
 
 def careless_history_V(rig: Rig, rng: np.random.Generator) -> Array:
-    """Return a few turns anywhere in the range, high and low in turn."""
+    """Return random turning points in the range, alternately in its upper and lower half."""
     middle_V = 0.5 * (rig.drive_min_V + rig.drive_max_V)
     high_V = rng.uniform(middle_V, rig.drive_max_V, 3)
     low_V = rng.uniform(rig.drive_min_V, middle_V, 3)

@@ -1,4 +1,4 @@
-"""Rig: the facts of a bench that its owner would write on the first page of the lab book."""
+"""Rig: converters, amplifier, actuator and sensor of a stage."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from piezoid_datasets.virtual_lab.signals import Array
 class Rig:
     """Converters, amplifier, actuator and sensor of one stage.
 
-    clock_Hz                converters run at this rate; slower recordings keep every n-th row
-    drive_min_V, _max_V     the range of commands at the DAC that the owner uses
+    clock_Hz                rate of the converters; slower recordings contain every n-th row
+    drive_min_V, _max_V     range of commands at the DAC
     converter_range_V       full scale of DAC and ADC
-    amplifier_*             gain, first-order bandwidth, output limits it declares
-    stroke_m                displacement between the two ends of the drive range, at rest
+    amplifier_*             gain, first-order bandwidth, declared output limits
+    stroke_m                static displacement between the two ends of the drive range
     sensor_*                gain and first-order bandwidth
-    noise_rms_m             of the sensor reading, folded into the recording's band
-    flicker_share           part of that variance that is 1/f-like
+    noise_rms_m             of the sensor reading, aliased into the band of the recording
+    flicker_share           fraction of the noise variance with a 1/f spectrum
     """
 
     name: str = "virtual stage"
@@ -40,29 +40,29 @@ class Rig:
 
     @property
     def dac_step_V(self) -> float:
-        """The smallest change of the command."""
+        """Resolution of the command."""
         low, high = self.converter_range_V
         return (high - low) / 2.0**self.dac_bits
 
     @property
     def adc_step_m(self) -> float:
-        """The smallest change of the reading."""
+        """Resolution of the reading."""
         low, high = self.converter_range_V
         return (high - low) / 2.0**self.adc_bits / self.sensor_gain_V_per_m
 
     def field_of(self, amplifier_V: Array) -> Array:
-        """Map amplifier volts to the field in which the ceramic is described: -1 to 1."""
+        """Convert amplifier volts to the normalised field of the ceramic, -1 to 1."""
         low = self.amplifier_gain_V_per_V * self.drive_min_V
         high = self.amplifier_gain_V_per_V * self.drive_max_V
         return (2.0 * amplifier_V - low - high) / (high - low)
 
     def field_of_command(self, command_V: Array) -> Array:
-        """Map commands to the field they reach when everything has settled."""
+        """Convert commands to the normalised field in the steady state."""
         return self.field_of(self.amplifier_gain_V_per_V * command_V)
 
 
 def draw_rig(rng: np.random.Generator, *, name: str = "virtual stage") -> Rig:
-    """Return a plausible rig: stroke 20-40 um, noise 0.02-0.06 % of it."""
+    """Return a random rig with a stroke of 20-40 um and noise of 0.02-0.06 % of the stroke."""
     stroke_m = float(rng.uniform(20e-6, 40e-6))
     return Rig(
         name=name,

@@ -1,9 +1,9 @@
-"""A stage under its maker's servo: the ceramic's hysteresis is held down, the bandwidth is low.
+"""A stage in the closed loop of its manufacturer: no hysteresis, but a low bandwidth.
 
     command -> servo of first order, 1 / (1 + s / w) -> displacement
 
-Recorded from the command input as if that were the drive: wide loops that are only lag. A loop of
-1 Hz under 10 Hz of bandwidth opens by 4 f T = 6.4 % of the stroke, as much as a soft ceramic.
+If the command is recorded as the drive, the loops are wide because of the lag alone. A loop of
+1 Hz with 10 Hz of bandwidth opens by 4 f T = 6.4 % of the stroke, as much as a soft ceramic.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ CYCLES = 6
 def servo_stage(bandwidth_Hz: float, *, seed: int = 0, ceramic: Ceramic | None = None) -> Stage:
     """Return a stage that follows its command through a first-order servo.
 
-    ceramic  None: the servo holds its hysteresis down; one given is only behind the same lag
+    ceramic  None: the servo removes the hysteresis; a ceramic is followed by the same lag
     """
     tau_s = 1.0 / (2.0 * np.pi * bandwidth_Hz)
     follow = Act(
@@ -37,7 +37,7 @@ def servo_stage(bandwidth_Hz: float, *, seed: int = 0, ceramic: Ceramic | None =
 
 
 def triangles(stage: Stage, frequencies_Hz: tuple[float, ...], *, order: int = 0) -> Rows:
-    """Record triangles over the whole range, so many cycles of each frequency in turn."""
+    """Record triangles over the full range, ``CYCLES`` cycles of each frequency in turn."""
     shape = drives.rates(RATE_Hz, tuple((f, CYCLES) for f in frequencies_Hz), triangle=True)
     rig = stage.rig
     run = Run(

@@ -1,8 +1,7 @@
-"""Exact discretisations of the few linear things a bench is made of.
+"""Exact discretisations of the linear parts of a stage.
 
-A signal is taken as straight between its samples (first-order hold), so that a filter is exact
-for any ratio of its time constant to the sampling interval: at the samples, what an analog filter
-would have done.
+Signals are linear between samples (first-order hold). Filters are then exact at the samples for
+any ratio of time constant to sampling interval.
 """
 
 import math
@@ -23,7 +22,7 @@ def first_order(signal: Array, time_constant_s: float, rate_Hz: float, start: fl
 
         y[k] = a y[k-1] + (1 - a - b) x[k] + b x[k-1],  a = exp(-h/T), b = T/h (1 - a) - a
 
-    ``start`` is the filter's output at the first sample. ``T = 0`` returns the signal.
+    ``start`` is the output of the filter at the first sample. ``T = 0`` returns the signal.
     """
     if time_constant_s <= 0.0:
         return signal.copy()
@@ -34,18 +33,18 @@ def first_order(signal: Array, time_constant_s: float, rate_Hz: float, start: fl
 
 
 def held_first_order(signal: Array, time_constant_s: float, rate_Hz: float) -> Array:
-    """Pass a staircase, each value held until the next sample, through ``1 / (1 + s T)``.
+    """Pass a signal with zero-order hold through ``1 / (1 + s T)``.
 
-    The output at sample k knows the signal up to sample k - 1; it starts settled.
+    The output at sample k depends on the signal up to sample k - 1; the start is a steady state.
     """
     pole = float(np.exp(-1.0 / (time_constant_s * rate_Hz)))
     return _filter(np.array([0.0, 1.0 - pole]), np.array([1.0, -pole]), signal, float(signal[0]))
 
 
 def second_order(signal: Array, frequency_Hz: float, damping: float, rate_Hz: float) -> Array:
-    """Pass a piecewise linear signal through ``w^2 / (s^2 + 2 z w s + w^2)``, settled at first.
+    """Pass a piecewise linear signal through ``w^2 / (s^2 + 2 z w s + w^2)`` from a steady state.
 
-    The state is advanced by the matrix exponential of the oscillator driven by a straight line.
+    The state is advanced by the matrix exponential of the oscillator with a linear input.
     """
     from scipy.linalg import expm
     from scipy.signal import lfilter, ss2tf
@@ -71,10 +70,10 @@ def coloured_noise(
     flicker_share: float,
     rng: np.random.Generator,
 ) -> Array:
-    """Return noise of unit variance as an ADC sees it: folded, partly 1/f-like.
+    """Return sampled noise of unit variance with aliasing and a 1/f component.
 
-    Each part is a first-order (Ornstein-Uhlenbeck) process sampled exactly: an AR(1) sequence with
-    pole ``exp(-2 pi f / rate)``, which already contains everything folded from above Nyquist.
+    Each component is a first-order (Ornstein-Uhlenbeck) process sampled exactly: an AR(1) sequence
+    with pole ``exp(-2 pi f / rate)``, which includes the aliased spectrum above Nyquist.
     """
     noise = math.sqrt(1.0 - flicker_share) * _sampled_lag(samples, rate_Hz, bandwidth_Hz, rng)
     share = math.sqrt(flicker_share / len(FLICKER_CORNERS_Hz))
@@ -84,7 +83,7 @@ def coloured_noise(
 
 
 def shifted(signal: Array, delay_s: float, rate_Hz: float) -> Array:
-    """Return the signal delayed by any time; before its start it stood at its first value."""
+    """Return the signal delayed by any time; before its start it equals the first value."""
     index = np.arange(len(signal), dtype=np.float64)
     return np.interp(index - delay_s * rate_Hz, index, signal)
 
@@ -101,7 +100,7 @@ def _sampled_lag(
 def _filter(
     numerator: Array, denominator: Array, signal: Array, start: float, *, force: bool = False
 ) -> Array:
-    """Run a first-order difference equation whose first output is ``start`` (if not forced)."""
+    """Run a first-order difference equation with first output ``start``, unless ``force``."""
     from scipy.signal import lfilter
 
     if force:

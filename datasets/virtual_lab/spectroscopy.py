@@ -1,7 +1,7 @@
-"""A Z spectroscopy of a junction: current over height, both ways, as a microscope saves it.
+"""A Z spectroscopy of a junction: current over height in both directions, as a Nanonis file.
 
-The feedback is off; the tip retracts and comes back. Current, shot and Johnson noise through an
-averaging reading, an offset of the amplifier, and a height that does not quite come back.
+The feedback is off while the tip retracts and returns. The simulation includes shot and Johnson
+noise averaged over each reading, an offset of the amplifier, and a shift of the height.
 """
 
 from dataclasses import dataclass
@@ -23,13 +23,13 @@ _BIAS_V = 0.05
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Spectroscopy:
-    """One sweep each way.
+    """One sweep in each direction.
 
-    height_m     (points,)  grows when the tip retracts
+    height_m     (points,)  increases when the tip retracts
     forward_A    (points,)
     backward_A   (points,)
-    offset_A     of the amplifier, in both
-    shift_m      by how much the backward curve lies further out
+    offset_A     of the amplifier, in both directions
+    shift_m      of the backward curve towards larger heights
     """
 
     height_m: Array
@@ -39,7 +39,7 @@ class Spectroscopy:
     shift_m: float
 
     def text(self) -> str:
-        """Return it as a Nanonis file."""
+        """Return the text of a Nanonis file."""
         rows = np.column_stack([self.height_m, self.forward_A, self.backward_A])
         lines = ["\t".join(f"{value:.9e}" for value in row) for row in rows]
         return (
@@ -49,7 +49,7 @@ class Spectroscopy:
 
 
 def draw_spectroscopy(junction: Junction, rng: np.random.Generator) -> Spectroscopy:
-    """Sweep a junction from its set point outwards and back."""
+    """Simulate a sweep of a junction from its set point outwards and back."""
     height_m = np.linspace(0.0, _TRAVEL_DECAYS / junction.decay_per_m, _POINTS)
     offset_A, shift_m = float(rng.normal(0.0, 2e-14)), float(rng.normal(0.0, 3e-12))
     return Spectroscopy(

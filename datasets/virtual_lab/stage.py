@@ -1,11 +1,11 @@
-"""The signal chain of one axis: from the command in the lab book to the rows in the file.
+"""The signal chain of one axis, from the command to the rows of the file.
 
     command -> DAC -> amplifier -> ceramic (history) -> mechanics -> sensor -> ADC -> rows
 
-It knows places, not effects: at each place the acts installed there change the signal. A recording
-at the rig's clock sees the DAC hold each value, on a grid four times finer than its rows. A slower
-recording keeps every n-th row of the rig's clock, so between its rows the drive is a straight
-line, half a clock period late.
+At each place of the chain, the acts of effects change the signal. A recording at the clock rate is
+simulated on a grid four times finer than its rows, on which the DAC holds each value. A slower
+recording contains every n-th row of the clock, so its drive is linear between rows, with a delay
+of half a clock period.
 """
 
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ from piezoid_datasets.virtual_lab.signals import (
 )
 from piezoid_datasets.virtual_lab.truths.truth import Ceramic
 
-FINER = 4  # instants of the chain per row, at the rig's clock
+FINER = 4  # simulated samples per row at the clock rate
 NOWHERE = np.zeros(0)
 
 
@@ -33,11 +33,11 @@ NOWHERE = np.zeros(0)
 class Run:
     """One planned recording.
 
-    name              of its file, without ending
-    sampling_rate_Hz  of its rows: the rig's clock or an integer part of it
+    name              of its file, without suffix
+    sampling_rate_Hz  of its rows: the clock rate divided by an integer
     command_V         (samples,)  at the DAC
-    history_V         (turns,)  commands at which the drive turned before the record
-    rest_s            how long the stage then stood still
+    history_V         (turns,)  commands at the turning points before the recording
+    rest_s            duration of the rest before the recording
     others_V          commands of other axes, by axis name
     """
 
@@ -51,7 +51,7 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rows:
-    """One recording as it comes from the bench, and what it would have been without noise."""
+    """One recording, and its displacement without noise."""
 
     run: Run
     time_s: Array
@@ -63,7 +63,7 @@ class Rows:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stage:
-    """A rig with its ceramic and the acts installed in it; ``seed`` drives all chance."""
+    """A rig with its ceramic and the acts of its effects; ``seed`` is for all random numbers."""
 
     rig: Rig
     ceramic: Ceramic
@@ -72,10 +72,10 @@ class Stage:
 
 
 def record(stage: Stage, run: Run, order: int = 0) -> Rows:
-    """Play one run and return its rows.
+    """Simulate one run and return its rows.
 
-    Noise and every act draw from generators of their own, so leaving out one act changes nothing
-    else: the difference of two records is that act.
+    Noise and every act have separate random generators. If one act is removed, the difference of
+    the two recordings is therefore the contribution of that act.
     """
     trace = follow(stage, run, order)
     reading = _sense(stage, trace)
@@ -103,7 +103,7 @@ def record(stage: Stage, run: Run, order: int = 0) -> Rows:
 
 
 def follow(stage: Stage, run: Run, order: int = 0) -> Trace:
-    """Return what the stage does during a run, on the chain's own fine clock."""
+    """Return the signals of the chain during a run, on its fine time grid."""
     rig = stage.rig
     finer = _finer(rig, run)
     rate_Hz = run.sampling_rate_Hz * finer

@@ -1,7 +1,7 @@
-"""What no catalogue of effects holds: things a bench may do that the diagnosis has no name for.
+"""Effects outside the catalogue of the diagnosis.
 
-Each is one act in the chain and the coordinate in which it lives. They exist to see whether a
-diagnosis admits that it knows no name, and where it then says the remainder lives.
+Each is one act in the chain, with the coordinate along which it is systematic. They test whether
+a diagnosis reports an unexplained residual, and along which coordinate.
 """
 
 from collections.abc import Callable
@@ -15,16 +15,16 @@ from piezoid_datasets.virtual_lab.rig import Rig
 from piezoid_datasets.virtual_lab.signals import Array, first_order
 
 GRID_Hz = 50.0
-AWAY_Hz = 4.0  # from every line of the grid
+AWAY_Hz = 4.0  # minimum distance from every harmonic of the mains
 
 
 @dataclass(frozen=True, kw_only=True)
 class Uncatalogued:
-    """One thing without a name.
+    """One effect outside the catalogue.
 
-    name         for people
-    coordinates  in which a person would say that it lives, the best word first
-    act          (size_m, rig, rng) -> what it does in the chain; the size is its rms or peak
+    name         of the effect
+    coordinates  along which it is systematic, the most accurate first
+    act          (size_m, rig, rng) -> act in the chain; the size is its rms or peak
     plans        recordings that show it
     """
 
@@ -35,7 +35,7 @@ class Uncatalogued:
 
 
 def _sensed(name: str, change: Callable[[Array, Scene], Array]) -> Act:
-    """Return an act on the reading in front of the converter."""
+    """Return an act on the reading before the converter."""
 
     def sensed(reading_m: Array, scene: Scene, _: np.random.Generator) -> Array:
         return np.asarray(change(reading_m, scene))
@@ -44,14 +44,14 @@ def _sensed(name: str, change: Callable[[Array, Scene], Array]) -> Act:
 
 
 def _turns(scene: Scene) -> NDArray[np.int_]:
-    """Return the instants at which the field turns, as places of samples."""
+    """Return the sample indices at which the field turns."""
     step = np.sign(np.diff(scene.field))
     moving = np.flatnonzero(step)
     return moving[np.flatnonzero(np.diff(step[moving])) + 1]
 
 
 def _tone(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
-    """A pump, a fan, a chopper: one steady frequency that is none of the grid's."""
+    """A pump, fan or chopper: a line at a fixed frequency away from the mains harmonics; rms."""
     tried = np.exp(rng.uniform(np.log(12.0), np.log(180.0), 50))
     lines = np.array([k * grid for k in range(1, 8) for grid in (50.0, 60.0)])
     far = [f for f in tried.tolist() if np.min(np.abs(lines - f)) > AWAY_Hz]
@@ -66,7 +66,7 @@ def _tone(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
 
 
 def _slow_tone(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
-    """An air conditioner that switches on and off."""
+    """An air conditioner that switches on and off: a slow line; rms."""
     frequency_Hz = float(rng.uniform(0.21, 0.45))
 
     def breathe(reading_m: Array, scene: Scene) -> Array:
@@ -77,7 +77,7 @@ def _slow_tone(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
 
 
 def _range_end(size_m: float, rig: Rig, _: np.random.Generator) -> Act:
-    """A sensor whose range ends before the stroke does; peak."""
+    """A sensor range shorter than the stroke; peak."""
 
     def ended(reading_m: Array, scene: Scene) -> Array:  # noqa: ARG001
         return np.minimum(reading_m, rig.stroke_m - size_m)
@@ -86,7 +86,7 @@ def _range_end(size_m: float, rig: Rig, _: np.random.Generator) -> Act:
 
 
 def _dent(size_m: float, rig: Rig, rng: np.random.Generator) -> Act:
-    """A scratch on the scale: the reading is wrong near one place; peak."""
+    """A scratch on the scale: an error near one position; peak."""
     middle_m = float(rng.uniform(0.3, 0.7)) * rig.stroke_m
 
     def dented(reading_m: Array, scene: Scene) -> Array:  # noqa: ARG001
@@ -98,7 +98,7 @@ def _dent(size_m: float, rig: Rig, rng: np.random.Generator) -> Act:
 
 
 def _dead_band(size_m: float, rig: Rig, rng: np.random.Generator) -> Act:
-    """A counter that sticks over a stretch and then catches up; peak."""
+    """A counter that sticks over a range of positions and then catches up; peak."""
     low_m = float(rng.uniform(0.3, 0.6)) * rig.stroke_m
 
     def stuck(reading_m: Array, scene: Scene) -> Array:  # noqa: ARG001
@@ -108,7 +108,7 @@ def _dead_band(size_m: float, rig: Rig, rng: np.random.Generator) -> Act:
 
 
 def _every_nth(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
-    """A converter that shares its reference: every n-th reading is off; peak."""
+    """A converter with a shared reference: an error in every n-th reading; peak."""
     period = int(rng.integers(3, 40))
 
     def off(reading_m: Array, scene: Scene, _: np.random.Generator) -> Array:  # noqa: ARG001
@@ -120,7 +120,7 @@ def _every_nth(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
 
 
 def _knock(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
-    """Somebody leans on the table for a while; peak."""
+    """A temporary load on the table; peak."""
     share = float(rng.uniform(0.25, 0.6))
 
     def leant(reading_m: Array, scene: Scene) -> Array:
@@ -132,7 +132,7 @@ def _knock(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
 
 
 def _after_turn(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
-    """A bearing that snaps: every turn is followed by a bump, always the same way; peak."""
+    """A bearing that snaps: a bump of one sign after every turning point; peak."""
     tau_s = float(rng.uniform(0.02, 0.06))
 
     def snapped(reading_m: Array, scene: Scene) -> Array:
@@ -148,7 +148,7 @@ def _after_turn(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
 
 
 def _speed_bump(size_m: float, rig: Rig, _: np.random.Generator) -> Act:
-    """A sensor that reads more whenever the stage moves, whichever way; at 200 um/s."""
+    """A sensor with an error that rises with the speed up to six strokes per second; peak."""
 
     def moved(reading_m: Array, scene: Scene) -> Array:
         speed = np.abs(np.gradient(reading_m)) * scene.rate_Hz / rig.stroke_m
@@ -159,7 +159,7 @@ def _speed_bump(size_m: float, rig: Rig, _: np.random.Generator) -> Act:
 
 
 def _travel_wave(size_m: float, rig: Rig, rng: np.random.Generator) -> Act:
-    """A ball that is not round: a wave that goes with the distance rolled; rms."""
+    """A ball that is not round: an error periodic in the distance travelled; rms."""
     period_m = float(rng.uniform(0.5, 1.5)) * rig.stroke_m
 
     def rolled(reading_m: Array, scene: Scene) -> Array:  # noqa: ARG001
@@ -171,7 +171,7 @@ def _travel_wave(size_m: float, rig: Rig, rng: np.random.Generator) -> Act:
 
 
 def _other_axis_hump(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
-    """The other axis touches a cable near one place of its range; peak."""
+    """The other axis touches a cable near one position of its range; peak."""
     middle = float(rng.uniform(0.35, 0.65))
 
     def touched(reading_m: Array, scene: Scene) -> Array:
@@ -185,7 +185,7 @@ def _other_axis_hump(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
 
 
 def _line_spikes(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
-    """A phase-fired heater: a short pulse in every period of the grid; peak."""
+    """A phase-fired heater: a short pulse in every mains period; peak."""
     phase = float(rng.uniform(0.0, 1.0))
 
     def fired(reading_m: Array, scene: Scene) -> Array:
@@ -196,7 +196,7 @@ def _line_spikes(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
 
 
 def _multiplexed(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
-    """A range switch that goes to and fro every few seconds; peak to peak."""
+    """A range switch that toggles every few seconds; peak to peak."""
     period_s = float(rng.uniform(2.3, 3.7))
 
     def switched(reading_m: Array, scene: Scene) -> Array:
@@ -206,7 +206,7 @@ def _multiplexed(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
 
 
 def _drive_step(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
-    """A switched divider in the drive's monitor: a step at one field, read with the position."""
+    """A switched divider: a step of the reading at one field."""
     level = float(rng.uniform(-0.4, 0.4))
 
     def stepped(reading_m: Array, scene: Scene) -> Array:

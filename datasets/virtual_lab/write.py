@@ -1,7 +1,7 @@
-"""A campaign as files: what the lab hands over, and, in a folder of its own, the answer.
+"""A campaign as files, with the answer in a separate folder.
 
 recordings/  one CSV per recording, lab.toml
-truth/       truth.json: what is hidden, how large, and the noise; schema piezoid.truth/1
+truth/       truth.json: hidden effects with their sizes, and the noise; schema piezoid.truth/1
 """
 
 import json
@@ -19,7 +19,7 @@ MICRONS_PER_M = 1e6
 
 
 def campaign_files(campaign: Campaign) -> dict[str, bytes]:
-    """Return the files of a campaign by path, sub-folder first."""
+    """Return the contents of the files of a campaign by relative path."""
     files = {
         f"recordings/{rows.run.name}.csv": csv_text(rows, axis=AXIS).encode()
         for rows in campaign.recordings
@@ -38,7 +38,7 @@ def write_campaign(campaign: Campaign, folder: Path) -> None:
 
 
 def lab_toml(rig: Rig) -> str:
-    """Return what the owner of a rig declares: the healthy rig, whatever is hidden in it."""
+    """Return the lab.toml of a rig, which declares the rig without hidden effects."""
     low, high = rig.converter_range_V
     tables: dict[str, dict[str, object]] = {
         "rig": {"name": rig.name},

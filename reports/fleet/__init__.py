@@ -1,1 +1,1 @@
-"""Summary of a batch: spread of the parameters, outliers, drift, and failures with reasons."""
+"""Summary page of a batch: spread of the parameters, outliers, drift, and failures."""

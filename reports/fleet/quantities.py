@@ -1,4 +1,4 @@
-"""The quantities that are compared over stages."""
+"""Quantities that are compared between stages."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,23 +10,23 @@ from piezoid.numerics.robust import student_quantile
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """One number that every stage has, or has not.
+    """One number of an axis that is compared between stages.
 
-    name    in JSON and Parquet; its unit ends it
-    label   for people
+    name    in JSON and Parquet, ending with its unit
+    label   on the page
     unit    SI
-    of      takes it from an axis and its design; None where there is none
-    means   what a stage that stands out in it may be
-    error   its standard error, where the fit knows one
-    ratio   stages are compared by ratio, not by difference: an error that cannot fall
-            below zero has a long tail upwards
+    of      computes the number from an axis and its design, or None without one
+    cause   possible causes of an outlier
+    error   computes its standard error, or None if unknown
+    ratio   stages are compared by ratio and not by difference: quantities that cannot fall below
+            zero have a long tail upwards
     """
 
     name: str
     label: str
     unit: str
     of: Callable[[AxisModel, AxisDesign | None], float | None]
-    means: str
+    cause: str
     error: Callable[[AxisModel], float | None] = lambda _: None
     ratio: bool = False
 
@@ -37,7 +37,7 @@ def _sensitivity(axis: AxisModel, _: AxisDesign | None) -> float | None:
 
 
 def _quantile(axis: AxisModel) -> float:
-    """Return how many standard errors half a 95 % interval is."""
+    """Return half a 95 % interval in standard errors."""
     return float(student_quantile(0.975, max(axis.uncertainty.blocks - 1, 1)))
 
 
@@ -66,7 +66,7 @@ QUANTITIES = (
         unit="m/V",
         of=_sensitivity,
         error=_sensitivity_error,
-        means="another ceramic, a cracked stack, a preload that is off, a wrong sensor gain",
+        cause="another ceramic, a cracked stack, a wrong preload, a wrong sensor gain",
     ),
     Quantity(
         name="loop_width_percent",
@@ -74,14 +74,14 @@ QUANTITIES = (
         unit="%",
         of=lambda axis, _: 100.0 * axis.uncertainty.loop_width_m[0] / axis.quality.range_m,
         error=_loop_width_error,
-        means="another ceramic, a depoled stack, friction, or a lag that looks like hysteresis",
+        cause="another ceramic, a depoled stack, friction, or a lag that looks like hysteresis",
     ),
     Quantity(
         name="held_out_rms_percent",
         label="held-out error, of the range",
         unit="%",
         of=lambda axis, _: axis.quality.held_out_rms_percent,
-        means="something that the model does not know: read the diagnosis of that stage",
+        cause="an effect outside the model: read the diagnosis of that stage",
         ratio=True,
     ),
     Quantity(
@@ -89,7 +89,7 @@ QUANTITIES = (
         label="sensor noise",
         unit="m",
         of=lambda axis, _: axis.quality.noise_rms_m,
-        means="a sensor that is misaligned, a cable, a ground loop",
+        cause="a misaligned sensor, a cable, a ground loop",
         ratio=True,
     ),
     Quantity(
@@ -98,14 +98,14 @@ QUANTITIES = (
         unit="s",
         of=lambda axis, _: axis.lag.time_s,
         error=_lag_error,
-        means="an undeclared filter, a capacitance that is off, channels sampled apart",
+        cause="an undeclared filter, another capacitance, channels sampled at different times",
     ),
     Quantity(
         name="error_bound_m",
         label="certified error bound",
         unit="m",
         of=lambda axis, _: axis.certificate.bound_m,
-        means="too little data of that stage, or a large remainder",
+        cause="too little data of that stage, or a large residual",
         ratio=True,
     ),
     Quantity(
@@ -113,13 +113,13 @@ QUANTITIES = (
         label="closed-loop bandwidth",
         unit="Hz",
         of=lambda _, design: None if design is None else design.recommended.bandwidth_Hz,
-        means="a mode or a delay that limits this stage and not the others",
+        cause="a mode or a delay that limits only this stage",
     ),
     Quantity(
         name="modulus_margin",
         label="modulus margin, worst member",
         unit="",
         of=lambda _, design: None if design is None else design.recommended.worst_modulus_margin,
-        means="a plant family that is wider than those of the others",
+        cause="a wider plant family than that of the other stages",
     ),
 )

@@ -1,6 +1,6 @@
-"""Records of a stage of a batch and of the whole batch, as sealed JSON.
+"""Records of a stage of a batch and of the batch, as sealed JSON.
 
-A batch may have more stages than memory holds: ``StagesOnDisk`` gives them one at a time.
+A batch may have more stages than fit into memory: ``StagesOnDisk`` reads them one at a time.
 """
 
 import dataclasses
@@ -21,14 +21,14 @@ from piezoid.errors import ParameterFileError
 
 STAGE_SCHEMA = "piezoid.batch_stage/1"
 FLEET_SCHEMA = "piezoid.batch/1"
-STAGES = "stages"  # folder of the stages beside the page
+STAGES = "stages"  # folder of the stages, next to the page
 
 PASSED, FAILED, REFUSED, CRASHED = "passed", "failed", "refused", "crashed"
 STATES = {
     PASSED: "no verdict failed",
     FAILED: "a verdict failed, or the model class does not apply",
     REFUSED: "data or file unusable, or no solution",
-    CRASHED: "the work failed or its worker died; the next start tries it again",
+    CRASHED: "internal error, or the worker process died; the next run tries it again",
 }
 
 
@@ -36,9 +36,9 @@ STATES = {
 class FleetAxis:
     """One axis of one stage.
 
-    values      compared over stages, by the name of the quantity, in its SI unit
+    values      compared quantities by name, in SI units
     parameters  every number of the model by its name in model.json
-    errors      standard errors of values, where the fit knows them
+    errors      standard errors of the values, if known
     """
 
     axis: str
@@ -52,12 +52,12 @@ class FleetAxis:
 class FleetStage:
     """Result of one stage.
 
-    name     of its folder, from the batch's folder, with /
+    name     path of its folder relative to the folder of the batch, with /
     state    ``passed``, ``failed``, ``refused`` or ``crashed``
-    reason   why it did not pass; empty where it did
+    reason   why the stage did not pass, or empty
     version  of piezoid
-    inputs   digest of every file it was made from, by name
-    outputs  digest of every sealed file that was written, by name
+    inputs   digest of every input file by name
+    outputs  digest of every sealed output file by name
     """
 
     name: str
@@ -79,38 +79,38 @@ class FleetStage:
 
     @property
     def serial(self) -> int | None:
-        """The last number in the name: stages are numbered as they are made."""
+        """Serial number: the last number in the name."""
         numbers = re.findall(r"\d+", self.name)
         return int(numbers[-1]) if numbers else None
 
     def to_json(self) -> bytes:
-        """Return the sealed bytes that are kept beside the stage's results."""
+        """Return the sealed record, which is saved next to the results of the stage."""
         return seal(STAGE_SCHEMA, dataclasses.asdict(self))
 
     def packed(self) -> bytes:
-        """Return the record as it travels from a worker: about 1 kB for an axis."""
+        """Return the compressed record that a worker sends: about 1 kB per axis."""
         return compress(msgpack.encode(self), level=1)
 
 
 class Stages(Protocol):
-    """Stages in the order of their names, as often as they are asked for."""
+    """Stages in the order of their names, which can be iterated repeatedly."""
 
     def __len__(self) -> int: ...
     def __iter__(self) -> Iterator[FleetStage]: ...
 
 
 class StagesOnDisk:
-    """Stages by name, read back one at a time from an unnamed scratch file.
+    """Stages by name, read one at a time from an unnamed temporary file.
 
-    Of each, memory holds its name and its place: about 200 bytes. The file is gone at the end of
-    the ``with`` block.
+    Memory holds the name and the offset of each stage: about 200 bytes. The file is deleted at
+    the end of the ``with`` block.
     """
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Create an empty collection."""
         self._scratch = tempfile.TemporaryFile()  # noqa: SIM115 -- __exit__ closes it
         self.size = 0  # bytes
-        self._places: dict[str, tuple[int, int]] = {}
+        self._extents: dict[str, tuple[int, int]] = {}
         self._decoder = msgpack.Decoder(FleetStage)
 
     def __enter__(self) -> Self:
@@ -118,37 +118,37 @@ class StagesOnDisk:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Remove the file."""
+        """Delete the file."""
         self._scratch.close()
 
     def add(self, name: str, packed: bytes) -> None:
-        """Add the result of ``FleetStage.packed``; it replaces an earlier one of that name."""
+        """Add the result of ``FleetStage.packed``, replacing an earlier result of that name."""
         self._scratch.write(packed)
-        self._places[name] = self.size, len(packed)
+        self._extents[name] = self.size, len(packed)
         self.size += len(packed)
 
     def __len__(self) -> int:
-        """Return how many there are."""
-        return len(self._places)
+        """Return the number of stages."""
+        return len(self._extents)
 
     def __iter__(self) -> Iterator[FleetStage]:
-        """Yield them in the order of their names."""
+        """Yield the stages in the order of their names."""
         self._scratch.flush()
-        for _, (offset, size) in sorted(self._places.items()):
+        for _, (offset, size) in sorted(self._extents.items()):
             content = os.pread(self._scratch.fileno(), size, offset)
             yield self._decoder.decode(decompress(content))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fleet:
-    """A whole batch, by name of the stage; its stages may lie on disk."""
+    """Results of a batch; its stages may be on disk."""
 
     name: str
     stages: Stages
 
     @cached_property
     def counts(self) -> Mapping[str, int]:
-        """How many stages ended in which state."""
+        """Number of stages by state."""
         return Counter(stage.state for stage in self.stages)
 
     @property
@@ -158,13 +158,13 @@ class Fleet:
 
     @cached_property
     def without_controller(self) -> int:
-        """How many stages passed although no controller was exported: none was asked for."""
+        """Number of stages that passed without a controller, because none was requested."""
         return sum(s.state == PASSED and not s.has_controller for s in self.stages)
 
     def write_json(self, stream: BinaryIO) -> None:
-        """Write the sealed batch.json, a stage a line; all parameters stand in the Parquet file.
+        """Write the sealed batch.json, one stage per line; parameters are in the Parquet file.
 
-        stream  can be read and written at any place
+        stream  readable, writable and seekable
         """
         head = {"name": self.name, "passed": self.passed, "stages": []}
         fields = [field.name for field in dataclasses.fields(FleetStage)]
@@ -180,13 +180,13 @@ class Fleet:
 
 
 def stage_from_json(content: bytes, source: str) -> FleetStage:
-    """Read the record of a stage; refuse a changed bit, another schema, a missing entry."""
+    """Read the record of a stage; reject a wrong digest, another schema, or a missing entry."""
     record = unseal(content, STAGE_SCHEMA, source)
     try:
         return convert(record, FleetStage)
     except ValidationError as error:
         raise ParameterFileError(
             f"{source}: {type(error).__name__} at {error}",
-            needed=f"every entry of schema {STAGE_SCHEMA}, of its own kind",
-            remedy="Remove the stage's folder and start the batch again.",
+            needed=f"every entry of schema {STAGE_SCHEMA}, with its type",
+            remedy="Delete the folder of the stage and run the batch again.",
         ) from error

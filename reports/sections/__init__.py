@@ -1,7 +1,7 @@
 """The sections of the report, in the order of the page.
 
-A new section is one file with a function ``render(page)`` and one line in ``SECTIONS``. It returns
-None if the page has nothing to show in it.
+A new section is one file with a function ``render(page)`` and one line in ``SECTIONS``. ``render``
+returns None if the page has nothing to show in the section.
 """
 
 from collections.abc import Callable
@@ -24,11 +24,11 @@ from piezoid_reports.sections import (
     verification,
 )
 
-Render = Callable[[Page], Section | None]
+Renderer = Callable[[Page], Section | None]
 
-SECTIONS: tuple[Render, ...] = (
+SECTIONS: tuple[Renderer, ...] = (
     summary.render,
-    model_comparison.render,  # only if an earlier model is named
+    model_comparison.render,
     error_budget.render,
     loops.render,
     residuals.render,
@@ -42,9 +42,9 @@ SECTIONS: tuple[Render, ...] = (
     provenance.render,
 )
 
-# Pages of one verb: a design made after the fit, and a diagnosis of new recordings.
-OF_DESIGN: tuple[Render, ...] = (controllers.render, limits.render, provenance.render)
-OF_DIAGNOSIS: tuple[Render, ...] = (
+# Sections of design.html and diagnosis.html.
+DESIGN_SECTIONS: tuple[Renderer, ...] = (controllers.render, limits.render, provenance.render)
+DIAGNOSIS_SECTIONS: tuple[Renderer, ...] = (
     model_comparison.render,
     error_budget.render,
     findings.render,

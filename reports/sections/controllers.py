@@ -1,4 +1,4 @@
-"""The controllers: margins, sensitivities over the plant family, and guaranteed errors."""
+"""Controllers: margins, sensitivities over the plant family, and guaranteed errors."""
 
 import numpy as np
 
@@ -26,14 +26,14 @@ from piezoid_reports.parts import (
 )
 from piezoid_reports.quantities import MINUS, number, significant
 
-GRID = 240
-LOWEST = 300.0  # parts of the bandwidth: below, attenuation is only a straight line
-NYQUIST = 0.499
+GRID = 240  # frequencies
+LOWEST_DIVISOR = 300.0  # of the bandwidth; below, the sensitivity is a straight line
+NYQUIST = 0.499  # of the sampling rate
 FUNCTIONS = {
     "Syp": (
         "output sensitivity",
-        "Good: the whole band below every dashed line. Bad: a band that opens at one frequency, "
-        "where the plant is not known well enough.",
+        "Good: the whole band below every dashed line. Bad: a band that widens at one frequency, "
+        "where the plant is uncertain.",
     ),
     "Syb": (
         "noise sensitivity",
@@ -43,44 +43,45 @@ FUNCTIONS = {
 
 
 def render(page: Page) -> Section | None:
-    """Return a table of all loops and a sensitivity for each axis, more in folds."""
+    """Return a table of all loops and the sensitivities of each axis."""
     if page.design is None:
         return None
     parts: list[Part] = [_loops(page)]
-    conditions: list[str] = []  # of the guaranteed errors and of the plant families
+    conditions: list[str] = []  # of guaranteed errors and plant families
     for axis in page.axis_designs:
         loop = axis.recommended
         parts += [Heading(text=f"Axis {axis.axis}"), _figure(axis, loop, "Syp")]
         parts += folded("Noise sensitivity: 1 figure", [_figure(axis, loop, "Syb")])
         mode = describe_mode(loop)
         parts += [Prose(text=mode)] if mode else []
-        model, proven = page.model.axes.get(axis.axis), loop.certificate
+        model, certificate = page.model.axes.get(axis.axis), loop.certificate
         if model is None:
             continue
-        is_useful = page.ships(axis.axis) and useful_bound_m(proven, model) is not None
-        if proven is not None and is_useful:
-            sizes_m = {name: m for name, m in error_parts_m(proven).items() if m > 0.0}
+        is_useful = page.ships(axis.axis) and useful_bound_m(certificate, model) is not None
+        if certificate is not None and is_useful:
+            sizes_m = {name: m for name, m in error_parts_m(certificate).items() if m > 0.0}
             terms = ", ".join(f"{number(m, 'm')} from {name}" for name, m in sizes_m.items())
             text = (
-                f"Axis {axis.axis}: guaranteed error {number(proven.guaranteed_error_m, 'm')} "
-                f"({terms}); small gain {significant(proven.small_gain)}, below 1; sensor noise "
-                f"adds {number(proven.noise_error_m, 'm')} (three standard deviations)."
+                f"Axis {axis.axis}: guaranteed error "
+                f"{number(certificate.guaranteed_error_m, 'm')} ({terms}); small gain "
+                f"{significant(certificate.small_gain)}, below 1; sensor noise adds "
+                f"{number(certificate.noise_error_m, 'm')} (three standard deviations)."
             )
             parts.append(Prose(text=text))
-            conditions += proven.conditions
+            conditions += certificate.conditions
         conditions += assumptions_of(model)
     items = tuple(dict.fromkeys(conditions))
     parts += folded("Conditions", [Listing(items=items)] if items else [])
     return Section(
         anchor="controllers",
         title="Controllers",
-        lead="Margins and bounds hold for every plant of the family that the recordings allow.",
+        lead="Margins and bounds hold for every plant that is consistent with the recordings.",
         parts=tuple(parts),
     )
 
 
 def _loops(page: Page) -> Table:
-    """Return every loop of every axis with its worst margins; the first of an axis is chosen."""
+    """Return every loop of every axis with its worst margins; the first loop is recommended."""
     rows = []
     for axis in page.axis_designs:
         model = page.model.axes.get(axis.axis)
@@ -104,11 +105,7 @@ def _loops(page: Page) -> Table:
         caption="The first loop of an axis is recommended. Bandwidth: of the feedback, which "
         "rejects disturbances; the feedforward follows references faster.",
         columns=(
-            "axis",
-            "loop",
-            "bandwidth",
-            "modulus margin",
-            "delay margin",
+            *("axis", "loop", "bandwidth", "modulus margin", "delay margin"),
             "guaranteed error",
         ),
         rows=tuple(rows),
@@ -117,9 +114,9 @@ def _loops(page: Page) -> Table:
 
 
 def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
-    """One sensitivity: its nominal line, the band of the family, the limits it had to keep."""
+    """Draw one sensitivity function: nominal curve, band of the plant family, and limits."""
     rate_Hz = loop.members[0].sampling_rate_Hz
-    frequency_Hz = np.geomspace(loop.bandwidth_Hz / LOWEST, NYQUIST * rate_Hz, GRID)
+    frequency_Hz = np.geomspace(loop.bandwidth_Hz / LOWEST_DIVISOR, NYQUIST * rate_Hz, GRID)
     level_dB = np.stack(
         [
             decibel(getattr(sensitivities(member, loop.R, loop.S, frequency_Hz), function))
@@ -143,11 +140,11 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
         canvas.line("model", "nominal", decades, levels_dB[0][0]),
     ]
     layers += [canvas.line("limit", name, decades, limit) for name, limit in limits]
-    what, guide = FUNCTIONS[function]
+    name, guide = FUNCTIONS[function]
     worst_dB = level_dB.max(axis=0)
     largest_dB = f"{round(float(worst_dB.max()), 2) + 0.0:.2f} dB".replace("-", MINUS)
     return Figure(
-        title=f"Axis {axis.axis}: {what} |{function}|",
+        title=f"Axis {axis.axis}: {name} |{function}|",
         caption=f"Largest {largest_dB} at "
         f"{number(float(frequency_Hz[worst_dB.argmax()]), 'Hz')}, of "
         f"{count_of(len(loop.members), 'member')}.",
@@ -158,7 +155,7 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
 
 
 def _limits(axis: AxisDesign, function: str, frequency_Hz: Array) -> list[tuple[str, Array]]:
-    """Named limits in dB over the grid, NaN where there is none."""
+    """Return name and limit in dB over the frequencies; NaN where no limit applies."""
     specification = axis.specification
     limits = [
         (t.name, t.limit_dB(frequency_Hz))

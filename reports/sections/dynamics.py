@@ -1,4 +1,4 @@
-"""Linear dynamics behind the hysteresis: response with its band, poles, coupling of the axes."""
+"""Linear dynamics: frequency response with its uncertainty, poles, and coupling of the axes."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +28,13 @@ from piezoid_reports.response_figures import (
     response_parts,
 )
 
-WIDEST = 100.0  # an interval over more than two decades says that the number is not known
-GAINS_Hz = 3  # frequencies at which the change of the gain is reported
-LARGEST = 0.42  # of a cell: half the side of the square of the largest entry
+MAX_INTERVAL_RATIO = 100.0  # a wider interval is shown as unknown
+N_GAINS = 3  # frequencies at which the change of the gain is reported
+HALF_SQUARE = 0.42  # of a cell: half the side of the square of the largest entry
 
 
 def render(page: Page) -> Section | None:
-    """Return response and poles of every axis whose dynamics were excited."""
+    """Return response and poles of every axis with fitted dynamics, and the coupling."""
     parts: list[Part] = []
     for axis in page.axes:
         of_axis: list[Part] = []
@@ -45,9 +45,9 @@ def render(page: Page) -> Section | None:
         of_axis += [Prose(text=fact.text) for fact in notes if fact.axis == axis.axis]
         if axis.joint is not None:
             text = (
-                "Poles and delay above are those of one fit of hysteresis and dynamics together, "
-                "with plays as small as the drive that excites the modes; their intervals hold "
-                "what leaving those out changes."
+                "Poles and delay above are from one fit of hysteresis and dynamics together, with "
+                "plays as small as the drive that excites the modes. Their intervals include the "
+                "change without those plays."
             )
             joint = axis.joint
             pieces = zip(joint.recordings, joint.separate_rms_m, joint.joint_rms_m, strict=True)
@@ -72,7 +72,7 @@ def render(page: Page) -> Section | None:
 
 
 def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[Part]:
-    """Return gain, phase and coherence of the response that the dynamics were fitted to."""
+    """Return gain, phase and coherence of the response to which the dynamics were fitted."""
     if axis.response is not None:
         return response_parts(page, axis, dynamics, axis.response)
     excited = sorted(excites_dynamics(page.recordings, axis.axis), key=lambda pair: -pair[1])
@@ -95,10 +95,10 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
     return [
         response_figure(
             "gain",
-            f"Axis {axis.axis}: gain from the hysteresis' output to the displacement",
+            f"Axis {axis.axis}: gain from the output of the hysteresis to the displacement",
             f"Fitted to coherent lines from {number(low_Hz, 'Hz')} to {number(high_Hz, 'Hz')}; "
-            f"the cost is {significant(dynamics.cost_ratio)} times what noise alone would leave. "
-            "The band is the measurement's 95 % interval.",
+            f"the cost is {significant(dynamics.cost_ratio)} times the cost of noise alone. "
+            "Band: 95 % interval of the measurement.",
             decades,
             (mid_dB, decibel(np.abs(modelled))),
             band=(low_dB, high_dB),
@@ -106,7 +106,7 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
         response_figure(
             "phase",
             f"Axis {axis.axis}: phase",
-            "Lines that are not coherent are left out.",
+            "Incoherent lines are left out.",
             decades,
             (
                 _degrees(response, axis.polarity, is_used),
@@ -116,7 +116,7 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
         coherence_figure(
             f"Axis {axis.axis}: coherence",
             f"{int((~measured.is_rejected).sum())} of {len(measured.frequency_Hz)} lines lie "
-            f"above {significant(measured.least_coherence, 2)}, the least that is used.",
+            f"above the minimum of {significant(measured.least_coherence, 2)}.",
             decades,
             measured.coherence[:, 0],
             measured.least_coherence,
@@ -125,7 +125,7 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
 
 
 def _degrees(response: ComplexArray, polarity: int, is_kept: NDArray[np.bool_]) -> Array:
-    """Unwrapped phase, degrees; NaN where a line is not kept."""
+    """Return the unwrapped phase in degrees, NaN for the lines that are left out."""
     degrees = np.full(len(response), np.nan)
     degrees[is_kept] = np.degrees(np.unwrap(np.angle(polarity * response[is_kept])))
     return degrees
@@ -143,7 +143,7 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
     )
     rows = [
         (
-            "mode" if is_resolved else "mode, standing for what lies outside the band",
+            "mode" if is_resolved else "mode that represents dynamics outside the band",
             *_with_interval(frequency_Hz, interval_Hz, "Hz"),
             *_with_interval(damping, between, ""),
         )
@@ -164,25 +164,26 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
     ]
     return Table(
         caption=f"Axis {axis.axis}: poles, 95 % intervals for this structure.",
-        columns=("what", "at", "from, to", "damping", "from, to"),
+        columns=("type", "value", "from, to", "damping", "from, to"),
         rows=tuple(rows),
     )
 
 
 def _with_interval(value: float, interval: Array, unit: str) -> tuple[str, str]:
-    if 0.0 < interval[0] < interval[1] / WIDEST:
+    if 0.0 < interval[0] < interval[1] / MAX_INTERVAL_RATIO:
         return number(float(value), unit), UNKNOWN
     low, high = (number(float(end), unit) for end in interval)
     return number(float(value), unit), f"{low}, {high}"
 
 
 def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
-    """Return the parts of the dynamics section about coupled axes."""
+    """Return the parts of the section about coupled axes."""
     parts: list[Part] = [
         Heading(text="Coupled axes"),
         Prose(
-            text="Every drive moves every displacement; behind the inverse of the matrix each "
-            "axis answers to its own drive. The other sections show decoupled displacements."
+            text="Every drive moves every displacement. After multiplication by the inverse "
+            "matrix, each axis responds to its own drive. The other sections show decoupled "
+            "displacements."
         ),
         _picture(coupled),
         _matrix(coupled),
@@ -191,7 +192,7 @@ def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
     ]
     if len(coupled.levels_V) > 1:
         first_Hz = float(coupled.mode_frequency_Hz(float(coupled.levels_V[0])).min())
-        f = np.geomspace(coupled.band_Hz[0], 0.5 * first_Hz, GAINS_Hz)
+        f = np.geomspace(coupled.band_Hz[0], 0.5 * first_Hz, N_GAINS)
         changes = [
             f"by {_signed(change)} at {number(float(frequency_Hz), 'Hz')}"
             for frequency_Hz, change in zip(f, coupled.gain_change(f), strict=True)
@@ -201,9 +202,9 @@ def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
     if page.verification is not None and (rows := page.verification.coupling):
         parts.append(
             Table(
-                caption=f"Compiled controllers, {number(rows[0].frequency_Hz, 'Hz')}. One axis is "
-                "moved, the other is to rest; amplitude of the other over that of the motion.",
-                columns=("moved", "to rest", "with the matrix", "without it"),
+                caption=f"Compiled controllers at {number(rows[0].frequency_Hz, 'Hz')}: amplitude "
+                "of an axis with constant reference, relative to the moving axis.",
+                columns=("moving", "constant", "with the matrix", "without it"),
                 rows=tuple(
                     (
                         row.moved,
@@ -230,11 +231,11 @@ def _picture(coupled: CoupledStage) -> Figure:
     canvas = Canvas(x=x, y=y)
     squares = {"model": "", "before": ""}
     for i, k in np.ndindex(*gain.shape):
-        half = LARGEST * float(np.sqrt(abs(gain[i, k]) / np.abs(gain).max()))
+        half = HALF_SQUARE * float(np.sqrt(abs(gain[i, k]) / np.abs(gain).max()))
         across, up = np.array([k + 1 - half, k + 1 + half]), np.full(2, float(i + 1))
         role = "model" if gain[i, k] >= 0.0 else "before"
         squares[role] += canvas.band(role, "", across, up - half, up + half).path
-    names = {"model": "in the sense of the drive", "before": "against it"}
+    names = {"model": "same sign as the drive", "before": "opposite sign"}
     layers = tuple(
         Layer(role=role, name=names[role], path=path, kind="area")
         for role, path in squares.items()
@@ -246,8 +247,8 @@ def _picture(coupled: CoupledStage) -> Figure:
         caption=f"Columns are the drives {', '.join(coupled.inputs)}, rows from the bottom the "
         f"displacements {', '.join(coupled.outputs)}. The area of a square is the size of an "
         f"entry, the largest {largest}.",
-        guide="Good: large squares along the rising diagonal. Bad: a large one beside it, which "
-        "the decoupling must take away, or a small one on it.",
+        guide="Good: large squares along the rising diagonal. Bad: large squares off the "
+        "diagonal, which the decoupling must compensate, or small squares on it.",
         canvas=canvas,
         layers=layers,
     )
@@ -255,8 +256,8 @@ def _picture(coupled: CoupledStage) -> Figure:
 
 def _matrix(coupled: CoupledStage) -> Table:
     return Table(
-        caption="Displacement for each volt of a drive, and the matrix that decouples. It "
-        "multiplies references and readings in front of the controllers.",
+        caption="Displacement per volt of each drive, and the decoupling matrix, by which "
+        "references and measurements are multiplied before the controllers.",
         columns=(
             "displacement",
             *(f"per volt of {name}" for name in coupled.inputs),
@@ -276,10 +277,10 @@ def _matrix(coupled: CoupledStage) -> Table:
 
 
 def _errors(coupled: CoupledStage) -> Table:
-    kind = (
+    evaluation = (
         "each realisation left out of the fit once"
         if coupled.error_is_left_out
-        else "in sample, for there are too few realisations to leave one out"
+        else "in sample, because the realisations are too few for leaving one out"
     )
     rows = [
         (
@@ -293,8 +294,8 @@ def _errors(coupled: CoupledStage) -> Table:
         for i, name in enumerate(coupled.outputs)
     ]
     return Table(
-        caption=f"Error of the model at each level of the drive, {kind}. Means of the periods, "
-        "simulated from the drives alone; the noise is that of one period.",
+        caption=f"Error of the model at each level of the drive, {evaluation}. Means over the "
+        "periods, simulated from the drives alone; the noise is for one period.",
         columns=("level, rms", "displacement", "error", "rms", "noise"),
         rows=tuple(rows),
     )
@@ -335,6 +336,6 @@ def _modes(coupled: CoupledStage) -> Table:
 
 
 def _signed(share: float) -> str:
-    """Return a change in percent with its sign."""
+    """Return a relative change in percent with its sign."""
     sign = "+" if share >= 0.0 else MINUS
     return f"{sign}{significant(abs(100.0 * float(share)), 2)} %"

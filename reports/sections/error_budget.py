@@ -1,4 +1,4 @@
-"""Error budget: from the plain simulation to the sensor noise, cause by cause."""
+"""Error budget: held-out error of a simulation with hysteresis alone, split into its causes."""
 
 from math import sqrt
 
@@ -15,7 +15,7 @@ NEGLIGIBLE = 1e-3  # of the power of the final error: no bar
 
 
 def render(page: Page) -> Section | None:
-    """Return a waterfall for each axis whose error was split."""
+    """Return a waterfall for each axis with an error budget."""
     waterfalls = []
     for diagnosis in page.diagnoses:
         if not diagnosis.budget:
@@ -39,7 +39,7 @@ def render(page: Page) -> Section | None:
                 )
             )
         modelled = [label_of(part.part) for part in parts if part.is_explained]
-        removed = f"{', '.join(modelled)} (red)" if modelled else "none of them"
+        removed = f"{', '.join(modelled)} (red)" if modelled else "none"
         waterfalls.append(
             Waterfall(
                 title=f"Axis {diagnosis.axis}: error budget",
@@ -54,7 +54,7 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="error-budget",
         title="Error budget",
-        lead="Held-out error of a simulation with hysteresis alone, split into its causes; the "
+        lead="Held-out error of a simulation with hysteresis alone, split into its causes. The "
         "squares of the parts add up.",
         parts=tuple(waterfalls),
     )
@@ -62,10 +62,10 @@ def render(page: Page) -> Section | None:
 
 def visible_parts(diagnosis: Diagnosis) -> tuple[BudgetPart, ...]:
     """Return the parts of the error that are not negligible, the noise last."""
-    least_m2 = NEGLIGIBLE * diagnosis.final.rms_m**2
-    return tuple(p for p in diagnosis.budget if p.rms_m**2 > least_m2 or p.part == NOISE)
+    threshold_m2 = NEGLIGIBLE * diagnosis.final.rms_m**2
+    return tuple(p for p in diagnosis.budget if p.rms_m**2 > threshold_m2 or p.part == NOISE)
 
 
 def label_of(part: str) -> str:
-    """Return the name of a part of the budget as a reader sees it."""
+    """Return the name of a part of the budget in words."""
     return LABELS.get(part, words(part))

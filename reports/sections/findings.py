@@ -1,4 +1,4 @@
-"""The effects that a plain simulation lacks: picture, size, meaning for control, confirmation."""
+"""Detected effects with figures and advice, and limits of the effects not detected."""
 
 from collections.abc import Mapping, Sequence
 
@@ -14,13 +14,13 @@ from piezoid_reports.page import Page
 from piezoid_reports.parts import Heading, Part, Prose, Section, Table, with_rows
 from piezoid_reports.quantities import number, percent, size_of
 
-MIN_GAIN = 1e-3  # of the held-out error: below, refitting alone moves it as much
-NO_PICTURES = "No figures: they need a model of these recordings, which `piezoid fit` makes."
-NO_PICTURE = "No figure: the model fits these recordings equally well without the effect."
+MIN_GAIN = 1e-3  # of the held-out error: refitting alone changes it by as much
+NO_FIGURES = "No figures: they need a model of these recordings. Run `piezoid fit`."
+NO_FIGURE = "No figure: the model fits these recordings equally well without the effect."
 
 
 def render(page: Page) -> Section | None:
-    """Return a figure and a paragraph for each finding, and tables of what was tested."""
+    """Return a figure and a paragraph for each finding, and tables of effects not detected."""
     if not page.diagnoses:
         return None
     parts: list[Part] = [_table(page.diagnoses)]
@@ -33,7 +33,7 @@ def render(page: Page) -> Section | None:
         anchor="findings",
         title="Findings",
         lead="Effects that a simulation with hysteresis alone lacks. Look-alike: the residual "
-        "expected if the stage had this effect alone, in the size found.",
+        "of a stage with this effect alone, at the estimated size.",
         parts=(*parts, *_not_detected_tables(page)),
     )
 
@@ -41,23 +41,26 @@ def render(page: Page) -> Section | None:
 def _axis_parts(
     diagnosis: Diagnosis, page: Page, *, described: Mapping[str, str]
 ) -> tuple[Part, ...]:
-    """Return the parts about one axis; effects of earlier axes are not described again."""
+    """Return the parts about one axis.
+
+    described  effects that an earlier axis has already described, with that axis
+    """
     axis = page.model.axes.get(diagnosis.axis)
     traces = page.traces.get(diagnosis.axis, ())
-    pictures = {} if axis is None else compare_effects(axis, traces, diagnosis)
+    simulations = {} if axis is None else compare_effects(axis, traces, diagnosis)
     parts: list[Part] = []
-    if diagnosis.findings and not pictures:
-        parts.append(Prose(text=NO_PICTURES))
+    if diagnosis.findings and not simulations:
+        parts.append(Prose(text=NO_FIGURES))
     for finding in largest_first(diagnosis):
-        effect, of_effect = finding.effect, pictures.get(finding.effect, ())
+        effect, of_effect = finding.effect, simulations.get(finding.effect, ())
         parts.append(Heading(text=f"Axis {diagnosis.axis}: {words(effect)}"))
         is_unnamed = effect == SOMETHING_ELSE
         figure = unnamed_figure(finding) if is_unnamed else figure_of(finding, of_effect)
         if figure is not None:
             parts.append(figure)
         elif of_effect:
-            parts.append(Prose(text=NO_PICTURE))
-        if is_unnamed:  # its explanation and experiment are among the statements
+            parts.append(Prose(text=NO_FIGURE))
+        if is_unnamed:  # the statements contain its explanation and experiment
             parts += [] if effect in described else [Prose(text=f"For control: {CONTROL_ADVICE}")]
         elif effect in described:
             parts.append(Prose(text=f"Described under axis {described[effect]}."))
@@ -86,10 +89,10 @@ def _table(diagnoses: Sequence[Diagnosis]) -> Part:
     if not rows:
         return Prose(text="No effect was found.")
     return Table(
-        caption="Size with 95 % interval; held-out error of the model refitted without the "
-        "effect, and with it; loop shape is added last. p: probability that a healthy stage shows "
-        "as much. It comes from the rank among 52 simulated stages (0.019 at least); for data "
-        "faults, modes, loop shape and lines, from the scatter of the residual.",
+        caption="Size with 95 % interval; held-out error of the model refitted without and with "
+        "the effect; loop shape is added last. p: probability of such a result on a healthy "
+        "stage, from the rank among 52 simulated stages (0.019 at least); for data faults, "
+        "modes, loop shape and lines, from the scatter of the residual.",
         columns=("axis", "effect", "size", "error without", "with", "gain", "p"),
         rows=rows,
         is_open=True,
@@ -97,12 +100,12 @@ def _table(diagnoses: Sequence[Diagnosis]) -> Part:
 
 
 def _not_detected_tables(page: Page) -> list[Part]:
-    """Return the effects and the data faults that were not detected, least known first."""
+    """Return the effects and data faults that were not detected, largest limit first."""
     diagnoses = page.diagnoses
     absent = [
         (absence, diagnosis.axis) for diagnosis in diagnoses for absence in diagnosis.not_detected
     ]
-    # Below the larger of bound and limit nothing is known of an effect.
+    # An effect smaller than both bound and limit would not be noticed.
     absent.sort(
         key=lambda pair: -max(pair[0].detection_limit_m or 0.0, pair[0].upper_bound_m or 0.0)
     )
@@ -114,12 +117,12 @@ def _not_detected_tables(page: Page) -> list[Part]:
     tables = (
         (
             effects,
-            "Effects not detected. Upper bound (95 %) and detection limit (found in four "
+            "Effects not detected. Upper bound (95 %) and detection limit (detected in four "
             "of five cases), rms.",
         ),
         (faults, "Data faults not detected. Detection limit, height of a spike or step."),
     )
-    # On these axes the fit follows a drift of the zero, beyond which the limits of a drift hold.
+    # On these axes the fit models a drift of the zero; the limits apply to additional drift.
     drifting = {fact.axis for fact in page.statements if fact.quantity == ZERO_DRIFT}
     parts: list[Part] = []
     for names_of_table, caption in tables:
@@ -128,7 +131,7 @@ def _not_detected_tables(page: Page) -> list[Part]:
             cells = {axis: _limits_of(by_name.get((name, axis))) for axis in axes}
             if name == thermal_drift.EFFECT.name:
                 for axis in drifting & cells.keys():
-                    cells[axis] += ", beyond the drift that the fit follows"
+                    cells[axis] += ", in addition to the drift in the fit"
             rows.append((words(name), *cells.values()))
         columns = ("effect", *(f"axis {axis}" for axis in axes))
         parts += with_rows(Table(caption=caption, columns=columns, rows=tuple(rows)))
@@ -136,7 +139,7 @@ def _not_detected_tables(page: Page) -> list[Part]:
 
 
 def _limits_of(absence: NotDetected | None) -> str:
-    """Return bound and limit of an effect, or why it could not be tested."""
+    """Return bound and detection limit of an effect, or why it could not be tested."""
     if absence is None:
         return "found"
     if absence.detection_limit_m is None:

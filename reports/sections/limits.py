@@ -1,4 +1,4 @@
-"""Limits of the results, and the recording or repair that helps most."""
+"""Limits of the results, with the experiment or repair that improves them most."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,11 +10,11 @@ from piezoid_reports.parts import Listing, Part, Prose, Section, Table, folded
 from piezoid_reports.quantities import number
 from piezoid_reports.sections.error_budget import label_of
 
-LABELS = {Level.ACTION: "act", Level.WARNING: "note"}
+LABELS = {Level.ACTION: "action", Level.WARNING: "note"}
 
 
 def render(page: Page) -> Section:
-    """Return warnings and actions in a table, notes and untested conditions in folds."""
+    """Return warnings and actions in a table, and notes and untested conditions in folds."""
     open_facts = [
         fact for fact in page.statements if fact.level > Level.NOTE and fact not in page.headline
     ]
@@ -37,7 +37,7 @@ def render(page: Page) -> Section:
     if open_facts:
         parts.append(
             Table(
-                caption="Limits, and what to do about them.",
+                caption="Limits and remedies.",
                 columns=("level", "about", "statement"),
                 rows=_rows(page, open_facts),
                 wordy=(2,),
@@ -61,7 +61,7 @@ def render(page: Page) -> Section:
 
 
 def _rows(page: Page, facts: Sequence[Statement]) -> tuple[tuple[str, ...], ...]:
-    """Return the statements as rows; what holds for several axes stands in one."""
+    """Return one row per statement; axes with the same statement share a row."""
     axes: dict[Statement, list[str]] = {}
     for fact in facts:
         axes.setdefault(replace(fact, axis="", value=None), []).append(fact.axis)

@@ -1,4 +1,4 @@
-"""The loops, with the model over the measurement."""
+"""Hysteresis loops: model and measurement."""
 
 import numpy as np
 
@@ -9,18 +9,18 @@ from piezoid_reports.parts import Figure, Part, Section, Table, axis_heading, co
 from piezoid_reports.quantities import number
 from piezoid_reports.traces import Trace, rms
 
-SMALL_POINTS = 900  # of a curve on the first screen, a third as wide as others
+SMALL_POINTS = 900  # of a curve in the summary
 GUIDE = (
-    "Good: the thin model line lies on the broad measured one on every branch. Bad: the model "
-    "leaves the measurement after a turning point or beside small loops."
+    "Good: the thin line of the model lies on the broad line of the measurement on every branch. "
+    "Bad: the model departs from the measurement after a turning point or in small loops."
 )
 
 
 def render(page: Page) -> Section | None:
-    """Return a figure for each axis, more in a fold, and a table of all recordings."""
+    """Return figures and a table of the residuals for each axis."""
     parts: list[Part] = []
     for axis in page.axes:
-        traces = page.drawn(axis)
+        traces = page.plotted_traces(axis)
         if not traces:
             continue
         further = [without_line(page, axis, trace) for trace in traces[1:]]
@@ -36,7 +36,7 @@ def render(page: Page) -> Section | None:
                         f"{number(float(trace.voltage_V.min()), 'V')} to "
                         f"{number(float(trace.voltage_V.max()), 'V')}",
                         number(trace.range_m, "m"),
-                        f"{len(trace.time_s) - trace.counted} of {len(trace.time_s)}",
+                        f"{len(trace.time_s) - trace.used_samples} of {len(trace.time_s)}",
                         number(rms(trace.line_residual_m), "m"),
                         number(rms(trace.residual_m), "m"),
                     )
@@ -49,7 +49,8 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="loops",
         title="Loops",
-        lead="The model sees the drive and the fitted initial state, never the displacement.",
+        lead="Simulated from the drive and the fitted initial state, without the measured "
+        "displacement.",
         parts=tuple(parts),
     )
 
@@ -57,7 +58,10 @@ def render(page: Page) -> Section | None:
 def without_line(
     page: Page, axis: AxisModel, trace: Trace, *, size: tuple[int, int] | None = None
 ) -> Figure:
-    """Draw a loop without its straight line, which magnifies it; small for the first screen."""
+    """Draw a loop minus its straight line, which magnifies its width.
+
+    size  width and height in pixels in the summary, None elsewhere
+    """
     curves = {
         "measured": trace.line_residual_m,
         "model": np.asarray(trace.modelled_m - trace.line_m),

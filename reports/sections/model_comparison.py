@@ -1,4 +1,4 @@
-"""Comparison of an earlier model with the new recordings: does it still hold."""
+"""Comparison of an earlier model with new recordings."""
 
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Prose, Section, Table
@@ -6,7 +6,7 @@ from piezoid_reports.quantities import number, percent, significant
 
 
 def render(page: Page) -> Section | None:
-    """Return the section, where an earlier model was named."""
+    """Return the errors of the earlier model, if one was named."""
     comparison = page.comparison
     if comparison is None:
         return None
@@ -23,7 +23,7 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="model-comparison",
         title="Comparison with the earlier model",
-        lead="Errors of the earlier model on the new recordings, on held-out blocks.",
+        lead="Held-out errors of the earlier model on the new recordings.",
         parts=(
             Prose(text=comparison.statement.text, tone="good" if comparison.holds else "middling"),
             Table(

@@ -1,4 +1,4 @@
-"""Parameters and uncertainty: loading curve, uncertainty budget, bound of the model, tables."""
+"""Parameters and uncertainty: loading curve, errors, uncertainty budget, and quantities."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from piezoid.identification.quality import Uncertainty
 from piezoid.numerics.robust import student_quantile
 from piezoid.numerics.uncertainty_budget import Contribution
 from piezoid_reports.chart import Canvas, axis_over
-from piezoid_reports.page import Page, TRACKED_Hz, guaranteed_limit, tracking_error
+from piezoid_reports.page import Page, SPIRAL_Hz, guaranteed_limit, tracking_error
 from piezoid_reports.parts import (
     Figure,
     Heading,
@@ -29,7 +29,8 @@ from piezoid_reports.parts import (
 from piezoid_reports.quantities import MINUS, number, percent, significant, with_half_width
 
 GUIDE_BOW = (
-    "Good: a smooth bow, deeper than its band is wide. Bad: kinks, or a band wider than it."
+    "Good: a smooth bow, deeper than the width of its band. Bad: kinks, or a band wider than the "
+    "bow."
 )
 DECLARATIONS = {
     "sensor_gain_relative": "gain of the sensor",
@@ -38,7 +39,7 @@ DECLARATIONS = {
     "temperature_range_K": "range of the temperature",
     "expansion_m_per_K": "thermal expansion between sensor and stage",
 }
-Known = Mapping[str, tuple[float, float]]
+Intervals = Mapping[str, tuple[float, float]]  # value and half 95 % interval by parameter
 
 
 def render(page: Page) -> Section | None:
@@ -46,7 +47,7 @@ def render(page: Page) -> Section | None:
     parts: list[Part] = []
     budgets = []
     for axis in page.axes:
-        intervals = known_of(axis.uncertainty)
+        intervals = intervals_of(axis.uncertainty)
         parts += [axis_heading(axis), _bow(axis)]
         if axis.verdict.applies:
             budgets.append(displacement_budget(axis, page.lab))
@@ -69,7 +70,7 @@ def render(page: Page) -> Section | None:
 
 
 def _bow(axis: AxisModel) -> Figure:
-    """Draw the loading curve (de-poled stage, rising drive) without its chord."""
+    """Draw the loading curve (depoled stage, rising drive) minus its chord."""
     uncertainty = axis.uncertainty
     reach_V, half_m = uncertainty.reach_V, uncertainty.loading_half_m
     if not has_usable_intervals(axis):
@@ -99,7 +100,7 @@ def _loop_width(axis: AxisModel) -> str:
 
 
 def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
-    """Return which error holds for what, from the expected ones to the proven limit."""
+    """Return the errors of each axis, from the expected errors to the guaranteed limit."""
     rows: dict[str, list[str]] = {}
     for budget in budgets:
         axis, expected = page.model.axes[budget.axis], budget.budget
@@ -115,7 +116,7 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
             bound += " at the speed of the recordings" if axis.quality.is_lag_ambiguous else ""
         values = {
             "held-out error, rms": held_out,
-            f"{TRACKED_Hz:g} Hz spiral with feedback, simulated, rms": tracked,
+            f"{SPIRAL_Hz:g} Hz spiral with feedback, simulated, rms": tracked,
             "95 % of positions": positions,
             f"largest of {expected.positions} positions": largest,
             "bound of the hysteresis model alone, 95 %": bound,
@@ -125,7 +126,7 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
             rows.setdefault(name, []).append(value)
     return with_rows(
         Table(
-            caption="Which error holds for what, without feedback unless stated. The last two are "
+            caption="Errors and their meaning, without feedback unless stated. The last two are "
             "limits for every drive, not expected errors.",
             columns=("error", *(f"axis {budget.axis}" for budget in budgets)),
             rows=tuple((name, *values) for name, values in rows.items() if any(values)),
@@ -135,7 +136,7 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
 
 
 def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
-    """Return the uncertainty budgets of all axes side by side, largest contribution first."""
+    """Return the uncertainty budgets of all axes, largest contribution of the first axis first."""
     if not budgets:
         return []
     ranked = sorted(budgets[0].budget.contributions, key=lambda c: -c.standard)
@@ -165,8 +166,8 @@ def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
     ]
 
 
-def known_of(uncertainty: Uncertainty) -> Known:
-    """Return value and half interval of every parameter by name."""
+def intervals_of(uncertainty: Uncertainty) -> Intervals:
+    """Return value and half 95 % interval of every parameter by name."""
     quantile = float(student_quantile(0.975, max(uncertainty.blocks - 1, 1)))
     half = quantile * np.sqrt(np.maximum(np.diag(uncertainty.covariance), 0.0))
     return {
@@ -181,15 +182,15 @@ def _functions(axis: AxisModel) -> tuple[Part, ...]:
     operator = axis.minor_loops.operator
     blocks = len(axis.minor_loops.without_m)
     text = (
-        f"Axis {axis.axis} is simulated and inverted by plays behind functions; the diagnosis "
-        "compares with plays and dead zones."
+        f"Axis {axis.axis} is simulated and inverted with plays whose outputs pass through "
+        "functions. The diagnosis uses plays and dead zones."
     )
     return (
         Prose(text=text),
         Table(
-            caption=f"Axis {axis.axis}: what the functions rise from edge to edge, with edges of "
-            f"the drive about {number(operator.voltage_offset_V, 'V', 4)}, and the spread over "
-            f"{blocks} fits without one block of time each.",
+            caption=f"Axis {axis.axis}: rise of the functions between edges of the drive about "
+            f"{number(operator.voltage_offset_V, 'V', 4)}, and the spread over {blocks} fits that "
+            "each leave out one block of time.",
             columns=(
                 "play",
                 "half-width",
@@ -213,12 +214,12 @@ def _functions(axis: AxisModel) -> tuple[Part, ...]:
     )
 
 
-def _weights(axis: AxisModel, intervals: Known) -> tuple[Figure, ...]:
-    """Draw the weights of the plays over their thresholds; model.json has all numbers."""
+def _weights(axis: AxisModel, intervals: Intervals) -> tuple[Figure, ...]:
+    """Draw the weights of the plays over their thresholds; model.json lists all numbers."""
     plays = axis.hysteresis.plays
     if len(plays.weight) < 3:
         return ()
-    # Play 0 has no memory; its weight is the slope of the loading curve at its beginning.
+    # Play 0 has no memory; its weight is the initial slope of the loading curve.
     threshold_V, weight = plays.threshold[1:], plays.weight[1:]
     names = [f"play_weight_m_per_V[{k}]" for k in range(1, len(plays.weight))]
     half = np.array([intervals.get(name, (0.0, 0.0))[1] for name in names])
@@ -228,7 +229,7 @@ def _weights(axis: AxisModel, intervals: Known) -> tuple[Figure, ...]:
         title=f"Axis {axis.axis}: weights of the plays",
         caption=f"{count_of(len(weight), 'play')}, "
         f"{count_of(len(axis.hysteresis.dead_zones.weight) - 1, 'dead zone')}.",
-        guide="Neighbouring plays share their weight: single weights are known less well than the "
+        guide="Weights of neighbouring plays are correlated: each is less certain than the "
         "loading curve.",
         canvas=canvas,
         layers=(
@@ -241,14 +242,14 @@ def _weights(axis: AxisModel, intervals: Known) -> tuple[Figure, ...]:
 
 
 def _quantities(page: Page) -> Table:
-    """Return the quantities of the fit besides its weights, the axes side by side."""
+    """Return the parameters of the fit other than its weights, with one column per axis."""
     rows: dict[str, list[str]] = {}
     for axis in page.axes:
         low_V, high_V = axis.voltage_V
-        lag_s = known_of(axis.uncertainty).get("lag_s", (axis.lag.time_s, math.nan))
+        lag_s = intervals_of(axis.uncertainty).get("lag_s", (axis.lag.time_s, math.nan))
         lag = with_half_width(*lag_s, "s")
         if axis.quality.is_lag_ambiguous and axis.lag.kind != "none":
-            lag = "not separable from the width of the loop at one speed"
+            lag = "not separable from the loop width at a single speed"
         values = {
             "width of the full loop": _loop_width(axis),
             "lag": lag,

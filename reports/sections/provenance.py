@@ -1,4 +1,4 @@
-"""Digests of the recordings and of the files that were made from them."""
+"""Provenance: digests of the recordings and of the files made from them."""
 
 from json import loads
 
@@ -11,7 +11,7 @@ from piezoid_reports.quantities import number
 
 
 def render(page: Page) -> Section:
-    """Return the recordings and the chain of digests."""
+    """Return the tables of recordings and of the chain of digests."""
     recordings = Table(
         caption="Recordings.",
         columns=("recording", "axes", "samples", "rate", "duration", "in the model", "digest"),
@@ -53,11 +53,11 @@ def _agreement(model: ActuatorModel, recording: Recording | RawTable) -> str:
 
 
 def _chain(page: Page) -> Table:
-    """Return data -> model -> design -> parameter file and runtime source -> verification."""
+    """Return the digests of data, model, design, parameter file, runtime and verification."""
     model = page.model_digest
     rows = [("lab.toml", page.model.lab or "none given", "the laboratory")]
     if page.lab is not None and page.lab.digest and page.lab.digest != page.model.lab:
-        rows.append(("lab.toml, as it is now", page.lab.digest, "the laboratory, after the fit"))
+        rows.append(("lab.toml, current", page.lab.digest, "the laboratory, after the fit"))
     if model:
         rows.append(("model.json", model, "the recordings in the model, lab.toml"))
     if "diagnosis.json" in page.files:
@@ -87,7 +87,7 @@ def _chain(page: Page) -> Table:
             made_from += _lab(page, verification.lab_digest)
             rows.append(("verification.json", _sealed(page, "verification.json"), made_from))
     return Table(
-        caption="Digests of the files, and what each was made from.",
+        caption="Digests of the files and of their inputs.",
         columns=("record", "digest", "made from"),
         rows=tuple(rows),
         digests=(1,),
@@ -95,7 +95,7 @@ def _chain(page: Page) -> Table:
 
 
 def _lab(page: Page, digest: str) -> str:
-    """Return which lab.toml a record was made with, against that of the fit."""
+    """Return whether a record was made with the lab.toml of the fit, with another one, or none."""
     fitted = page.model.lab or ""
     if digest == fitted:
         return ", lab.toml" if digest else ""

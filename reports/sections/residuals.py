@@ -1,4 +1,4 @@
-"""The residual against time and drive, and the samples that were left out of the fit."""
+"""Residuals against time and drive, and samples left out of the fit."""
 
 import itertools
 
@@ -15,23 +15,23 @@ from piezoid_reports.traces import Trace, rms
 
 SIGMAS = 2.0
 TIME_HEIGHT = 240  # pixels
-DRIVE_BINS, MIN_BIN_SAMPLES = 60, 8  # fewer samples have no quantiles
+DRIVE_BINS, MIN_BIN_SAMPLES = 60, 8  # quantiles need a minimum of samples
 MIN_TICK = 1 / 600  # of the recording: half a pixel
 GUIDE_TIME = (
     "Good: structureless, mostly between the dashed lines. Bad: waves with the period of the "
     "drive (hysteresis), slow bending (creep or drift), spikes at turning points (dynamics)."
 )
 GUIDE_DRIVE = (
-    "Good: both medians run along zero. Bad: they part (loop width wrong) or bend together "
+    "Good: both medians follow zero. Bad: they separate (loop width wrong) or bend together "
     "(static curve wrong)."
 )
 
 
 def render(page: Page) -> Section | None:
-    """Return the residual against time and drive for each axis, more in a fold."""
+    """Return the residuals against time and drive for each axis."""
     parts: list[Part] = []
     for axis in page.axes:
-        traces = page.drawn(axis)
+        traces = page.plotted_traces(axis)
         if not traces:
             continue
         parts += [axis_heading(axis), over_time(traces[0], axis)]
@@ -49,11 +49,14 @@ def render(page: Page) -> Section | None:
 
 
 def over_time(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = None) -> Figure:
-    """Draw the residual against time with the band of the noise; small for the first screen."""
+    """Draw the residual against time with the band of the noise.
+
+    size  width and height in pixels in the summary, None elsewhere
+    """
     width, height = size or (Canvas.width, TIME_HEIGHT)
     noise_m, residual_m = axis.quality.noise_rms_m, trace.residual_m
     x = axis_over("time", [trace.time_s], "s")
-    y = axis_over("residual", [residual_m, np.array([SIGMAS * noise_m])], "m", even=True)
+    y = axis_over("residual", [residual_m, np.array([SIGMAS * noise_m])], "m", symmetric=True)
     canvas = Canvas(x=x, y=y, width=width, height=height)
     ends_s = trace.time_s[[0, -1, -1, 0, -1]]
     limits_m = SIGMAS * noise_m * np.array([1.0, 1.0, np.nan, -1.0, -1.0])
@@ -64,7 +67,7 @@ def over_time(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = N
         canvas.line("limit", "± 2 sensor noise", ends_s, limits_m),
     ]
     omitted = runs_of(~np.isfinite(trace.modelled_m))
-    if omitted:  # a bar under each run, at least half a pixel wide
+    if omitted:  # draw a bar under each run, at least half a pixel wide
         bars_s = trace.time_s[np.minimum(omitted, len(trace.time_s) - 1)]
         bars_s[:, 1] = np.maximum(bars_s[:, 1], bars_s[:, 0] + MIN_TICK * np.ptp(trace.time_s))
         x_s = np.column_stack([bars_s, np.full(len(bars_s), np.nan)]).ravel()
@@ -94,7 +97,7 @@ def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
     )
     x = axis_over("drive", [voltage_V], "V")
     curves = [rising[:, 1:].ravel(), falling[:, 1:].ravel()]
-    canvas = Canvas(x=x, y=axis_over("residual", curves, "m", even=True))
+    canvas = Canvas(x=x, y=axis_over("residual", curves, "m", symmetric=True))
     largest = [
         number(float(np.abs(bins[:, 2]).max()) if len(bins) else np.nan, "m")
         for bins in (rising, falling)
@@ -109,14 +112,14 @@ def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
 
 
 def _is_rising(trace: Trace) -> NDArray[np.bool_]:
-    """Return for each sample whether the drive last moved upwards."""
+    """Return for each sample whether the latest change of the drive was upwards."""
     step = np.sign(np.diff(trace.voltage_V, prepend=trace.voltage_V[0]))
     previous = np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), 0))
     return np.asarray(step[previous] > 0)
 
 
 def _quantiles(voltage_V: Array, residual_m: Array, edges_V: Array) -> Array:
-    """Return middle of the bin, 5 %, 50 % and 95 % quantiles, (bins, 4)."""
+    """Return centre of the bin and 5 %, 50 % and 95 % quantiles, (bins, 4)."""
     index = np.clip(np.searchsorted(edges_V, voltage_V, side="right") - 1, 0, DRIVE_BINS - 1)
     order = np.argsort(index, kind="stable")
     cuts = np.searchsorted(index[order], np.arange(DRIVE_BINS + 1))

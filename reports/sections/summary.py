@@ -1,4 +1,4 @@
-"""The first screen: verdict, limits and next step, and a row for each axis."""
+"""Summary: verdict, limits and next step, and a card for each axis."""
 
 from dataclasses import replace
 
@@ -7,12 +7,12 @@ from piezoid.identification.fit_statements import Grade, grade_of
 from piezoid.identification.model import AxisModel
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.statement import Level
-from piezoid_reports.page import Page, TRACKED_Hz, guarantee, tracking_error
+from piezoid_reports.page import Page, SPIRAL_Hz, guarantee, tracking_error
 from piezoid_reports.parts import Card, Cards, Figure, Headline, Section, count_of, worst_tone
 from piezoid_reports.quantities import number, percent, significant, with_interval
 from piezoid_reports.sections import loops, residuals, tunnelling
 
-LOOP_SIZE, RESIDUAL_SIZE = (300, 122), (440, 122)  # pixels, beside each other
+LOOP_SIZE, RESIDUAL_SIZE = (300, 122), (440, 122)  # pixels, side by side
 TONES = {
     Grade.GOOD: "good",
     Grade.LIMITED: "middling",
@@ -25,7 +25,7 @@ def render(page: Page) -> Section:
     """Return verdict, error, limits and next step, and a card for each axis."""
     cards = []
     for axis in page.axes:
-        grade, traces = grade_of(axis), page.drawn(axis)
+        grade, traces = grade_of(axis), page.plotted_traces(axis)
         figures: tuple[Figure, ...] = ()
         if traces:
             # Loop and residual of the recording with the largest residual are linked in time.
@@ -35,8 +35,8 @@ def render(page: Page) -> Section:
             span = float(traces[0].time_s[-1]) / residual.canvas.x.scale.factor
             loop = loops.without_line(page, axis, traces[0], size=LOOP_SIZE)
             figures = (
-                replace(loop, link=link, seen_as=f"{name}: loop"),
-                replace(residual, link=link, span=span, seen_as=f"{name}: residual"),
+                replace(loop, link=link, short_title=f"{name}: loop"),
+                replace(residual, link=link, span=span, short_title=f"{name}: residual"),
             )
         cards.append(
             Card(
@@ -49,7 +49,7 @@ def render(page: Page) -> Section:
         )
     cards += _tip_card(page)
     tones = [card.tone for card in cards]
-    if _fails(page):
+    if has_failed_controller(page):
         tones.append("bad")
     summary = Headline(sentences=sentences(page), tone=worst_tone(tones))
     parts = (summary, Cards(cards=tuple(cards)))
@@ -57,7 +57,7 @@ def render(page: Page) -> Section:
 
 
 def sentences(page: Page) -> tuple[tuple[str, str], ...]:
-    """Return the sentences on top, each with the word in front of it."""
+    """Return the sentences at the top with their labels."""
     labels = {Level.ACTION: "Next", Level.WARNING: "Limits"}
     word, accuracy = "Tip", []
     verdict = "No axis with drive and displacement was recorded, only a tunnelling junction"
@@ -71,7 +71,7 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
             verdict = f"The hysteresis model applies to {_names(fitted)}"
         grade = max((grade_of(axis) for axis in page.axes), key=list(Grade).index)
         word = {Grade.REJECTED: "Bad", Grade.LIMITED: "Care"}.get(grade, words(grade).capitalize())
-        if _fails(page) and grade is not Grade.REJECTED:
+        if has_failed_controller(page) and grade is not Grade.REJECTED:
             word, verdict = "Fails", f"{verdict} (model {grade})"
         worst = max(page.axes, key=lambda axis: axis.quality.held_out_rms_percent)
         quality = worst.quality
@@ -82,20 +82,20 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
         text = f"{kind}: {error} rms{where}, {share} of the {number(quality.range_m, 'm')} range."
         accuracy.append(("Error", text))
     return (
-        (word, f"{verdict}{_verified(page)}."),
+        (word, f"{verdict}{_verification_clause(page)}."),
         *accuracy,
         *((labels[fact.level], page.text_of(fact)) for fact in reversed(page.headline)),
     )
 
 
-def _fails(page: Page) -> bool:
-    """Return whether a controller that was designed does not ship."""
+def has_failed_controller(page: Page) -> bool:
+    """Return whether a designed controller does not ship."""
     verification = page.verification
     return bool(page.unshipped) or (verification is not None and not verification.passed)
 
 
-def _verified(page: Page) -> str:
-    """Return the result of the verification, as the end of the first sentence."""
+def _verification_clause(page: Page) -> str:
+    """Return the result of the verification, as a clause of the first sentence."""
     missing = "".join(f"; axis {name} has no controller" for name in page.unshipped)
     verification = page.verification
     if verification is None:
@@ -104,9 +104,9 @@ def _verified(page: Page) -> str:
     n_failed = sum(not verdict.passed for verdict in verification.verdicts)
     if n_failed:
         checks = count_of(n_all, "check")
-        return f"; its controllers failed {n_failed} of {checks}, none ships{missing}"
+        return f"; its controllers failed {n_failed} of {checks}, so that none ships{missing}"
     if not verification.passed:
-        return f"; a rebuild of the controllers did not give the same bits{missing}"
+        return f"; the controllers compiled again did not give the same bits{missing}"
     return f"; its controllers passed all {count_of(n_all, 'check')}{missing}"
 
 
@@ -124,8 +124,8 @@ def _facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
     if loop is not None:
         bandwidth, error = number(loop.bandwidth_Hz, "Hz"), tracking_error(page, axis.axis)
         speed = ("Bandwidth of the feedback", bandwidth)
-        if error:  # on the spiral, if the verification ran one
-            label = f"Bandwidth of the feedback; simulated error at {TRACKED_Hz:g} Hz"
+        if error:
+            label = f"Bandwidth of the feedback; simulated error at {SPIRAL_Hz:g} Hz"
             speed = (label, f"{bandwidth}; {error} rms")
     return (
         (
@@ -144,7 +144,7 @@ def _facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
 
 
 def ships(page: Page, axis: str) -> str:
-    """Return whether the controller of an axis ships, and which, in a few words."""
+    """Return whether the controller of an axis ships, with its method or the reason."""
     if axis in page.unshipped:
         return "no: see limits"
     if page.loop_of(axis) is None:
@@ -157,23 +157,23 @@ def ships(page: Page, axis: str) -> str:
 
 
 def _tip_card(page: Page) -> tuple[Card, ...]:
-    """Return the card of the tunnelling tip, if a junction or its loop was recorded."""
+    """Return the card of the tunnelling tip, if a junction or a closed loop was recorded."""
     junction = page.model.tunnelling
     law, plant = (None, None) if junction is None else (junction.gap_law, junction.loop_plant)
-    best = law or plant
-    if best is None:
+    estimate = law or plant
+    if estimate is None:
         return ()
-    tone, word = tunnelling.CONFIDENCE[best.confidence]
+    tone, word = tunnelling.CONFIDENCE[estimate.confidence]
     loop = next(
         (design for design in page.axis_designs if design.recommended.method == "rst"), None
     )
     barriers = [
         (
             f"Barrier, {source}",
-            with_interval(estimate.barrier_eV, estimate.barrier_interval_eV, "eV"),
+            with_interval(barrier.barrier_eV, barrier.barrier_interval_eV, "eV"),
         )
-        for source, estimate in (("sweeps", law), ("closed loop", plant))
-        if estimate is not None
+        for source, barrier in (("sweeps", law), ("closed loop", plant))
+        if barrier is not None
     ]
     facts = (
         *barriers,

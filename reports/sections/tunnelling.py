@@ -1,4 +1,4 @@
-"""The tunnelling junction: current over height, barrier, and the closed loop with its noise."""
+"""Tunnelling junction: current over height, barrier, and the closed loop with its noise."""
 
 from dataclasses import replace
 
@@ -15,7 +15,16 @@ from piezoid.identification.tunnelling.model import JointBarrier, TunnellingMode
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table, with_rows
+from piezoid_reports.parts import (
+    Figure,
+    Heading,
+    Part,
+    Prose,
+    Section,
+    Table,
+    count_of,
+    with_rows,
+)
 from piezoid_reports.quantities import number, percent, significant, with_interval
 
 GUIDE_CURVE = (
@@ -23,7 +32,7 @@ GUIDE_CURVE = (
     "Points at or below zero are fitted but not drawn."
 )
 GUIDE_RESIDUAL = (
-    "Good: no shape about zero. Bad: a bow (creep of the height) or a step (tip changed)."
+    "Good: scatter about zero. Bad: a bow (creep of the height) or a step (the tip changed)."
 )
 CONFIDENCE = {
     Confidence.HIGH: ("good", "high confidence"),
@@ -34,19 +43,19 @@ POLARITY = {1.0: "positive", -1.0: "negative"}
 SOURCES = {
     "shot": "shot noise",
     "johnson": "Johnson noise of the resistor",
-    "adc_step": "step of the current's converter",
-    "drive_step": "step of the drive's converter",
+    "adc_step": "resolution of the current's converter",
+    "drive_step": "resolution of the drive's converter",
     "gap": "motion of the gap",
 }
 GUIDE_SPECTRA = (
-    "Good: below the bandwidth the drive lies on the motion of the gap, the current far below. "
-    "Bad: the current above the motion over a decade, or strong mains lines."
+    "Good: below the bandwidth the drive lies on the motion of the gap, with the current far "
+    "below. Bad: the current above the motion over a decade, or strong mains lines."
 )
-LEAST_m2_per_Hz = 1e-34  # what a still column shows
+MIN_DENSITY_m2_per_Hz = 1e-34  # drawn for a constant signal
 
 
 def render(page: Page) -> Section | None:
-    """Return the gap law with its curves and the closed loop, as far as they were recorded."""
+    """Return the gap law with its curves and the closed loop, if they were recorded."""
     junction = page.model.tunnelling
     if junction is None or (junction.gap_law is None and junction.loop_plant is None):
         return None
@@ -74,14 +83,14 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="tunnelling",
         title="Tunnelling",
-        lead="The current decays exponentially with the height of the tip; the decay gives the "
-        "apparent barrier, whose root sets the gain of the height loop.",
+        lead="The current decays exponentially with the height of the tip. The decay gives the "
+        "apparent barrier, and the gain of the height loop is proportional to its square root.",
         parts=tuple(parts),
     )
 
 
 def barrier_sentence(law: GapLaw) -> str:
-    """Return barrier, interval and confidence of the gap law."""
+    """Return barrier, interval and confidence of the gap law as a sentence."""
     barrier = with_interval(law.barrier_eV, law.barrier_interval_eV, "eV")
     unmet = f"; {len(law.reasons)} criteria are not met" if law.reasons else ""
     return f"Apparent barrier {barrier}, {law.confidence.value} confidence{unmet}."
@@ -92,7 +101,7 @@ def _figures(
     page: Page,
     sizes: tuple[tuple[int, int] | None, tuple[int, int] | None] = (None, None),
 ) -> tuple[Figure, ...]:
-    """Draw the first law over its sweeps, and its residual."""
+    """Draw the first gap law over its sweeps, and its residual."""
     for law, direction in _laws(junction, page):
         curves = [c for c in curves_of(page.sweeps) if c.direction is direction]
         if curves:
@@ -103,16 +112,16 @@ def _figures(
 def small_figures(
     page: Page, curve: tuple[int, int], residual: tuple[int, int]
 ) -> tuple[Figure, ...]:
-    """Return the same figures in the sizes of the first screen."""
+    """Return the figures of the gap law in the sizes of the summary."""
     junction = page.model.tunnelling
     if junction is None:
         return ()
     figures = _figures(junction, page, (curve, residual))
-    return tuple(replace(figure, seen_as=figure.title.partition(",")[0]) for figure in figures)
+    return tuple(replace(figure, short_title=figure.title.partition(",")[0]) for figure in figures)
 
 
 def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Direction], ...]:
-    """The laws beside the direction each was found in; a lone law is of the only direction."""
+    """Return every gap law with the direction of its sweeps."""
     first = junction.gap_law
     if first is None:
         return ()
@@ -156,7 +165,7 @@ def _modelled(law: GapLaw, height_m: Array) -> Array:
 
 
 def _measured(law: GapLaw, curve: ApproachCurve) -> tuple[Array, Array]:
-    """Height in order, and the current without offset, upright."""
+    """Return ascending heights, and the current minus its offset with positive polarity."""
     order = np.argsort(curve.height_m, kind="stable")
     return curve.height_m[order], law.polarity * (curve.current_A[order] - law.offset_A)
 
@@ -164,7 +173,7 @@ def _measured(law: GapLaw, curve: ApproachCurve) -> tuple[Array, Array]:
 def _curve(
     law: GapLaw, curves: list[ApproachCurve], size: tuple[int, int] | None = None
 ) -> Figure:
-    """Draw the positive currents in decades of one picoampere over the height."""
+    """Draw the positive currents over the height on a logarithmic axis."""
     rows = [_measured(law, curve) for curve in curves]
     heights = np.unique(np.concatenate([height for height, _ in rows]))
     floor = np.log10(law.floor_A / 1e-12)
@@ -174,7 +183,7 @@ def _curve(
     y = decades_over("current", [*logs, np.array([floor])], "pA")
     width, height_px = size or (Canvas.width, Canvas.height)
     canvas = Canvas(x=x, y=y, width=width, height=height_px)
-    is_compared = line > floor - 1.0  # far below the noise the law has nothing to be compared with
+    is_compared = line > floor - 1.0  # no measurement shows currents far below the noise
     layers: list[Layer] = [
         canvas.line("measured", f"sweep {k + 1}", height, log, points=400)
         for k, ((height, _), log) in enumerate(zip(rows, logs, strict=True))
@@ -182,7 +191,7 @@ def _curve(
     layers.append(canvas.line("model", "gap law", heights[is_compared], line[is_compared]))
     layers.append(canvas.line("zero", "noise, rms", heights[[0, -1]], np.full(2, floor)))
     return Figure(
-        title=f"Current over height, {len(curves)} sweep{'s' if len(curves) != 1 else ''}",
+        title=f"Current over height, {count_of(len(curves), 'sweep')}",
         caption=f"Polarity {POLARITY[law.polarity]}, offset {number(law.offset_A, 'A')} removed.",
         guide=GUIDE_CURVE,
         canvas=canvas,
@@ -198,7 +207,7 @@ def _residual(
     residuals = [(height, current_A - _modelled(law, height)) for height, current_A in rows]
     x = axis_over("height", [height for height, _ in residuals], "m")
     y = axis_over(
-        "measured minus gap law", [residual for _, residual in residuals], "A", even=True
+        "measured minus gap law", [residual for _, residual in residuals], "A", symmetric=True
     )
     width, height_px = size or (Canvas.width, 260)
     canvas = Canvas(x=x, y=y, width=width, height=height_px)
@@ -251,7 +260,7 @@ def loop_parts(page: Page, junction: TunnellingModel, loop: LoopPlant) -> list[P
 
 
 def loop_sentence(loop: LoopPlant) -> str:
-    """Return barrier and gain of the closed loop."""
+    """Return barrier and gain of the closed loop as a sentence."""
     barrier = with_interval(loop.barrier_eV, loop.barrier_interval_eV, "eV")
     gain = with_interval(loop.plant.gain_nepers_per_V, loop.gain_interval, "")
     return (
@@ -261,7 +270,7 @@ def loop_sentence(loop: LoopPlant) -> str:
 
 
 def joint_sentence(joint: JointBarrier) -> str:
-    """Return whether sweeps and closed loop agree, with the common barrier."""
+    """Return whether sweeps and closed loop agree, and their barrier, as a sentence."""
     if joint.barrier_eV is not None:
         common = with_interval(joint.barrier_eV, joint.barrier_interval_eV, "eV")
         return f"Sweeps and loop agree: weighted barrier {common}."
@@ -285,15 +294,15 @@ def _plant(loop: LoopPlant) -> Table:
     for k, (name, text) in enumerate(identified.items()):
         extremes = family[name][1 + 2 * k : 3 + 2 * k]
         rows.append((name, text, *(extremes if len(extremes) == 2 else ("", ""))))
-    rows.append(("amplifier's pole, declared", number(plant.amplifier_pole_Hz, "Hz"), "", ""))
+    rows.append(("amplifier pole, declared", number(plant.amplifier_pole_Hz, "Hz"), "", ""))
     is_sampled = loop.family_records > 2
     spread = (
-        f"the plant family covers 95 % of further spots, from {loop.family_records} records"
+        f"the plant family covers 95 % of other spots, from {loop.family_records} recordings"
         if is_sampled
-        else "the plant family covers the uncertainty of one record; other spots may differ"
+        else "the plant family covers the uncertainty of one recording; other spots may differ"
     )
     return Table(
-        caption=f"Plant from drive to ln of the current, 95 % intervals; {spread}.",
+        caption=f"Plant from the drive to ln of the current, 95 % intervals; {spread}.",
         columns=("", "identified", "family, from", "to"),
         rows=tuple(rows),
     )
@@ -301,13 +310,13 @@ def _plant(loop: LoopPlant) -> Table:
 
 def _records(loop: LoopPlant) -> Table:
     return Table(
-        caption="Record by record, 95 % intervals. Drift is positive where the gap opens.",
+        caption="Results of each recording, 95 % intervals. Drift is positive if the gap opens.",
         columns=("recording", "barrier", "naive barrier", "dither in the drive", "gap", "drift"),
         rows=tuple(
             (
                 record.recording,
                 with_interval(record.barrier_eV, record.barrier_interval_eV, "eV"),
-                # the barrier goes with the square of the gain
+                # The barrier is proportional to the square of the gain.
                 f"{significant(record.barrier_eV * (record.naive_gain / record.gain) ** 2, 3)} eV",
                 percent(record.dither_share),
                 "" if record.unrest is None else f"{number(record.unrest.gap_rms_m, 'm')} rms",
@@ -329,7 +338,7 @@ def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRe
     y = decades_over("density", [level for *_, level in curves], "pm/√Hz")
     canvas = Canvas(x=x, y=y)
     mains = () if summary.unrest is None else summary.unrest.mains
-    caption = "The record is too short for drift and mains lines."
+    caption = "The recording is too short for drift and mains lines."
     if summary.unrest is not None:
         lines = [f"{number(m.frequency_Hz, 'Hz')}: {number(m.amplitude_m, 'm')}" for m in mains]
         caption = f"Mains lines found: {', '.join(lines) or 'none'}."
@@ -371,6 +380,6 @@ def _curves(
     curves = []
     for role, name, signal_m in signals_m:
         f_Hz, density = power_density(np.asarray(detrend(signal_m)), rate_Hz)
-        pm = 0.5 * np.log10(np.maximum(density[1:], LEAST_m2_per_Hz)) + 12.0
+        pm = 0.5 * np.log10(np.maximum(density[1:], MIN_DENSITY_m2_per_Hz)) + 12.0
         curves.append((role, name, np.log10(f_Hz[1:]), np.asarray(pm)))
     return curves

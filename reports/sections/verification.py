@@ -1,4 +1,4 @@
-"""The compiled controller run against the stage: errors by method, spirals, verdicts, proofs."""
+"""Compiled controllers on the simulated stage: errors by method, spirals, verdicts, proofs."""
 
 from collections.abc import Sequence
 
@@ -17,20 +17,20 @@ from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part, Section, Table, count_of, folded, with_rows
 from piezoid_reports.quantities import number, significant
 
-MAX_VERDICTS = 10  # in the table; all that failed are shown
+MAX_VERDICTS = 10  # in the table, which also shows every failed verdict
 STROKES = {"mpi_dob": "model", "none": "limit", "dob": "rising", "mpi": "trend"}
-AVERAGED = 5  # places: a single one crosses zero, which a logarithm shows as a fall to nothing
+AVERAGED = 5  # samples: a zero crossing of a single sample is a deep notch on a logarithmic axis
 GUIDE_ERROR = "Good: the error falls to the noise after each turn or step. Bad: a slow tail."
 
-SQUARE = 440
+SQUARE = 440  # pixels
 NANO = 1e-9
-STEPS = "steps"  # scenario whose error is drawn against time
-SMALLEST_m = 1e-12  # below, an error is drawn as this: no stage is a picometre from its path
+STEPS = "steps"  # scenario with an error plotted against time
+MIN_ERROR_m = 1e-12  # smallest error on a logarithmic axis
 SHADES = {"measured": 0.1, "good": 1.0 / 3.0, "middling": 1.0, "bad": np.inf}  # of the limit
 
 
 def render(page: Page) -> Section | None:
-    """Return how the compiled controllers behave on the identified stage, if they were run."""
+    """Return errors, spirals, verdicts and proofs of the compiled controllers."""
     verification = page.verification
     if verification is None:
         return None
@@ -50,8 +50,8 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="verification",
         title="Verification",
-        lead="The compiled controller, run against the identified stage with converters and "
-        "noise, and against other stages that the recordings allow.",
+        lead="The compiled controller on the identified stage with converters and noise, and on "
+        "other stages that are consistent with the recordings.",
         parts=(
             *figures,
             *with_rows(
@@ -66,7 +66,7 @@ def render(page: Page) -> Section | None:
 
 
 def _shape_figure(verification: Verification) -> Figure:
-    """Draw the shape error of every method over the frequency, in logarithms."""
+    """Draw the shape error of every method over the frequency on logarithmic axes."""
     methods = list(dict.fromkeys(row.method for row in verification.comparison))
     curves = {m: [row for row in verification.comparison if row.method == m] for m in methods}
     points = {
@@ -82,19 +82,20 @@ def _shape_figure(verification: Verification) -> Figure:
     layers = [canvas.line(STROKES[m], METHOD_NAMES[m], *points[m]) for m in methods]
     shipped = curves[methods[0]]
     return Figure(
-        title="Shape error on spirals, method by method",
+        title="Shape error on spirals by method",
         caption=f"{METHOD_NAMES[methods[0]].capitalize()}: "
         f"{number(shipped[0].aligned_rms_m, 'm')} rms at "
         f"{number(shipped[0].frequency_Hz, 'Hz')}. Shape error: distance from the path after the "
         "best common delay.",
-        guide="Good: the controller that ships lies lowest. Bad: it crosses another method.",
+        guide="Good: the shipped controller has the smallest error. Bad: it crosses another "
+        "method.",
         canvas=canvas,
         layers=tuple(layers),
     )
 
 
 def _table(page: Page, verification: Verification) -> Table:
-    """Return the error of each method at each rate, and the guaranteed error of what ships."""
+    """Return the error of each method at each rate, and the guaranteed error if it ships."""
     rates_Hz = sorted({row.frequency_Hz for row in verification.comparison})
     by_method: dict[str, dict[float, ComparisonRow]] = {}
     for row in verification.comparison:
@@ -118,7 +119,7 @@ def _table(page: Page, verification: Verification) -> Table:
 
 
 def _bounds(verification: Verification) -> Table:
-    """Return how large errors may be beside how large they are, where that was asked."""
+    """Return bounded, probable and simulated largest errors, if bounds were requested."""
     rows = []
     for row in verification.bounds:
         bound = "none" if row.bound_m is None else number(row.bound_m, "m")
@@ -126,7 +127,7 @@ def _bounds(verification: Verification) -> Table:
             (
                 row.axis,
                 number(row.slew_m_per_s, "m/s"),
-                bound + (", not on all stages drawn" if row.is_exceeded else ""),
+                bound + (", exceeded on some sampled stages" if row.is_exceeded else ""),
                 number(row.probable_m, "m") if np.isfinite(row.probable_m) else "too few runs",
                 number(row.worst_found_m, "m"),
                 number(row.simulated_m, "m"),
@@ -134,16 +135,17 @@ def _bounds(verification: Verification) -> Table:
         )
     share = max((1.0 - row.probability for row in verification.bounds), default=0.0)
     return Table(
-        caption="Largest error within half a second. Bounded: proven on the conditions of the "
+        caption="Largest error within half a second. Bounded: proven under the conditions of the "
         f"certificate. Probable: exceeded with a probability below {100.0 * share:.2g} % on "
-        "stages that the recordings allow. Worst found: by search. Simulated: median.",
-        columns=("axis", "at most", "bounded", "probable", "worst found", "simulated"),
+        "stages that are consistent with the recordings. Worst found: by search. Simulated: "
+        "median.",
+        columns=("axis", "speed limit", "bounded", "probable", "worst found", "simulated"),
         rows=tuple(rows),
     )
 
 
 def _guaranteed(page: Page, verification: Verification, row: ComparisonRow) -> str:
-    """Return the guaranteed distance from the path at its speed, from the axes' certificates."""
+    """Return the guaranteed distance from the path at its speed, from all certificates."""
     loops = [
         (axis.axis, loop.certificate)
         for axis in (page.design.axes if page.design is not None else ())
@@ -167,8 +169,8 @@ def _guaranteed(page: Page, verification: Verification, row: ComparisonRow) -> s
 
 def _currents(verification: Verification) -> Table:
     return Table(
-        caption="The tip over a surface of 0.1 nm rms. Largest current: over its set point.",
-        columns=("path", "std of ln i", "height rms", "largest current", "samples retracted"),
+        caption="Tip over a surface of 0.1 nm rms. Largest current: relative to the set point.",
+        columns=("path", "std of ln i", "height rms", "largest current", "retracted samples"),
         rows=tuple(
             (
                 row.scenario,
@@ -183,7 +185,7 @@ def _currents(verification: Verification) -> Table:
 
 
 def _verdicts(verdicts: Sequence[Verdict]) -> Table:
-    """Return the checks by name, each with the scenario that comes closest to its limit."""
+    """Return the checks by name, each with the scenario closest to its limit."""
     by_name: dict[str, list[Verdict]] = {}
     for verdict in verdicts:
         by_name.setdefault(verdict.name, []).append(verdict)
@@ -191,9 +193,9 @@ def _verdicts(verdicts: Sequence[Verdict]) -> Table:
     worst.sort(key=_closeness, reverse=True)
     n_passed = sum(verdict.passed for verdict in verdicts)
     return Table(
-        caption=f"Checks: {n_passed} of {len(verdicts)} passed. The closest to their limits, "
-        "each in its worst scenario; verification.json has all.",
-        columns=("check (scenarios)", "worst in", "value", "limit", "result"),
+        caption=f"Checks: {n_passed} of {len(verdicts)} passed. Those closest to their limits, "
+        "each in its worst scenario; verification.json lists all.",
+        columns=("check (scenarios)", "worst scenario", "value", "limit", "result"),
         rows=tuple(
             (
                 f"{verdict.name} ({len(by_name[verdict.name])})",
@@ -209,7 +211,7 @@ def _verdicts(verdicts: Sequence[Verdict]) -> Table:
 
 
 def _closeness(verdict: Verdict) -> float:
-    """Return the value of a verdict in units of its limit; a limit of zero has no scale."""
+    """Return the value of a verdict relative to its limit."""
     if verdict.limit:
         return verdict.value / verdict.limit
     return np.inf if verdict.value > 0.0 else 0.0
@@ -225,7 +227,7 @@ def _measured(verdict: Verdict, value: float) -> str:
 def _proofs(proofs: Sequence[Proof]) -> Table:
     return Table(
         caption="The bundle, compiled again and compared bit for bit.",
-        columns=("build", "samples", "differing", "instructions a sample"),
+        columns=("build", "samples", "differing", "instructions per sample"),
         rows=tuple(
             (
                 proof.build,
@@ -243,8 +245,8 @@ def _proofs(proofs: Sequence[Proof]) -> Table:
 
 def _limit_proofs(proofs: Sequence[LimitProof]) -> Table:
     return Table(
-        caption="Proofs for every input, NaN and infinities included.",
-        columns=("axis", "verdict", "what holds, or where it was not shown", "by", "took"),
+        caption="Proofs for every input, including NaN and infinities.",
+        columns=("axis", "verdict", "claims, or locations without proof", "tool", "duration"),
         rows=tuple(
             (
                 f"{proof.axis}, {proof.precision}",
@@ -259,17 +261,17 @@ def _limit_proofs(proofs: Sequence[LimitProof]) -> Table:
 
 
 def spiral(trace: SpiralTrace, verification: Verification) -> Figure:
-    """Draw one path, its colour the shape error there."""
+    """Draw one path, coloured by its shape error."""
     x_m, y_m, error_m = (np.array(v) for v in (trace.x_m, trace.y_m, trace.shape_error_m))
     reach_m = np.array([-1.0, 1.0]) * max(float(np.abs([x_m, y_m]).max()), verification.radius_m)
     x_label = f"axis {trace.axes[0]}"
-    y_label = f"axis {trace.axes[1]}" if len(trace.axes) > 1 else "where a second axis would be"
+    y_label = f"axis {trace.axes[1]}" if len(trace.axes) > 1 else "reference of a second axis"
     x, y = axis_over(x_label, [reach_m], "m"), axis_over(y_label, [reach_m], "m")
     canvas = Canvas(x=x, y=y, width=SQUARE, height=SQUARE)
     limit_m = _shape_limit_m(verification, trace.frequency_Hz)
     if limit_m is None:
         limit_m = Limits().aligned_percent / 100.0 * 2.0 * verification.radius_m
-    # Shades of the curve, by the parts of the limit that its error reaches.
+    # The shade of a sample depends on the fraction of the limit that its error reaches.
     edges_m = [limit_m * share if np.isfinite(share) else np.inf for share in SHADES.values()]
     shade = np.searchsorted(edges_m, error_m)
     layers = []
@@ -277,7 +279,7 @@ def spiral(trace: SpiralTrace, verification: Verification) -> Figure:
         is_shade = shade == index
         if not is_shade.any():
             continue
-        is_shade |= np.r_[False, is_shade[:-1]]  # up to where the next stretch begins
+        is_shade |= np.r_[False, is_shade[:-1]]  # continue to the start of the next segment
         name = f"up to {number(share * limit_m, 'm')}" if np.isfinite(share) else "more"
         across_m, up_m = np.where(is_shade, x_m, np.nan), np.where(is_shade, y_m, np.nan)
         layers.append(canvas.line(f"error-{role}", name, across_m, up_m))
@@ -285,19 +287,19 @@ def spiral(trace: SpiralTrace, verification: Verification) -> Figure:
         title=f"Spiral of {number(trace.frequency_Hz, 'Hz')}: {METHOD_NAMES[trace.method]}",
         caption=f"Colour is the shape error: median {number(float(np.median(error_m)), 'm')}, "
         f"largest {number(float(error_m.max()), 'm')}.",
-        guide="Good: the first colour everywhere. Bad: the last colours at the turning points.",
+        guide="Good: the first colour everywhere. Bad: the last two colours at turning points.",
         canvas=canvas,
         layers=tuple(layers),
     )
 
 
 def error_in_time(frequency_Hz: float, verification: Verification) -> Figure:
-    """Draw the shape error along a spiral: the shipped controller, and in grey no control."""
+    """Draw the shape error along a spiral with the shipped controller, and in grey without."""
     traces = [trace for trace in verification.traces if trace.frequency_Hz == frequency_Hz]
     shipped = set(verification.methods.values())
-    traces.sort(key=lambda trace: trace.method in shipped)  # what ships is drawn on top
+    traces.sort(key=lambda trace: trace.method in shipped)  # the shipped controller on top
     along = [np.linspace(0.0, 100.0, len(trace.shape_error_m)) for trace in traces]
-    logs = [np.log10(np.maximum(trace.shape_error_m, SMALLEST_m) / NANO) for trace in traces]
+    logs = [np.log10(np.maximum(trace.shape_error_m, MIN_ERROR_m) / NANO) for trace in traces]
     limit_m = _shape_limit_m(verification, frequency_Hz)
     limits = [] if limit_m is None else [np.full(2, np.log10(limit_m / NANO))]
     x = axis_over("share of the path", along, "%")
@@ -328,7 +330,7 @@ def error_in_time(frequency_Hz: float, verification: Verification) -> Figure:
     return Figure(
         title=f"Shape error along the spiral of {number(frequency_Hz, 'Hz')}",
         caption=f"{sizes}; {limit_clause}.",
-        guide=f"Good: far below {baseline}. Bad: rising outwards, or a spike every turn.",
+        guide=f"Good: far below {baseline}. Bad: rising outwards, or a spike at every turn.",
         canvas=canvas,
         layers=(
             *layers,
@@ -338,19 +340,19 @@ def error_in_time(frequency_Hz: float, verification: Verification) -> Figure:
 
 
 def _shape_limit_m(verification: Verification, frequency_Hz: float) -> float | None:
-    """Return the limit of the verdict on the spiral of a rate; None where there is none.
+    """Return the limit of the shape error on the spiral of a rate, or None without one.
 
-    Above ``Limits.judged_Hz`` a spiral is compared with no compensation only.
+    Above ``Limits.judged_Hz`` the only limit is relative to the error without compensation.
     """
     scenario = f"spiral, {frequency_Hz:g} Hz"
-    percent = [
-        v.limit for v in verification.verdicts if (v.name, v.scenario) == (SHAPE_ERROR, scenario)
-    ]
-    return percent[0] / 100.0 * 2.0 * verification.radius_m if percent else None
+    for verdict in verification.verdicts:
+        if (verdict.name, verdict.scenario) == (SHAPE_ERROR, scenario):
+            return verdict.limit / 100.0 * 2.0 * verification.radius_m
+    return None
 
 
 def motions(verification: Verification) -> tuple[Figure, ...]:
-    """Draw the error against time after steps, which shows settling; spirals show the rest."""
+    """Draw the error against time after steps, which shows the settling of each axis."""
     figures = []
     for motion in verification.motions:
         if motion.scenario != STEPS:
@@ -358,15 +360,15 @@ def motions(verification: Verification) -> tuple[Figure, ...]:
         reference_m = np.array(motion.reference_m)
         starts = np.arange(0, len(reference_m), AVERAGED, dtype=np.intp)
         time_s = np.linspace(0.0, motion.duration_s, len(reference_m), endpoint=False)[starts]
-        # The shipped controller comes last, because it is drawn on top.
+        # The last curve is drawn on top.
         runs = [("model", verification.methods[motion.axis], motion.shipped_m)]
         if motion.uncompensated_m:
             runs.insert(0, ("grey", "none", motion.uncompensated_m))
         errors = [
-            (role, name, rms_from(starts, np.array(moved_m) - reference_m))
-            for role, name, moved_m in runs
+            (role, name, rms_from(starts, np.array(position_m) - reference_m))
+            for role, name, position_m in runs
         ]
-        logs = [np.log10(np.maximum(error_m, SMALLEST_m) / NANO) for _, _, error_m in errors]
+        logs = [np.log10(np.maximum(error_m, MIN_ERROR_m) / NANO) for _, _, error_m in errors]
         x = axis_over("time", [time_s], "s")
         y = decades_over("distance from the reference", logs, "nm")
         canvas = Canvas(x=x, y=y)

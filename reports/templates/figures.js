@@ -1,11 +1,11 @@
 "use strict";
-// Figures that can be magnified, read and flickered. Without this script all curves are shown.
+// Zoom, readout and alternation of curves in figures. Without this script all curves are shown.
 (() => {
   const SVG = "http://www.w3.org/2000/svg";
-  const REACH = 30; // pixels of the figure: a pointer farther from a curve reads nothing
-  const TICKS = 7; // the most intervals between labels
+  const REACH = 30; // pixels of the figure: largest distance of the pointer from a curve
+  const TICKS = 7; // largest number of intervals between labels
   const MANTISSAS = [[1], [1, 2, 5], [1, 2, 3, 4, 5, 6, 7, 8, 9]]; // of a logarithmic axis
-  const DEEPEST = 60; // times the full view
+  const DEEPEST = 60; // largest magnification
 
   function roundStep(size) {
     const power = 10 ** Math.floor(Math.log10(size));
@@ -13,7 +13,7 @@
     return 10 * power;
   }
 
-  function written(value, step) {
+  function formatFixed(value, step) {
     const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
     return (value + 0).toFixed(Math.min(decimals, 12)).replace("-", "\u2212");
   }
@@ -21,7 +21,7 @@
   function evenTicks(low, high) {
     const step = roundStep((high - low) / TICKS), found = [];
     for (let k = Math.ceil(low / step - 1e-9); k <= Math.floor(high / step + 1e-9); k++) {
-      found.push([k * step, written(k * step, step)]);
+      found.push([k * step, formatFixed(k * step, step)]);
     }
     return found;
   }
@@ -32,7 +32,7 @@
     return `${mantissa}e${k}`.replace("-", "\u2212");
   }
 
-  // The ends are log10 of what is shown.
+  // low and high are log10 of the labelled numbers.
   function decadeTicks(low, high) {
     for (const mantissas of MANTISSAS) {
       const found = [];
@@ -56,7 +56,7 @@
     return made;
   }
 
-  // A path of ours: M x,y l dx,dy ... ; returns one array of x, y for each M.
+  // Return one array of x, y for each M of a path "Mx,yldx,dy ...".
   function strokes(path) {
     return path.split("M").slice(1).map((part) => {
       const numbers = (part.match(/-?\d+/g) || []).map(Number);
@@ -65,8 +65,8 @@
     });
   }
 
-  const links = []; // figures of one record: the stretches of time the one shows are lit in the other
-  const NEAR = 0.004; // of a record: the stretch about the pointer
+  const links = []; // linked figures highlight the time interval that another figure shows
+  const NEAR = 0.004; // of a recording: half the highlighted interval at the pointer
 
   function save(name, kind, content) {
     const made = document.createElement("a");
@@ -76,10 +76,10 @@
     setTimeout(() => URL.revokeObjectURL(made.href), 10000);
   }
 
-  // The drawing alone: every rule that the page's style gives it is written into it.
+  // Return a figure as a separate SVG file, with the styles of the page as attributes.
   const DRAWN = ["fill", "fill-opacity", "stroke", "stroke-width", "stroke-dasharray", "stroke-linecap",
     "stroke-linejoin", "font-size", "font-family", "display", "vector-effect"];
-  function standing(frame) {
+  function standaloneSvg(frame) {
     const copy = frame.cloneNode(true);
     const from = frame.querySelectorAll("*"), to = copy.querySelectorAll("*");
     from.forEach((one, k) => {
@@ -112,13 +112,13 @@
     const lit = figure.querySelector(".lit");
     const span = Number(figure.dataset.span || 0);
     if (figure.dataset.link) links.push({ name: figure.dataset.link, figure, light: (stretches) => light(stretches) });
-    let seen = { ...full };
-    let drawn = null;
+    let viewport = { ...full };
+    let curvePoints = null;
 
     const valueX = (x) => ends.x[0] + (ends.x[1] - ends.x[0]) * x / full.w;
     const valueY = (y) => ends.y[1] - (ends.y[1] - ends.y[0]) * y / full.h;
-    const pageX = (x) => left + (x - seen.x) / seen.w * width;
-    const pageY = (y) => top + (y - seen.y) / seen.h * height;
+    const pageX = (x) => left + (x - viewport.x) / viewport.w * width;
+    const pageY = (y) => top + (y - viewport.y) / viewport.h * height;
 
     function ticks(name, low, high, place) {
       const group = figure.querySelector(`.ticks-${name}`);
@@ -127,28 +127,28 @@
       for (const [value, label] of made) place(group, value, label);
     }
 
-    // A value under the pointer, to a thousandth of what is seen.
-    function told(name, value, seenLow, seenHigh) {
+    // Format a value at the pointer to a thousandth of the visible range.
+    function formatValue(name, value, seenLow, seenHigh) {
       if (data.decades.includes(name)) return String(Number((10 ** value).toPrecision(3)));
-      return written(value, roundStep((seenHigh - seenLow) / 1000));
+      return formatFixed(value, roundStep((seenHigh - seenLow) / 1000));
     }
 
     function show(next) {
       const w = Math.min(full.w, Math.max(full.w / DEEPEST, next.w));
       const h = full.h * w / full.w;
-      seen = {
+      viewport = {
         x: Math.min(full.w - w, Math.max(0, next.x)),
         y: Math.min(full.h - h, Math.max(0, next.y)), w, h,
       };
-      plot.setAttribute("viewBox", `${seen.x} ${seen.y} ${seen.w} ${seen.h}`);
-      view.classList.toggle("near", seen.w < full.w);
-      ticks("x", valueX(seen.x), valueX(seen.x + seen.w),
+      plot.setAttribute("viewBox", `${viewport.x} ${viewport.y} ${viewport.w} ${viewport.h}`);
+      view.classList.toggle("near", viewport.w < full.w);
+      ticks("x", valueX(viewport.x), valueX(viewport.x + viewport.w),
         (group, value, label) => {
           const at = pageX((value - ends.x[0]) / (ends.x[1] - ends.x[0]) * full.w).toFixed(1);
           group.append(element("path", { class: "grid", d: `M${at},${top}v${height}` }),
             element("text", { class: "tick", x: at, y: top + height + 18, "text-anchor": "middle" }, label));
         });
-      ticks("y", valueY(seen.y + seen.h), valueY(seen.y),
+      ticks("y", valueY(viewport.y + viewport.h), valueY(viewport.y),
         (group, value, label) => {
           const at = pageY((ends.y[1] - value) / (ends.y[1] - ends.y[0]) * full.h);
           group.append(element("path", { class: "grid", d: `M${left},${at.toFixed(1)}h${width}` }),
@@ -168,31 +168,31 @@
       return links.filter((other) => other.name === figure.dataset.link && other.figure !== figure);
     }
 
-    // The points of the curve that knows when each was, in strokes; times are shares of the record.
-    let known = null;
+    // Points of the curve with times, by stroke; times are fractions of the recording.
+    let timedPoints = null;
     function timed() {
-      if (known) return known;
-      drawn = drawn || layers.map((layer) => strokes(layer.getAttribute("d")));
+      if (timedPoints) return timedPoints;
+      curvePoints = curvePoints || layers.map((layer) => strokes(layer.getAttribute("d")));
       const index = layers.findIndex((layer) => layer.dataset.times);
       const times = index < 0 ? [] : layers[index].dataset.times.split(" ").map((time) => time / 1e4);
       let k = 0;
-      known = (drawn[index] || []).map((points) => {
+      timedPoints = (curvePoints[index] || []).map((points) => {
         const stroke = [];
         for (let i = 0; i + 1 < points.length; i += 2) stroke.push({ x: points[i], y: points[i + 1], time: times[k++] });
         return stroke;
       });
-      return known;
+      return timedPoints;
     }
 
-    // The stretches of the record that a magnified figure shows; of the whole, none.
+    // Time intervals that a magnified figure shows; empty for the full view.
     function inView() {
-      if (seen.w >= full.w) return [];
-      if (span) return [[valueX(seen.x) / span, valueX(seen.x + seen.w) / span]];
+      if (viewport.w >= full.w) return [];
+      if (span) return [[valueX(viewport.x) / span, valueX(viewport.x + viewport.w) / span]];
       const found = [];
       for (const stroke of timed()) {
         let open = null;
         for (const { x, y, time } of stroke) {
-          const inside = x >= seen.x && x <= seen.x + seen.w && y >= seen.y && y <= seen.y + seen.h;
+          const inside = x >= viewport.x && x <= viewport.x + viewport.w && y >= viewport.y && y <= viewport.y + viewport.h;
           if (inside && open) open[1] = time;
           else if (inside) found.push(open = [time, time]);
           else open = null;
@@ -201,7 +201,7 @@
       return found;
     }
 
-    // Light stretches of the record: bars behind a course in time, parts of a curve that knows its times.
+    // Highlight time intervals: bars behind a curve over time, or parts of a curve with times.
     function light(stretches) {
       let path = "";
       if (span) {
@@ -220,7 +220,7 @@
       lit.setAttribute("d", path);
     }
 
-    // When a point of the figure was, as a share of the record.
+    // Time of a point of the figure, as a fraction of the recording.
     function timeOf(x, y) {
       if (span) return valueX(x) / span;
       let best = { distance: Infinity };
@@ -234,26 +234,26 @@
     }
 
     function zoom(factor, x, y) {
-      show({ x: x - (x - seen.x) * factor, y: y - (y - seen.y) * factor, w: seen.w * factor });
+      show({ x: x - (x - viewport.x) * factor, y: y - (y - viewport.y) * factor, w: viewport.w * factor });
     }
 
-    // Where the pointer is, in fine steps of the plot.
+    // Position of the pointer, in fine steps of the plot.
     function pointed(event) {
       const box = frame.getBoundingClientRect();
       const pixels = frame.viewBox.baseVal.width / box.width;
       return {
-        x: seen.x + ((event.clientX - box.left) * pixels - left) / width * seen.w,
-        y: seen.y + ((event.clientY - box.top) * pixels - top) / height * seen.h,
+        x: viewport.x + ((event.clientX - box.left) * pixels - left) / width * viewport.w,
+        y: viewport.y + ((event.clientY - box.top) * pixels - top) / height * viewport.h,
       };
     }
 
     function nearest(x, y) {
-      drawn = drawn || layers.map((layer) => strokes(layer.getAttribute("d")));
-      const scale = width / seen.w;
+      curvePoints = curvePoints || layers.map((layer) => strokes(layer.getAttribute("d")));
+      const scale = width / viewport.w;
       let best = { distance: REACH };
       layers.forEach((layer, index) => {
         if (layer.classList.contains("off") || /limit|band|zero/.test(layer.dataset.role)) return;
-        for (const points of drawn[index]) {
+        for (const points of curvePoints[index]) {
           for (let k = 2; k + 1 < points.length; k += 2) {
             const ax = points[k - 2], ay = points[k - 1];
             const dx = points[k] - ax, dy = points[k + 1] - ay;
@@ -278,8 +278,8 @@
       here.setAttribute("cx", cx);
       here.setAttribute("cy", cy);
       cross.setAttribute("d", `M${cx},${top}v${height}M${left},${cy}h${width}`);
-      const x = told("x", valueX(best.x), valueX(seen.x), valueX(seen.x + seen.w));
-      const y = told("y", valueY(best.y), valueY(seen.y + seen.h), valueY(seen.y));
+      const x = formatValue("x", valueX(best.x), valueX(viewport.x), valueX(viewport.x + viewport.w));
+      const y = formatValue("y", valueY(best.y), valueY(viewport.y + viewport.h), valueY(viewport.y));
       readout.textContent =
         `${best.name}: ${data.xName} ${x} ${data.xUnit}, ${data.yName} ${y} ${data.yUnit}`;
       const time = figure.dataset.link && timeOf(best.x, best.y);
@@ -287,22 +287,22 @@
       for (const other of linked()) {
         other.light([[time - NEAR, time + NEAR]]);
         const lasts = Number(other.figure.dataset.span);
-        if (lasts) readout.textContent += `, time ${written(time * lasts, roundStep(lasts / 1000))} s`;
+        if (lasts) readout.textContent += `, time ${formatFixed(time * lasts, roundStep(lasts / 1000))} s`;
       }
     }
 
     let grip = null;
     view.addEventListener("pointerdown", (event) => {
-      if (seen.w < full.w) { grip = pointed(event); view.setPointerCapture(event.pointerId); }
+      if (viewport.w < full.w) { grip = pointed(event); view.setPointerCapture(event.pointerId); }
     });
     view.addEventListener("pointermove", (event) => {
       if (!grip) { read(event); return; }
       const at = pointed(event);
-      show({ x: seen.x + grip.x - at.x, y: seen.y + grip.y - at.y, w: seen.w });
+      show({ x: viewport.x + grip.x - at.x, y: viewport.y + grip.y - at.y, w: viewport.w });
     });
     for (const end of ["pointerup", "pointercancel"]) view.addEventListener(end, () => { grip = null; });
     view.addEventListener("pointerleave", leave);
-    // The wheel belongs to the page until the figure was clicked.
+    // The wheel scrolls the page until the figure is clicked.
     view.addEventListener("wheel", (event) => {
       if (!event.ctrlKey && document.activeElement !== view) return;
       event.preventDefault();
@@ -310,28 +310,28 @@
       zoom(event.deltaY > 0 ? 1.25 : 0.8, at.x, at.y);
     }, { passive: false });
     view.addEventListener("dblclick", () => show(full));
-    const middle = (factor) => zoom(factor, seen.x + seen.w / 2, seen.y + seen.h / 2);
+    const middle = (factor) => zoom(factor, viewport.x + viewport.w / 2, viewport.y + viewport.h / 2);
     const moves = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
     view.addEventListener("keydown", (event) => {
       if (event.key === "+" || event.key === "=") middle(0.8);
       else if (event.key === "-") middle(1.25);
       else if (event.key === "0") show(full);
-      else if (event.key in moves && seen.w < full.w) {
+      else if (event.key in moves && viewport.w < full.w) {
         const [dx, dy] = moves[event.key];
-        show({ x: seen.x + dx * seen.w / 10, y: seen.y + dy * seen.h / 10, w: seen.w });
+        show({ x: viewport.x + dx * viewport.w / 10, y: viewport.y + dy * viewport.h / 10, w: viewport.w });
       } else return;
       event.preventDefault();
     });
     figure.querySelector(".reset").addEventListener("click", () => show(full));
 
-    // The numbers of every curve as they are drawn: to a twentieth of a pixel of the full view.
+    // Numbers of every curve as CSV, resolved to a twentieth of a pixel of the full view.
     function numbers() {
-      drawn = drawn || layers.map((layer) => strokes(layer.getAttribute("d")));
+      curvePoints = curvePoints || layers.map((layer) => strokes(layer.getAttribute("d")));
       const head = (name, unit) => quoted(unit ? `${name} [${unit}]` : name);
       const shown = (name, value) => (data.decades.includes(name) ? 10 ** value : value).toPrecision(6);
       const rows = [`${quoted("curve")},${head(data.xName, data.xUnit)},${head(data.yName, data.yUnit)}`];
       layers.forEach((layer, index) => {
-        for (const points of drawn[index]) {
+        for (const points of curvePoints[index]) {
           for (let k = 0; k + 1 < points.length; k += 2) {
             rows.push(`${quoted(layer.dataset.name)},${shown("x", valueX(points[k]))},${shown("y", valueY(points[k + 1]))}`);
           }
@@ -341,7 +341,7 @@
     }
     for (const button of figure.querySelectorAll(".save")) {
       button.addEventListener("click", () => {
-        if (button.dataset.as === "svg") save(`${figure.id}.svg`, "image/svg+xml", standing(frame));
+        if (button.dataset.as === "svg") save(`${figure.id}.svg`, "image/svg+xml", standaloneSvg(frame));
         else save(`${figure.id}.csv`, "text/csv", numbers());
       });
     }

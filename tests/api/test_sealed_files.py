@@ -107,7 +107,7 @@ def test_the_report_is_drawn_from_records_alone(lab, design, shipping) -> None:
 )
 def test_a_file_that_is_none_of_ours_is_refused(tmp_path, content: bytes) -> None:
     (tmp_path / "odd.json").write_bytes(content)
-    with pytest.raises(ParameterFileError, match=r"odd\.json is of"):
+    with pytest.raises(ParameterFileError, match=r"odd\.json has"):
         piezoid.load(tmp_path / "odd.json")
 
 
@@ -135,5 +135,5 @@ def test_what_is_no_recording_is_refused_in_words(given) -> None:
 def test_reading_nothing_is_refused() -> None:
     with pytest.raises(RecordingError, match="no file is given"):
         piezoid.read()
-    with pytest.raises(RecordingError, match="int given for a file"):
+    with pytest.raises(RecordingError, match="int given as a path"):
         piezoid.read(3)  # type: ignore[arg-type]

@@ -102,7 +102,7 @@ def test_what_would_be_replaced_is_refused_before_anything_is_done(
     run(client, tasks, work)
     (night / BAD / "sweep.csv").write_text("1,3\n")
     log.write_text("")
-    with pytest.raises(Exception, match=f"1 stages were done from other files.*{BAD}"):
+    with pytest.raises(Exception, match=f"1 stages were calibrated from other files.*{BAD}"):
         run(client, tasks, work)
     assert not log.read_text()
     forced = find_stages(night, results, force=True)

@@ -67,7 +67,7 @@ def test_no_number_of_threads_from_outside_is_kept() -> None:
 def test_a_verb_that_is_not_there_is_answered_with_those_that_are() -> None:
     shown = CliRunner(env={"COLUMNS": "300"}).invoke(app, ["fitt"])
     assert shown.exit_code == 2
-    assert "there is no verb 'fitt'. Needed: one of inspect, init, fit" in shown.output
+    assert "there is no command 'fitt'. Needed: one of inspect, init, fit" in shown.output
     assert "Did you mean fit?" in shown.output
     unlike = CliRunner(env={"COLUMNS": "300"}).invoke(app, ["qqq"])
     assert "See piezoid --help." in unlike.output
@@ -75,7 +75,7 @@ def test_a_verb_that_is_not_there_is_answered_with_those_that_are() -> None:
 
 def test_no_table_of_lab_toml_is_lost_to_the_markup_and_every_status_is_named() -> None:
     shown = CliRunner(env={"COLUMNS": "200"}).invoke(app, ["verify", "--help"]).output
-    assert "by default [verification] of lab.toml" in shown
+    assert "default: [verification] of lab.toml" in shown
     overall = " ".join(CliRunner().invoke(app, ["--help"]).output.split())
-    for status in ("0 done", "1 a verdict", "2 usage", "3 data", "4 no", "70 internal", "130 int"):
+    for status in ("0 success", "1 a verdict", "2 wr", "3 unus", "4 no", "70 internal", "130 int"):
         assert status in overall

@@ -58,7 +58,7 @@ def test_what_is_missing_is_named_with_the_verb_that_writes_it(
 ) -> None:
     with pytest.raises(ParameterFileError) as found:
         content_of(tmp_path / name)
-    assert str(found.value).startswith(f"{tmp_path} holds no {name}. Needed: ")
+    assert str(found.value).startswith(f"{tmp_path} contains no {name}. Needed: ")
     assert f"Run `{verb} {tmp_path}` first." in str(found.value)
 
 
@@ -72,11 +72,11 @@ def test_a_stage_whose_controllers_failed_is_not_sent_back_to_export(tmp_path: P
 
 def test_a_folder_that_is_not_there_and_a_file_in_its_place_are_told_apart(tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text("")
-    with pytest.raises(ParameterFileError, match="nowhere is not there"):
+    with pytest.raises(ParameterFileError, match="nowhere does not exist"):
         content_of(tmp_path / "nowhere" / "model.json")
     with pytest.raises(ParameterFileError, match=r"page\.html is a file"):
         content_of(tmp_path / "page.html" / "model.json")
-    with pytest.raises(ParameterFileError, match=r"there is no file .*limits\.toml"):
+    with pytest.raises(ParameterFileError, match=r"limits\.toml does not exist"):
         text_of(tmp_path / "limits.toml")
 
 

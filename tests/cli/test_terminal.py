@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import piezoid_cli
 from piezoid_cli.main import app
-from piezoid_cli.terminal import plain, print_raw, say, step_column
+from piezoid_cli.terminal import print_raw, rich_text, say, step_column
 
 OBEYED = "a\x1b[2J\x1b]0;title\x07\x9b31m\u202eb\x7f"
 TOLD = r"a\x1b[2J\x1b]0;title\x07\x9b31m\u202eb\x7f"
@@ -32,7 +32,7 @@ def test_a_name_is_shown_with_its_codes_and_its_brackets(
     say(OBEYED, err=True)
     shown = capsys.readouterr()
     assert (shown.out, shown.err) == (rf"{TOLD}[red]\n" + "\n", f"{TOLD}\n")
-    assert printed(plain(f"{OBEYED}[red]\nsecond line")) == f"{TOLD}[red]\nsecond line\n"
+    assert printed(rich_text(f"{OBEYED}[red]\nsecond line")) == f"{TOLD}[red]\nsecond line\n"
 
 
 def test_a_script_gets_every_byte(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
@@ -87,5 +87,5 @@ def test_what_went_wrong_is_told_without_the_codes_of_a_name(tmp_path: Path) -> 
             check=False,
         )
         assert done.returncode == status
-        assert r"\x1b[2J" in done.stderr or "where this" in done.stderr
+        assert r"\x1b[2J" in done.stderr or "working directory" in done.stderr
         assert "\x1b[2J" not in done.stderr

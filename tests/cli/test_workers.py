@@ -156,7 +156,7 @@ if __name__ == "__main__":
     os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to all of them
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert said == b"interrupted: nothing is left half written\n"
+    assert said == b"interrupted: no file is left half written\n"
     for _ in range(100):
         if not in_session(process.pid):
             break

@@ -1,4 +1,4 @@
-"""diagnosis.json is taken only as it could have been written: every entry of its own kind."""
+"""diagnosis.json is taken only as it could have been written: every entry with its type."""
 
 import copy
 import json
@@ -53,7 +53,7 @@ def test_an_entry_of_another_kind_is_refused() -> None:
             ) or may_be_none:
                 continue
             content = {name: held for name, held in record.items() if name not in NOT_READ}
-            with pytest.raises(ParameterFileError, match="of its own kind"):
+            with pytest.raises(ParameterFileError, match="with its type"):
                 read_diagnoses(seal(SCHEMA, content))
             tried += 1
     assert tried > 100

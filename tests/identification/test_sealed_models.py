@@ -1,4 +1,4 @@
-"""model.json is taken only as it could have been written: every entry of its own kind."""
+"""model.json is taken only as it could have been written: every entry with its type."""
 
 import hashlib
 import json
@@ -56,7 +56,7 @@ def with_entry(place: str, value: Any) -> bytes:
 @pytest.mark.parametrize("place", KINDS)
 def test_an_entry_of_another_kind_is_refused(place: str) -> None:
     for kind in KINDS[place]:
-        with pytest.raises(ParameterFileError, match="of its own kind"):
+        with pytest.raises(ParameterFileError, match="with its type"):
             read_model(with_entry(place, WRONG[kind]))
 
 
@@ -91,7 +91,7 @@ def test_counts_and_magnitudes_beyond_their_bounds_are_refused_with_number_and_b
     ],
 )
 def test_a_number_that_no_fit_finds_is_refused(place: str, value: float) -> None:
-    with pytest.raises(ParameterFileError, match="of its own kind"):
+    with pytest.raises(ParameterFileError, match="with its type"):
         read_model(with_entry(place, value))
 
 

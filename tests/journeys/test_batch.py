@@ -127,7 +127,7 @@ def test_a_batch_of_nothing_and_a_folder_of_something_else_are_refused(tmp_path:
     (tmp_path / "mine" / "thesis.tex").write_text("precious")
     mine = piezoid("batch", tmp_path / "night", "--out", tmp_path / "mine")
     assert mine.returncode == 2
-    assert "bears no manifest" in mine.stderr
+    assert "has no manifest" in mine.stderr
 
 
 def test_a_batch_that_was_interrupted_goes_on_with_the_stages_that_are_missing(
@@ -142,7 +142,7 @@ def test_a_batch_that_was_interrupted_goes_on_with_the_stages_that_are_missing(
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert said == b"interrupted: nothing is left half written\n"
+    assert said == b"interrupted: no file is left half written\n"
     again = piezoid("batch", night, "--out", out, "--workers", "1", "--quiet")
     assert again.returncode == 1, again.stderr  # one stage's drive never changes
     assert len(states(out)) == COUNT

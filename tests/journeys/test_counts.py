@@ -57,7 +57,7 @@ def test_a_stage_in_counts_is_told_in_counts_everywhere(tmp_path: Path) -> None:
     assert found["counted"] == ["displacement", "voltage"]
     assert {one["unit"] for one in found["not_detected"]} == {"counts, rms"}
     assert not (tmp_path / "stage/design.json").exists()
-    assert "how many m one count is" in joined(done)
+    assert "the size of one count in m" in joined(done)
     run("diagnose", sweep, "--out", tmp_path / "causes")
     told = (
         done.output,

@@ -99,7 +99,7 @@ def test_a_model_without_recordings_is_a_wrong_use(tmp_path: Path) -> None:
         app, ["diagnose", str(tmp_path / "model.json"), "--out", str(tmp_path / "o")]
     )
     assert done.exit_code == 2
-    assert "name recordings behind it" in done.output
+    assert "name recordings after it" in done.output
 
 
 def stumbling(view: View) -> str:

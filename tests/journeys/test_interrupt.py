@@ -104,7 +104,7 @@ def test_interrupted_while_modules_load_the_status_is_130_and_the_message_one_li
         if process.returncode != 130:  # it had come to its end
             assert (process.returncode, said) == (0, b"")
             break
-        assert said == b"interrupted: nothing is left half written\n"
+        assert said == b"interrupted: no file is left half written\n"
         assert not list(tmp_path.iterdir())
     assert len(statuses) > 2
 

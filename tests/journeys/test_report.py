@@ -53,7 +53,7 @@ def test_without_recordings_the_page_says_what_it_lacks(stage: Path) -> None:
     assert "without loops and residuals" in said
     assert {"summary", "parameters", "limits", "provenance"} <= sections(stage)
     assert "loops" not in sections(stage)
-    assert "drawn without the recordings" in (stage / "report.html").read_text()
+    assert "made without the recordings" in (stage / "report.html").read_text()
     assert (stage / "notes.txt").read_text() == "mine"
 
 
@@ -61,7 +61,7 @@ def test_with_the_recordings_of_the_fit_the_loops_are_drawn(stage: Path, sweep: 
     status, said = run(stage, sweep)
     assert status == 0, said
     assert {"loops", "residuals"} <= sections(stage)
-    assert "drawn without the recordings" not in (stage / "report.html").read_text()
+    assert "made without the recordings" not in (stage / "report.html").read_text()
 
 
 def test_any_other_file_is_refused_and_the_old_page_stays(stage: Path, sweep: Path) -> None:

@@ -7,14 +7,14 @@ import pytest
 
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import (
-    FINE,
     HEIGHT,
+    STEPS,
     WIDTH,
     Canvas,
     axis_over,
     envelope,
-    thinned,
-    whole_parts,
+    finite_runs,
+    simplify_curve,
 )
 
 
@@ -46,7 +46,7 @@ def _spiral() -> tuple[Array, Array]:
 
 def test_a_thinned_curve_stays_within_its_tolerance() -> None:
     x, y = _spiral()
-    kept, left = thinned(x, y, tolerance=3.0, points=5000)
+    kept, left = simplify_curve(x, y, tolerance=3.0, points=5000)
     assert len(kept) < 500
     # The chords' tolerance, and the cells of half its size that were passed over before.
     assert _distance(x, y, x[kept], y[kept]) <= left <= 3.0 + 1.5 * np.sqrt(2)
@@ -54,7 +54,7 @@ def test_a_thinned_curve_stays_within_its_tolerance() -> None:
 
 def test_a_budget_that_is_too_small_is_kept_and_its_cost_is_told() -> None:
     x, y = _spiral()
-    kept, left = thinned(x, y, tolerance=0.1, points=40)
+    kept, left = simplify_curve(x, y, tolerance=0.1, points=40)
     assert len(kept) == 40
     assert left == pytest.approx(_distance(x, y, x[kept], y[kept]), rel=0.2)
 
@@ -62,7 +62,7 @@ def test_a_budget_that_is_too_small_is_kept_and_its_cost_is_told() -> None:
 def test_noise_on_half_a_million_samples_is_drawn_within_what_is_told() -> None:
     rng = np.random.default_rng(5)
     x, y = np.linspace(0, 12800, 500_000), 3000 + rng.normal(scale=20.0, size=500_000)
-    kept, left = thinned(x, y, tolerance=3.0, points=2400)
+    kept, left = simplify_curve(x, y, tolerance=3.0, points=2400)
     assert len(kept) <= 2400
     some = rng.choice(500_000, 500, replace=False)
     assert _distance(x[some], y[some], x[kept], y[kept]) <= left
@@ -70,13 +70,13 @@ def test_noise_on_half_a_million_samples_is_drawn_within_what_is_told() -> None:
 
 def test_a_straight_line_needs_its_ends_only() -> None:
     x = np.linspace(0.0, 1000.0, 5001)
-    kept, left = thinned(x, 2 * x, tolerance=3.0, points=100)
+    kept, left = simplify_curve(x, 2 * x, tolerance=3.0, points=100)
     assert kept.tolist() == [0, 5000]
     assert left <= 3.0 + 1e-9
 
 
 def test_a_curve_that_stands_still_is_two_points() -> None:
-    kept, _ = thinned(np.zeros(9), np.zeros(9), tolerance=3.0, points=100)
+    kept, _ = simplify_curve(np.zeros(9), np.zeros(9), tolerance=3.0, points=100)
     assert kept.tolist() == [0, 8]
 
 
@@ -96,15 +96,15 @@ def test_a_path_read_back_lies_on_the_samples_to_half_a_step() -> None:
     canvas = Canvas(x=axis_over("u", [voltage_V], "V"), y=axis_over("y", [displacement_m], "m"))
     layer = canvas.line("model", "model", voltage_V, displacement_m)
     (points,) = _points(layer.path)
-    x_V = canvas.x.low + points[:, 0] / (WIDTH * FINE) * (canvas.x.high - canvas.x.low)
-    y_um = canvas.y.high - points[:, 1] / (HEIGHT * FINE) * (canvas.y.high - canvas.y.low)
-    np.testing.assert_allclose(x_V, voltage_V, atol=0.51 * 3.3 / (WIDTH * FINE))
-    np.testing.assert_allclose(y_um * 1e-6, displacement_m, atol=0.51 * 4.4e-6 / (HEIGHT * FINE))
+    x_V = canvas.x.low + points[:, 0] / (WIDTH * STEPS) * (canvas.x.high - canvas.x.low)
+    y_um = canvas.y.high - points[:, 1] / (HEIGHT * STEPS) * (canvas.y.high - canvas.y.low)
+    np.testing.assert_allclose(x_V, voltage_V, atol=0.51 * 3.3 / (WIDTH * STEPS))
+    np.testing.assert_allclose(y_um * 1e-6, displacement_m, atol=0.51 * 4.4e-6 / (HEIGHT * STEPS))
 
 
 def test_a_curve_is_broken_where_the_model_says_nothing() -> None:
     y = np.array([0.0, 1.0, np.nan, np.nan, 1.0, 0.0, np.nan])
-    assert whole_parts(y) == [slice(0, 2), slice(4, 6)]
+    assert finite_runs(y) == [slice(0, 2), slice(4, 6)]
     canvas = Canvas(x=axis_over("t", [np.arange(7.0)], "s"), y=axis_over("y", [y], "m"))
     assert len(_points(canvas.line("model", "model", np.arange(7.0), y).path)) == 2
 

@@ -15,7 +15,7 @@ from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.effect_comparison import compare_effects
 from piezoid_reports.page import Page
 from piezoid_reports.render import render, render_diagnosis
-from piezoid_reports.sections.findings import NO_PICTURE
+from piezoid_reports.sections.findings import NO_FIGURE
 from piezoid_reports.traces import rms, traces_of
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_diagnosis import NAMES, diagnosed, finding
@@ -69,7 +69,7 @@ def test_a_mode_that_the_fitted_samples_do_not_show_has_a_sentence_for_a_picture
     fast = replace(axis_model(), extensions=(mode,))
     found = diagnosed(finding("resonance"))
     page = Anatomy(render_diagnosis(stage_model(fast), [recording()], found))
-    assert NO_PICTURE in [e.text for e in page.all("p", "prose")]
+    assert NO_FIGURE in [e.text for e in page.all("p", "prose")]
     assert not any("residual against frequency" in e.text for e in page.all("figcaption"))
 
 
@@ -175,4 +175,4 @@ def test_a_drift_that_the_fit_follows_is_named_beside_the_bound_of_a_drift() -> 
     found = replace(diagnosed(), not_detected=(absent,))
     page = Page(model=stage_model(axis_model()), recordings=[recording()], diagnoses=(found,))
     cells = [e.text.replace("\u202f", " ") for e in Anatomy(render(page)).all("td")]
-    assert "1.00 nm, 2.00 nm, beyond the drift that the fit follows" in cells
+    assert "1.00 nm, 2.00 nm, in addition to the drift in the fit" in cells

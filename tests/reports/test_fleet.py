@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ParameterFileError
-from piezoid_reports.fleet.chapters import render_fleet
-from piezoid_reports.fleet.findings import FALSE_ALARMS, compare_stages
 from piezoid_reports.fleet.records import (
     FAILED,
     PASSED,
@@ -18,6 +16,8 @@ from piezoid_reports.fleet.records import (
     FleetStage,
     stage_from_json,
 )
+from piezoid_reports.fleet.sections import render_fleet
+from piezoid_reports.fleet.statistics import FALSE_ALARMS, compare_stages
 from tests.reports.anatomy import Anatomy
 
 MIDDLE = {"sensitivity_m_per_V": 3.3e-6, "noise_rms_m": 1e-8, "held_out_rms_percent": 0.1}
@@ -123,7 +123,7 @@ def test_a_drift_over_the_serial_numbers_is_seen_and_the_drifted_are_no_outliers
     assert found.trend is not None
     assert found.trend.slope == pytest.approx(-2e-3 * 3.3e-6, rel=0.05)
     assert not found.outliers
-    assert "drifts." in render_fleet(Fleet(name="night", stages=stages))
+    assert "Drift over the serial numbers: " in render_fleet(Fleet(name="night", stages=stages))
 
 
 def test_a_constant_quantity_and_a_missing_serial_are_no_trouble() -> None:
@@ -174,7 +174,7 @@ def test_a_page_of_very_many_stages_stays_small_and_shows_the_worst() -> None:
     assert len(text) < 1.3 * len(render_fleet(fleet(200, **odd)))
     assert "unit 600" in text
     assert max(table.count("<tr") for table in text.split("<table")) <= 202
-    assert "Of 1201 rows 200 are shown; all stages stand in parameters.parquet" in text
+    assert "200 of 1201 rows are shown; parameters.parquet lists all stages" in text
 
 
 def test_many_stages_of_which_few_carry_a_number_still_make_a_page() -> None:

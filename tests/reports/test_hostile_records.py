@@ -13,8 +13,8 @@ from piezoid.digests import seal
 from piezoid.errors import PiezoidError
 from piezoid.identification.store import read_model, write_model
 from piezoid.verification.verification import verification_from_json
-from piezoid_reports.fleet.chapters import render_fleet
 from piezoid_reports.fleet.records import Fleet, FleetStage, stage_from_json
+from piezoid_reports.fleet.sections import render_fleet
 from piezoid_reports.page import Page
 from piezoid_reports.render import render, render_design
 from tests.reports.anatomy import Anatomy

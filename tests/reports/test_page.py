@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.diagnosis import HeldOut
-from piezoid_reports.page import MAX_DRAWN, Page
+from piezoid_reports.page import MAX_PLOTTED, Page
 from piezoid_reports.render import render
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_diagnosis import diagnosed, finding
@@ -180,7 +180,7 @@ def test_a_stage_of_six_axes_with_ten_recordings_each_stays_below_three_megabyte
     )
     assert len(page.encode()) < LARGEST_PAGE
     loops = re.findall(r'<svg class="frame"[^>]*aria-label="\d\.csv, axis a: loop', page)
-    assert len(loops) == 1 + MAX_DRAWN
+    assert len(loops) == 1 + MAX_PLOTTED
     rows = [e.text for e in Anatomy(page).all("th") if e.attributes["scope"] == "row"]
     assert rows.count("9.csv") >= 6  # in each axis' table
 

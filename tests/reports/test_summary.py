@@ -23,7 +23,7 @@ def sentences(page: str) -> dict[str, str]:
 
 
 def tone(page: str) -> str:
-    return Anatomy(page).all("p", "said")[0].attributes["class"].split()[-1]
+    return Anatomy(page).all("p", "headline")[0].attributes["class"].split()[-1]
 
 
 def test_a_good_stage_is_called_good_with_the_error_of_its_worst_axis(page: str) -> None:

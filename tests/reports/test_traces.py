@@ -24,7 +24,7 @@ def test_the_residual_of_a_trace_is_the_noise_that_was_added() -> None:
 def test_line_and_model_are_judged_on_the_same_samples() -> None:
     (trace,) = traces_of(axis_model(), [recording()])
     np.testing.assert_array_equal(np.isnan(trace.line_m), np.isnan(trace.modelled_m))
-    assert trace.counted == 2900
+    assert trace.used_samples == 2900
     # Least squares: what the common slope and the own zero leave is neither tilted nor shifted.
     there = np.isfinite(trace.line_m)
     left, drive = trace.line_residual_m[there], trace.voltage_V[there]

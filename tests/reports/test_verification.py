@@ -87,7 +87,7 @@ def test_bounds_of_errors_have_rows_where_asked_for(found: Verification) -> None
     held = replace(asked, bounds=(replace(bound, bound_m=400e-9),))
     assert any(row.startswith("x1.00 mm/s400 nm150 nm") for row in texts(held))
     broken = replace(asked, bounds=(replace(bound, bound_m=300e-9),))
-    assert any("300 nm, not on all stages drawn" in row for row in texts(broken))
+    assert any("300 nm, exceeded on some sampled stages" in row for row in texts(broken))
     again = verification_from_json(asked.to_json())
     assert again.bounds == asked.bounds
 

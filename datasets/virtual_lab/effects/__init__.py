@@ -1,6 +1,6 @@
-"""Effects of the simulated stages: one file each, with its physics in the docstring.
+"""Effects of the simulated stages: one file each, with the physics in its docstring.
 
-Effects at the same place of the signal chain are applied in the order of the tuple below.
+Effects at the same place of the signal chain are applied in the order of ``EFFECTS``.
 """
 
 from piezoid_datasets.virtual_lab.effects import (

@@ -1,9 +1,9 @@
-"""Amplifier saturation: the supply ends before the command does.
+"""Amplifier saturation: the command exceeds the range of the supply.
 
     V = min(max(V, V_low), V_high)
 
-at the amplifier's output, on one side or on both. The ceramic then remembers the clipped voltage,
-not the commanded one.
+at the output of the amplifier, on one side or on both. The memory of the ceramic then follows the
+clipped voltage and not the command.
 
 Source: data sheets of high-voltage amplifiers.
 """
@@ -24,7 +24,7 @@ SIDES = (("high",), ("low",), ("high", "low"))
 
 
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
-    """Draw the sides, and set each limit where the displacement is short by the size."""
+    """Draw the sides, and set each limit such that the displacement is short by the size."""
     sides = SIDES[int(rng.choice(3, p=[0.6, 0.2, 0.2]))]
     output_V = np.concatenate([trace.amplifier_V for trace in bench.traces])
     moved_m = np.concatenate([trace.displacement_m for trace in bench.traces])
@@ -40,7 +40,7 @@ def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
 
 
 def _limit(side: str, size_m: float, output_V: Array, moved_m: Array) -> float:
-    """Return the voltage at which the displacement is a size away from its farthest."""
+    """Return the voltage at which the displacement differs from its extreme by the size."""
     if side == "high":
         return float(np.max(output_V[moved_m <= np.max(moved_m) - size_m], initial=-np.inf))
     return float(np.min(output_V[moved_m >= np.min(moved_m) + size_m], initial=np.inf))

@@ -1,11 +1,11 @@
-"""Asymmetry: strain goes with the square of polarisation, and the ceramic is poled.
+"""Asymmetry: strain is proportional to the square of the polarisation of a poled ceramic.
 
-Around the remanent polarisation the square leaves a slope, which is the piezoelectric effect, and
+Around the remanent polarisation the square has a slope, which is the piezoelectric effect, and
 a curvature, which bends rising and falling branches to the same side:
 
     s + 4 a s (1 - s),      s from 0 to 1 over the stroke
 
-The ends of the stroke stay where they are.
+The ends of the stroke are unchanged.
 
 Source: electrostriction, s = Q P^2; Damjanovic, Rep. Prog. Phys. 61 (1998).
 """
@@ -25,7 +25,7 @@ from piezoid_datasets.virtual_lab.signals import Array
 
 
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
-    """Draw the side to which it bends, and scale."""
+    """Draw the sign of the curvature, and scale it to the size."""
     stroke_m = bench.rig.stroke_m
 
     def bent(ceramic_m: Array) -> Array:

@@ -1,13 +1,13 @@
-"""Creep: domains that go on switching for hours after the field has stopped.
+"""Creep: domains that continue to switch for hours after a change of the field.
 
-Walls climb barriers of widely spread heights, so relaxation times are spread evenly over the
-logarithm of time:
+Domain walls cross barriers of widely distributed heights, so the relaxation times are uniformly
+distributed over the logarithm of time:
 
     x(t) = h(t) + integral g(tau) h_tau(t) d log10 tau,    tau dh_tau/dt = h - h_tau
 
-with h the response of the domains that switch at once. The spectrum g is flat over six decades
-with soft ends. The integral is a sum over eight relaxation times a decade, far denser than
-anything one would fit.
+with h the response of the domains that switch instantly. The spectrum g is flat over six decades
+with soft ends. The integral is computed with eight relaxation times per decade, many more than a
+fit would use.
 
 Source: Jung & Gweon, Rev. Sci. Instrum. 71 (2000); spectrum after Vieira, IBM J. Res. Dev. 30
 (1986).
@@ -30,11 +30,11 @@ from piezoid_datasets.virtual_lab.signals import Array, first_order
 DECADES = (-2.0, 4.0)  # of relaxation time in seconds
 PER_DECADE = 8
 EDGE_DECADES = 0.5
-CYCLED_s = 5.0  # the drive was cycled so long before it rested; slow domains hardly noticed
+CYCLED_s = 5.0  # duration of the cycles before the rest: slow domains hardly respond
 
 
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
-    """Scale the spectrum until the campaign moves by ``size_m`` beyond its response."""
+    """Scale the spectrum to the size of the additional displacement."""
     tilt = float(rng.uniform(-0.15, 0.15))
     unit = [_crept(trace.displacement_m, trace.scene, tilt) for trace in bench.traces]
     per_decade = proportional(size_m, EFFECT.measure, unit, why="the stage does not move")
@@ -42,7 +42,7 @@ def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
 
 
 def creep_of(per_decade: float, tilt: float) -> Fault:
-    """Return creep of a given strength: the fraction of a step added in each decade of time."""
+    """Return creep of a given strength, the fraction of a step per decade of time."""
 
     def change(ceramic_m: Array, scene: Scene, _: np.random.Generator) -> Array:
         return ceramic_m + per_decade * _crept(ceramic_m, scene, tilt)
@@ -54,7 +54,7 @@ def creep_of(per_decade: float, tilt: float) -> Fault:
 
 
 def _crept(response_m: Array, scene: Scene, tilt: float) -> Array:
-    """Return the integral over the spectrum, for a spectrum of one per decade."""
+    """Return the integral over a spectrum of one per decade."""
     first, last = DECADES
     decades = first + (np.arange(round((last - first) * PER_DECADE)) + 0.5) / PER_DECADE
     ends = np.minimum(decades - first, last - decades)

@@ -1,8 +1,8 @@
-"""Cross coupling: another axis moves, and this one answers.
+"""Cross coupling: the motion of another axis moves this axis.
 
-Mechanical: the other ceramic, with its own hysteresis, pushes through the flexures by a small
-angle, ``x + c x_other``. Electrical: the other amplifier's voltage leaks into this one's output,
-``V + c V_other``, and then goes through this axis' hysteresis.
+Mechanical: the other ceramic, with its own hysteresis, acts through a misalignment of the
+flexures, ``x + c x_other``. Electrical: the voltage of the other amplifier leaks into the output
+of this amplifier, ``V + c V_other``, before the hysteresis of this axis.
 
 Source: Devasia, Eleftheriou & Moheimani, IEEE TCST 15 (2007), section on coupling.
 """
@@ -23,11 +23,11 @@ from piezoid_datasets.virtual_lab.signals import Array
 from piezoid_datasets.virtual_lab.truths.preisach import draw_preisach
 
 WHY = "no other axis is driven"
-AT_REST = np.array([1.0, -1.0])  # the other axis was cycled before, as labs do
+AT_REST = np.array([1.0, -1.0])  # the other axis was cycled before the recording
 
 
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
-    """Draw the path the coupling takes and its sign, and scale it."""
+    """Draw the path and the sign of the coupling, and scale it."""
     sign = float(rng.choice([-1.0, 1.0]))
     if rng.random() < 0.5:
         return _electrical(sign * size_m, bench)

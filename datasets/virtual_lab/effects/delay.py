@@ -1,9 +1,9 @@
-"""Delay: the reading arrives late, by a time or by a number of rows.
+"""Delay: the reading is late by a time or by a number of rows.
 
     y(t) = x(t - tau)
 
-A cable, a servo or a digital filter with its own clock delays by seconds, the same in every
-recording. A converter that hands over its result some conversions later delays by rows, and so by
+A cable, a servo or a digital filter with its own clock delays by the same time in every
+recording. A converter that returns its result some conversions later delays by rows, which is
 another time in a recording of another rate.
 
 Source: Devasia, Eleftheriou & Moheimani, IEEE TCST 15 (2007).
@@ -30,11 +30,11 @@ DelayIn = Callable[[Scene], float]
 
 DELAYS_s = (1e-6, 0.1)
 ROWS = (0.05, 200.0)
-MISFIT = 0.25  # a whole number of rows may miss the wanted size by so much
+MISFIT = 0.25  # largest relative deviation from the size for an integer number of rows
 
 
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
-    """Delay by whole rows if drawn and if a whole number meets the size, else by a time."""
+    """Delay by rows if drawn and if an integer number gives the size, otherwise by a time."""
     rows = bisected(size_m, EFFECT.measure, bench.traces, _change_by_rows, ROWS)
     whole = max(round(rows), 1)
     if rng.random() < 0.5 and abs(whole / rows - 1.0) < MISFIT:

@@ -1,8 +1,7 @@
-"""The contract of an effect: physics put into the signal chain, at a known size.
+"""Interface of an effect: physics added to the signal chain, with a known size.
 
-The chain knows places, not effects. An effect is told how large it shall be seen, looks at what
-the healthy bench does (``Bench``), and answers with the acts that do it and the physical numbers
-it chose.
+The chain has places at which acts change the signal. An effect receives its size and the signals
+of the healthy stage (``Bench``), and returns its acts and physical parameters.
 
 Size is the change an effect makes to the *noise-free displacement reading*, in the recording of
 the campaign where that change is largest: its rms over that recording, or, for effects that act
@@ -21,21 +20,21 @@ from piezoid_datasets.virtual_lab.truths.truth import Ceramic
 
 
 class Place(IntEnum):
-    """Where in the chain an act sits, upstream first; and the signal it is given."""
+    """Places of acts in the signal chain, in its order, with their signals."""
 
-    HISTORY = 0  # fields of the turns before the record (turns,)
-    AMPLIFIER = 1  # volts asked of the amplifier, before its bandwidth
-    OUTPUT = 2  # volts it delivers
+    HISTORY = 0  # fields at the turning points before the recording (turns,)
+    AMPLIFIER = 1  # input of the amplifier times its gain, before its bandwidth, V
+    OUTPUT = 2  # output of the amplifier, V
     IRREVERSIBLE = 3  # irreversible strain, 0 to 1
     CERAMIC = 4  # displacement of the ceramic, m
     MECHANICS = 5  # displacement of the stage, m
     SENSOR = 6  # reading before it is sampled, m
     CONVERTER = 7  # sampled reading, with noise, m
-    RECORD = 8  # rows of the file, m; may become fewer
+    RECORD = 8  # rows of the file, m; an act may remove rows
 
 
 class Measure(StrEnum):
-    """How the size of an effect is read from the change it makes."""
+    """Definition of the size of an effect by the change that it causes."""
 
     RMS = "rms"
     PEAK = "peak"
@@ -49,14 +48,14 @@ class Measure(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """What an act may look at: the bench, the clock, and the chain upstream of it.
+    """Information for an act: the rig, the clock, and earlier signals of the chain.
 
-    rate_Hz, time_s   of the signal the act is given (finer than the record before sampling)
+    rate_Hz, time_s   of the signal of the act (finer than the recording before sampling)
     record_rate_Hz    of the rows
-    order             which recording of the campaign this is, from 0
-    rest_s            how long the stage stood still before the record
-    field             (samples,)  -1 to 1 over the drive range; known from IRREVERSIBLE on
-    others_V          amplifier volts of other axes, same length as ``time_s``
+    order             index of the recording in the campaign, from 0
+    rest_s            duration of the rest before the recording
+    field             (samples,)  -1 to 1 over the drive range; available from IRREVERSIBLE on
+    others_V          amplifier volts of other axes, with the length of ``time_s``
     """
 
     rig: Rig
@@ -75,7 +74,7 @@ Change = Callable[[Array, Scene, np.random.Generator], Array]
 
 @dataclass(frozen=True, kw_only=True)
 class Act:
-    """One change of one signal; ``name`` keys the generator it gets in every recording."""
+    """One change of one signal; ``name`` seeds its random generator in every recording."""
 
     name: str
     place: Place
@@ -84,9 +83,9 @@ class Act:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trace:
-    """What one recording looks like on the healthy bench, on the fine clock of the chain.
+    """Signals of one recording on the healthy stage, on the fine time grid of the chain.
 
-    history         (turns,)  fields at which the drive turned before the record
+    history         (turns,)  fields at the turning points before the recording
     amplifier_V     (fine,)  delivered to the ceramic
     irreversible    (fine,)  part of the strain
     displacement_m  (fine,)  of the stage
@@ -101,7 +100,7 @@ class Trace:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bench:
-    """The healthy campaign: what an effect scales itself by."""
+    """The campaign without effects, by which an effect is scaled."""
 
     rig: Rig
     ceramic: Ceramic
@@ -110,7 +109,7 @@ class Bench:
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """An effect made concrete: its acts, and the numbers it chose, with units in their names."""
+    """Acts and physical parameters of an effect, with units in the names of the parameters."""
 
     acts: tuple[Act, ...]
     numbers: Mapping[str, float | str]
@@ -120,10 +119,10 @@ class Fault:
 class Effect:
     """One effect.
 
-    name             as in DESIGN's table, truth.json and on the command line
-    measure          how its size is read
-    visible_percent  of the stroke: the size from which a person can find it in a picture
-    shown_by         names of the plans that excite it; a campaign that has it plays one of them
+    name             in truth.json and on the command line
+    measure          definition of its size
+    visible_percent  size from which a person can see it in a figure, in percent of the stroke
+    shown_by         names of the plans that excite it; a campaign with it contains one of them
     install          (size_m, bench, rng) -> Fault
     """
 

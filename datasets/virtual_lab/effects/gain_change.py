@@ -1,7 +1,7 @@
-"""Gain change: at one instant the stage becomes a little more or less sensitive, and stays so.
+"""Gain change: at one instant the sensitivity of the stage changes permanently.
 
-A load is put on, a connector moves, a heater switches: displacement times ``1 + d`` from an
-instant inside one recording on, through all later ones.
+A load is added, a connector moves, or a heater switches: the displacement is multiplied by
+``1 + d`` from an instant in one recording on, including all later recordings.
 
 Source: spring load on a ceramic of finite stiffness, as in manufacturers' application notes.
 """
@@ -23,7 +23,7 @@ SETTLING_s = 2e-3
 
 
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
-    """Draw the instant and the sign; the size is reached at the largest displacement after it."""
+    """Draw the instant and the sign; scale to the size at the largest displacement after it."""
     order = int(rng.integers(len(bench.traces)))
     instant_s = float(rng.uniform(0.3, 0.7)) * float(bench.traces[order].scene.time_s[-1])
     sign = float(rng.choice([-1.0, 1.0]))

@@ -1,8 +1,8 @@
-"""Initial state: the stage remembers what nobody recorded.
+"""Initial state: the memory depends on a drive before the recording.
 
-Before a recording a lab cycles the drive over its range, so that the memory is known. Here that
-was forgotten: the drive turned at a few other voltages before it came to where the record starts.
-The error ends, by and by, as the record itself visits the range.
+Before a recording a laboratory cycles the drive over its range, so that the memory is defined.
+Here the drive was not cycled, but turned at a few other voltages before the start of the
+recording. The error vanishes gradually as the recorded drive covers the range.
 
 Source: Mayergoyz, Mathematical Models of Hysteresis (1991), on the past a Preisach state keeps.
 """
@@ -21,13 +21,13 @@ from piezoid_datasets.virtual_lab.effects.effect import (
 from piezoid_datasets.virtual_lab.signals import Array
 from piezoid_datasets.virtual_lab.truths.branches import branches, settled
 
-PASTS = 60  # tried; the one that comes nearest to the size is taken
+PASTS = 60  # simulated histories
 REACH = 1.0  # of the field: what a past saw beyond the drive range, no record would ever forget
-LOOKED_AT = 2000  # instants of each recording, besides its reversals
+LOOKED_AT = 2000  # samples of each recording, in addition to its reversals
 
 
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
-    """Try random pasts for every recording and keep the one nearest to the size."""
+    """Simulate random histories of every recording and select the closest to the size."""
     pasts = {trace.scene.order: _past(size_m, bench, trace, rng) for trace in bench.traces}
     act = Act(
         name=EFFECT.name,
@@ -53,7 +53,7 @@ def _past(size_m: float, bench: Bench, trace: Trace, rng: np.random.Generator) -
 
 
 def _thinned(field: Array) -> Array:
-    """Return a path with the same reversals and fewer instants; strain does not know its speed."""
+    """Return a path with the same reversals and fewer samples; the strain is rate independent."""
     reversals = [start for start, _, _ in branches(settled(field))]
     even = range(0, len(field), max(len(field) // LOOKED_AT, 1))
     return np.asarray(field[np.unique([*reversals, *even])])
@@ -65,7 +65,7 @@ def _strain(bench: Bench, field: Array, past: Array) -> Array:
 
 
 def _random_turns(first: float, rng: np.random.Generator) -> Array:
-    """Return turns that alternate about where the record starts, shrinking towards it."""
+    """Return turning points that alternate around the start of the recording and approach it."""
     count = int(rng.integers(1, 6))
     reach = np.sort(rng.uniform(0.05, 1.0, count))[::-1]
     side = float(rng.choice([-1.0, 1.0])) * (-1.0) ** np.arange(count)

@@ -1,9 +1,9 @@
-"""Lag: a filter in the sensor that nobody wrote down.
+"""Lag: an undeclared filter in the sensor.
 
     tau dy/dt = x - y
 
-An output filter switched to a lower corner, a servo that limits the bandwidth, a demodulator.
-At low frequency it is a delay of tau; it differs where it also attenuates.
+Examples are an output filter with a lower corner, a servo that limits the bandwidth, or a
+demodulator. At low frequencies it is a delay of tau; at higher frequencies it also attenuates.
 
 Source: capacitive sensor manuals: the bandwidth switch.
 """
@@ -26,7 +26,7 @@ TIME_CONSTANTS_s = (1e-6, 0.1)
 
 
 def install(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
-    """Search the time constant."""
+    """Search for the time constant that gives the size."""
 
     def change(trace: Trace, tau_s: float) -> Array:
         return filtered(trace.displacement_m, tau_s, trace.scene.rate_Hz) - trace.displacement_m
@@ -45,7 +45,7 @@ def install(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
 
 
 def filtered(reading_m: Array, tau_s: float, rate_Hz: float) -> Array:
-    """Return the reading behind the filter, which had settled on its first value."""
+    """Return the output of the filter, which starts in the steady state."""
     return first_order(reading_m, tau_s, rate_Hz, float(reading_m[0]))
 
 

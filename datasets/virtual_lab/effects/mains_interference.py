@@ -1,7 +1,7 @@
-"""Mains interference: the grid hums in the sensor cable.
+"""Mains interference: hum in the sensor cable.
 
-A line of 50 or 60 Hz and its harmonics, whose frequency wanders by some hundredths of a hertz as
-the grid balances load, so that its phase drifts away from any fixed sine:
+A line at 50 or 60 Hz with harmonics, whose frequency varies by some hundredths of a hertz with the
+load of the grid, so that its phase drifts relative to any fixed sine:
 
     m(t) = sum_k a_k sin(k theta(t) + phi_k),     dtheta/dt = 2 pi (f + wander)
 
@@ -27,7 +27,7 @@ WANDER_CORNER_Hz = 0.05
 
 
 def install(size_m: float, _: Bench, rng: np.random.Generator) -> Fault:
-    """Draw the grid, the harmonics and their phases."""
+    """Draw the mains frequency, the harmonics and their phases."""
     grid_Hz = float(rng.choice([50.0, 60.0]))
     strength = np.array([1.0, 0.15, 0.35, 0.2]) * rng.uniform(0.3, 1.0, 4)
     strength[0] = 1.0

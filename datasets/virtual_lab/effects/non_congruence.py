@@ -1,13 +1,13 @@
-"""Non-congruence: the same minor loop has another shape at another bias.
+"""Non-congruence: equal minor loops have different shapes at different biases.
 
-Domain walls are freer at one end of the range than at the other, so what is irreversible opens
-more there:
+Domain walls are more mobile at one end of the range than at the other, so the irreversible strain
+has wider loops there:
 
     w + c E (w - m(E)),      m the middle line of the major loop, E from -1 to 1
 
-Loops between the same two fields then differ with what went before, which no Preisach operator
-allows. Walls become freer at the end at which loops are wider anyhow: a pinned ceramic opens to
-one end by itself, and what works against that would hide what it is meant to show.
+Loops between the same two fields then depend on the history, which no Preisach operator allows.
+The mobility increases at the end at which the loops are already wider, because the opposite
+sign would compensate the asymmetry of a pinned ceramic.
 
 Source: Mayergoyz, Mathematical Models of Hysteresis (1991), the nonlinear (input-dependent) model.
 """
@@ -32,7 +32,7 @@ CYCLES, STEPS = 6, 100  # after which a loop closes; of each branch
 
 
 def install(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
-    """Let walls be freer at the end at which they are, and scale."""
+    """Increase the mobility at the end with wider loops, and scale the effect."""
     field, middle = middle_line(bench.ceramic)
 
     def opened(irreversible: Array, at: Array) -> Array:
@@ -53,19 +53,19 @@ def install(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
 
 
 def middle_line(ceramic: Ceramic) -> tuple[Array, Array]:
-    """Return (field, mean of the two branches of the major loop's irreversible part)."""
+    """Return field and mean of both branches of the irreversible part of the major loop."""
     up = np.linspace(-1.0, 1.0, POINTS)
     _, loop = ceramic.respond(np.concatenate((up[::-1], up)), np.array([-1.0, 1.0]))
     return up, 0.5 * (loop[:POINTS][::-1] + loop[POINTS:])
 
 
 def freer_end(ceramic: Ceramic) -> float:
-    """Return the end at which loops of one span are wider, -1 or 1."""
+    """Return the end of the range at which loops of one span are wider, -1 or 1."""
     return 1.0 if opening_at(ceramic, BIAS) >= opening_at(ceramic, -BIAS) else -1.0
 
 
 def opening_at(ceramic: Ceramic, bias: float) -> float:
-    """Return how wide a small loop about a bias is in its middle, once it closes."""
+    """Return the width of a closed small loop in the middle of its span at a bias."""
     corners = np.tile([-HALF_SPAN, HALF_SPAN], CYCLES)
     place = np.arange((2 * CYCLES - 1) * STEPS + 1) / STEPS
     path = bias + np.interp(place, np.arange(2 * CYCLES), corners)

@@ -1,4 +1,4 @@
-"""Outliers: single readings hit by a spark, a bit error, a switching relay.
+"""Outliers: single readings disturbed by a spark, a bit error, or a switching relay.
 
 Rare, of either sign, one row long.
 
@@ -23,7 +23,7 @@ AT_LEAST = 4
 
 
 def install(size_m: float, _: Bench, rng: np.random.Generator) -> Fault:
-    """Draw how many; the largest of each recording has the size, the smallest half of it."""
+    """Draw the outliers, between half the size and the size; the largest has the size."""
     share = float(np.exp(rng.uniform(*np.log(SHARES))))
 
     def spike(sampled_m: Array, _: Scene, chance: np.random.Generator) -> Array:

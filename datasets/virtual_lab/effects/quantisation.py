@@ -1,4 +1,4 @@
-"""Quantisation: a converter with too few bits, or a range far too wide.
+"""Quantisation: a converter with too few bits or too wide a range.
 
     y = q round(x / q)
 
@@ -19,7 +19,7 @@ from piezoid_datasets.virtual_lab.effects.effect import (
 
 
 def install(size_m: float, _bench: Bench, _: np.random.Generator) -> Fault:
-    """Set the step from the rms it leaves."""
+    """Set the step from the rms of its rounding error."""
     step_m = float(np.sqrt(12.0)) * size_m
     act = Act(
         name=EFFECT.name,

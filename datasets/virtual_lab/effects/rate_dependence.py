@@ -1,13 +1,13 @@
-"""Rate dependence: domain walls that need time to follow.
+"""Rate dependence: domain walls that respond with a delay.
 
-The irreversible strain w goes towards its quasi-static value q by thermally activated jumps over
-barriers that the lag itself lowers:
+The irreversible strain w approaches its quasi-static value q by thermally activated jumps over
+barriers that the lag lowers:
 
     dw/dt = (s / tau) sinh((q - w) / s)
 
-Slow drives lag like a filter of time constant tau; fast ones only by s asinh(rate tau / s), the
-logarithm of the rate. The reversible part does not lag at all. Over a time h in which q stands
-still, ``tanh(e / 2s)`` of the lag e decays by ``exp(-h / tau)``: the step used here is exact.
+Slow drives lag like a filter with time constant tau, fast drives only by s asinh(rate tau / s),
+which grows with the logarithm of the rate. The reversible part does not lag. Over a time h with
+constant q, ``tanh(e / 2s)`` of the lag e decays by ``exp(-h / tau)``: this step is exact.
 
 Source: Fulcher, Cole & Bishop kinetics of activated walls as in Smith, Smart Material Systems
 (2005), chapter 2.
@@ -30,11 +30,11 @@ from piezoid_datasets.virtual_lab.effects.sizing import bisected
 from piezoid_datasets.virtual_lab.signals import Array
 
 TIME_CONSTANTS_s = (2e-5, 0.2)
-FINE_ENOUGH_Hz = 20e3  # sizing need not look closer
+FINE_ENOUGH_Hz = 20e3  # sufficient for the scaling
 
 
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
-    """Draw the strain scale of the barriers and search the time constant."""
+    """Draw the strain scale of the barriers and search for the time constant."""
     scale = float(rng.uniform(0.005, 0.03))
 
     def change(trace: Trace, tau_s: float) -> Array:
@@ -57,7 +57,7 @@ def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
 
 
 def follow_slowly(still: Array, tau_s: float, scale: float, rate_Hz: float) -> Array:
-    """Return the irreversible strain that chases its quasi-static value."""
+    """Return the irreversible strain that lags behind its quasi-static value."""
     decay = math.exp(-1.0 / (tau_s * rate_Hz))
     moved = np.empty_like(still)
     wall = float(still[0])

@@ -1,10 +1,10 @@
-"""Resonance: the stage is a mass on a spring and rings when it is pushed fast.
+"""Resonance: the stage is a mass on a spring and rings after fast drives.
 
     m'' + 2 z w m' + w^2 m = w^2 h,      x = (1 - p) h + p m
 
-with w = 2 pi f and a damping z of some per cent. Either the whole displacement passes through the
-main mode (p = 1; its frequency decides how much one sees), or a side mode of the flexures, at a
-lower frequency, takes part with a share p.
+with w = 2 pi f and a damping z of some per cent. Either the complete displacement passes through
+the main mode (p = 1; its frequency determines the size), or a side mode of the flexures at a
+lower frequency contributes a fraction p.
 
 Source: any flexure stage's data sheet; Devasia, Eleftheriou & Moheimani, IEEE TCST 15 (2007).
 """
@@ -29,7 +29,7 @@ SIDE_MODES_Hz = (150.0, 600.0)
 
 
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
-    """Draw the damping and the kind of mode; search its frequency or its share."""
+    """Draw the damping and the type of mode; search for its frequency or its fraction."""
     damping = float(rng.uniform(0.01, 0.06))
     frequency_Hz = float(np.exp(rng.uniform(*np.log(SIDE_MODES_Hz))))
     unit = [_swing(trace, 1.0 / frequency_Hz, damping) for trace in bench.traces]
@@ -55,7 +55,7 @@ def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
 
 
 def _swing(trace: Trace, softness_s: float, damping: float) -> Array:
-    """Return what a mode of a frequency of ``1 / softness_s`` adds to the quiet displacement."""
+    """Return the change of the displacement by a mode at the frequency ``1 / softness_s``."""
     quiet_m = trace.displacement_m
     return second_order(quiet_m, 1.0 / softness_s, damping, trace.scene.rate_Hz) - quiet_m
 

@@ -1,7 +1,7 @@
-"""Sensor periodic error: a displacement that is wrong in the same way once every period.
+"""Sensor periodic error: an error of the reading that is periodic in the displacement.
 
-Where two beams of an interferometer mix, or the two phases of an encoder are of unequal size, the
-reading follows the displacement with an error periodic in the displacement itself:
+If two beams of an interferometer mix, or the two phases of an encoder have unequal amplitudes, the
+reading has an error that is periodic in the displacement:
 
     y = x + a sin(2 pi x / p + phi) + b sin(4 pi x / p + psi)
 

@@ -1,4 +1,4 @@
-"""From a wanted size to the physical number that makes it: by proportion, or by bisection."""
+"""Scale the physical parameter of an effect to a size, by proportion or by bisection."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -10,14 +10,14 @@ HALVINGS = 14  # of the logarithm of the range; a range of 1e4 is then known to 
 
 
 def largest(measure: Measure, changes: Iterable[Array]) -> float:
-    """Return the size of an effect that makes these changes in the recordings of a campaign."""
+    """Return the size of an effect with these changes in the recordings of a campaign."""
     return max((measure.of(change) for change in changes), default=0.0)
 
 
 def proportional(size_m: float, measure: Measure, unit: Iterable[Array], *, why: str) -> float:
-    """Return the factor that brings changes of unit strength to a size.
+    """Return the factor that scales changes of unit strength to a size.
 
-    why  what the campaign lacks if nothing changes at all, for the message
+    why  reason in the error message if no recording changes
     """
     reached_m = largest(measure, unit)
     if not reached_m > 0.0:
@@ -32,10 +32,10 @@ def bisected(
     change: Callable[[Trace, float], Array],
     strengths: tuple[float, float],
 ) -> float:
-    """Return the strength at which the recording that changes most changes by a size.
+    """Return the strength for which the largest change of a recording equals a size.
 
-    change     (trace, strength) -> change of the displacement, growing with the strength
-    strengths  weakest and strongest that are physical; the nearest is returned if none fits
+    change     (trace, strength) -> change of the displacement, increasing with the strength
+    strengths  physical range of the strength; its nearer end is returned if no strength fits
     """
     weak, strong = strengths
     for _ in range(HALVINGS):

@@ -1,9 +1,9 @@
-"""Slew limit: the amplifier's current charges the ceramic only so fast.
+"""Slew limit: the current of the amplifier limits the rate at which it charges the ceramic.
 
     |dV/dt| <= I / C
 
-at the output. Below the limit nothing is wrong; above it the output is a straight line that comes
-late and, if the command turns too soon, never arrives.
+at the output. Below the limit the output is correct; above it the output is a straight line that
+is late and, if the command turns too soon, does not reach the command.
 
 Source: Fleming & Moheimani, control of piezoelectric tube scanners; amplifier data sheets.
 """
@@ -22,11 +22,11 @@ from piezoid_datasets.virtual_lab.effects.effect import (
 from piezoid_datasets.virtual_lab.effects.sizing import bisected
 from piezoid_datasets.virtual_lab.signals import Array
 
-FINE_ENOUGH_Hz = 20e3  # sizing need not look closer
+FINE_ENOUGH_Hz = 20e3  # sufficient for the scaling
 
 
 def install(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
-    """Search the limit, with the stroke per range for what a volt is worth."""
+    """Search for the limit, with the mean gain of the stage over its range."""
     rig = bench.rig
     range_V = rig.amplifier_gain_V_per_V * (rig.drive_max_V - rig.drive_min_V)
 
@@ -49,7 +49,7 @@ def install(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
 
 
 def limited(asked_V: Array, step_V: float) -> Array:
-    """Return the voltage that follows by at most a step per sample."""
+    """Return a voltage that follows the command by at most one step per sample."""
     if np.max(np.abs(np.diff(asked_V)), initial=0.0) <= step_V:
         return asked_V
     output_V = float(asked_V[0])

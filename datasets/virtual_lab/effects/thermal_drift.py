@@ -1,11 +1,11 @@
-"""Thermal drift: the frame grows while the drive does not know about it.
+"""Thermal drift: expansion of the frame, independent of the drive.
 
-Three heat sources move the stage against its sensor: the electronics warming up (one exponential
-of the thermal mass), the day (a straight line), and the air conditioning (a slow sine):
+Three heat sources move the stage relative to its sensor: the electronics during warm-up (one
+exponential), the time of day (a straight line), and the air conditioning (a slow sine):
 
     d(t) = a (1 - exp(-t / tau)) + b t + c sin(2 pi t / P + phi)
 
-Time runs on through the campaign; the sensor is zeroed before each recording.
+Time continues through the campaign; the sensor is zeroed before each recording.
 
 Source: Kuhnen, Eur. J. Control 9 (2003) on what remains after hysteresis and creep are removed;
 heat conduction as in any laboratory.

@@ -1,10 +1,10 @@
-"""Timestamp fault: the reader of the sensor loses step with the drive, and nothing says so.
+"""Timestamp fault: the readings of the sensor shift relative to the drive without notice.
 
-Lost: a buffer overruns and some readings are gone; the file closes ranks, and what follows comes
-early. Stalled: the reader hangs and repeats its last value; what follows comes late. The time
-column ticks on as if nothing had happened.
+Lost: a buffer overruns and some readings are missing; the file closes the gap, and all later
+readings are early. Stalled: the reader repeats its latest value, and all later readings are late.
+The time column does not show the fault.
 
-Source: what acquisition programs do when the disk is busy.
+Source: behaviour of acquisition programs on a busy disk.
 """
 
 import math
@@ -30,7 +30,7 @@ ROWS = (0.3, 3000.0)
 
 
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
-    """Draw the kind, the recordings it hits and the instants; search the number of rows."""
+    """Draw type, recordings and instants of the fault; search for the number of rows."""
     kind = str(rng.choice(["lost", "stalled"]))
     worth_m = np.array([EFFECT.measure.of(_late_m(trace, 1.0)) for trace in bench.traces])
     # one row must not be worth more than the size, or no number of rows has it
@@ -66,7 +66,7 @@ def _slip(kind: str, rows: int, places: Mapping[int, float]) -> Change:
 
 
 def _late_m(trace: Trace, rows: float) -> Array:
-    """Return what a delay by some rows changes in the displacement."""
+    """Return the change of the displacement by a delay of some rows."""
     delay_s = rows / trace.scene.record_rate_Hz
     return shifted(trace.displacement_m, delay_s, trace.scene.rate_Hz) - trace.displacement_m
 

@@ -1,7 +1,7 @@
 """Hysteresis laws of the simulated stages; none of them is a sum of plays.
 
-``TRUTHS`` are the laws that a campaign draws from by default and must not change, because every
-seeded campaign keeps its bytes; ``ZOO`` has all laws. To add one, add a file and its line.
+A campaign draws from ``TRUTHS`` by default. ``TRUTHS`` must not change, so that every seed gives
+the same bytes; ``ZOO`` has all laws. To add a law, add a file and its line.
 """
 
 from piezoid_datasets.virtual_lab.truths import (

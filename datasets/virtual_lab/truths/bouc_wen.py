@@ -3,15 +3,13 @@
     dz/dp = 1 - |z|^n (gamma + beta sgn(z dp)),       p = E + b (sqrt(1 + E^2) - 1)
 
 The scale p of the field E is increasing for |b| < 1 and makes the loops depend on bias. The state
-leads the field, so the strain is what remains of the field without it, ``g p - z``, with g the
-steepest slope of z: no part of a branch runs backwards.
+leads the field, so the strain is the difference ``g p - z``, with g the steepest slope of z, so
+that no branch runs backwards.
 
-
-Along a rising branch this is one and the same autonomous equation from wherever the branch starts,
-so all rising branches are pieces of one master curve Z(p), shifted; falling branches are its
-mirror image. The curve is integrated once; a record then costs one interpolation per branch.
-Minor loops do not close exactly and do not wipe each other out: no superposition of plays, nor of
-Preisach hysterons, does that.
+Along a rising branch the equation is autonomous, so all rising branches are shifted pieces of one
+master curve Z(p); falling branches are its mirror image. The curve is integrated once, and each
+branch of a recording costs one interpolation. Minor loops do not close exactly and do not wipe
+each other out, unlike any superposition of plays or Preisach hysterons.
 
 Source: Wen, J. Eng. Mech. 102 (1976); for piezo stages Low & Guo, J. MEMS 4 (1995).
 """
@@ -48,7 +46,7 @@ class BoucWen:
 
     @property
     def saturation(self) -> float:
-        """The state no rising branch exceeds."""
+        """Upper limit of the state on rising branches."""
         return float((self.beta + self.gamma) ** (-1.0 / self.sharpness))
 
     @property
@@ -88,7 +86,7 @@ def master_curve(law: BoucWen) -> tuple[Array, Array]:
 
 
 def draw_bouc_wen(rng: np.random.Generator) -> Ceramic:
-    """Draw a law whose loops saturate within about the drive range, and a curved scale."""
+    """Draw a law with loops that saturate within about the drive range, and a curved scale."""
     beta = float(rng.uniform(1.2, 2.5))
     law = BoucWen(
         sharpness=float(rng.uniform(1.0, 1.8)),

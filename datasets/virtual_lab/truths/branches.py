@@ -1,4 +1,4 @@
-"""Cutting a path into monotone branches: what happens between reversals needs no Python loop."""
+"""Divide a path into monotone branches, which are computed without a Python loop."""
 
 import itertools
 from collections.abc import Iterator
@@ -11,14 +11,14 @@ ROUNDING = 13  # decimals of the field; the last bit of a filter's output is not
 
 
 def settled(field: Array) -> Array:
-    """Return the field without the rounding noise that would count as reversals."""
+    """Return the field without rounding noise, which would create reversals."""
     return np.round(field, ROUNDING)
 
 
 def branches(path: Array) -> Iterator[tuple[int, int, bool]]:
     """Yield ``(start, end, rising)`` of each monotone branch; neighbours share a sample.
 
-    Pauses belong to the branch they follow; a path that never moves has no branch.
+    Pauses belong to the preceding branch; a constant path has no branch.
     """
     steps = np.sign(np.diff(path))
     moving = np.flatnonzero(steps)

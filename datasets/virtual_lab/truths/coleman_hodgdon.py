@@ -1,9 +1,9 @@
-"""A Coleman-Hodgdon ceramic, with the broken lines its authors proposed.
+"""A Coleman-Hodgdon ceramic, with the piecewise linear functions of its authors.
 
     dP/dE = alpha s (f(E) - P) + g(E),     s = +1 rising, -1 falling
 
 f is odd about E0, of slope 1 up to the knee and of a smaller slope beyond; g is the slope of f
-times a share below the knee, and the slope of f beyond: there nothing is lost. Loops close to the
+times a fraction below the knee, and the slope of f beyond, without losses. Loops close at the
 knees, kink there, and drift towards the anhysteretic curve before they close.
 
 Source: Coleman & Hodgdon, Int. J. Eng. Sci. 24 (1986) 897; for piezo stages Banning, de Koning,

@@ -2,14 +2,14 @@
 
     dz/dx = sigma (1 - s z)^i,     x = E + b (sqrt(1 + E^2) - 1),     s = +1 rising, -1 falling
 
-The friction force z is largest in magnitude, 1, after a long way in one direction. The strain is
-what remains of the scale x without it, ``g x - z``, with g the steepest slope of z, so that no
-part of a branch runs backwards. With w = 1 - s z a branch has a closed form,
+The friction force z reaches its largest magnitude, 1, after a long motion in one direction. The
+strain is the difference ``g x - z`` of scale and friction, with g the steepest slope of z, so
+that no branch runs backwards. With w = 1 - s z a branch has a closed form,
 
     w = (w0^(1 - i) - (1 - i) sigma |x - x0|)^(1 / (1 - i)),     i = 1: w = w0 exp(-sigma |x - x0|)
 
-A reversal is forgotten gradually, never wiped out, and minor loops drift before they close. The
-scale's bend b makes loops depend on bias.
+A reversal is forgotten gradually and never wiped out, and minor loops drift before they close. The
+curvature b of the scale makes loops depend on bias.
 
 Source: Dahl, A solid friction model, Aerospace Corp. TOR-0158 (1968); for piezo stages Xu & Li,
 J. Dyn. Syst. Meas. Control 132 (2010) 041011.
@@ -49,7 +49,7 @@ class Dahl:
         return float(self.stiffness * 2.0**self.exponent)
 
     def slack(self, begun: float, travelled: Array) -> Array:
-        """Return what is missing to full friction, 1 - s z, after a way along one branch."""
+        """Return the distance 1 - s z to full friction after a distance along one branch."""
         power = 1.0 - self.exponent
         if abs(power) < LINEAR:
             return np.asarray(begun * np.exp(-self.stiffness * travelled))
@@ -71,7 +71,7 @@ def dahl_memory(law: Dahl, path: Array) -> Array:
 
 
 def draw_dahl(rng: np.random.Generator) -> Ceramic:
-    """Draw a wall that comes to full friction within about the drive range."""
+    """Draw a wall that reaches full friction within about the drive range."""
     law = Dahl(
         stiffness=float(rng.uniform(1.6, 2.6)),
         exponent=float(rng.uniform(1.0, 1.4)),

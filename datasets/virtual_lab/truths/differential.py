@@ -1,10 +1,10 @@
-"""Laws that are a differential equation in the field: one state, one slope for either direction.
+"""Laws defined by a differential equation in the field: one state, one slope per direction.
 
     dz/dE = slope(E, z, s),      s = +1 rising, -1 falling
 
-Between two turns the field plays the part of time. A branch is integrated on a grid that only its
-ends decide [classical Runge-Kutta], and read between the grid's points by cubics, so that the
-state does not know how finely the path was sampled.
+Between two turning points the field replaces the time. A branch is integrated [classical
+Runge-Kutta] on a grid that depends only on its ends, with cubic interpolation between grid points,
+so that the state does not depend on the sampling of the path.
 """
 
 import itertools
@@ -59,7 +59,7 @@ def _edges(begin: float, end: float, jumps: Sequence[float]) -> list[tuple[float
 def _integrated(
     slope: Slope, begin: float, end: float, state: float
 ) -> tuple[list[float], list[float], list[float]]:
-    """Return distances travelled, states, and the states' growth with distance."""
+    """Return distances along the branch, states, and their derivatives by distance."""
     sign = 1.0 if end > begin else -1.0
     steps = max(math.ceil(abs(end - begin) / STEP), 1)
     step = (end - begin) / steps

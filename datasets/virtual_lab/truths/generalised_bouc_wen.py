@@ -3,9 +3,9 @@
     dz/dx = 1 - |z|^n psi,     x = E - E0,     s = sgn(dx)
     psi = b1 sgn(s z) + b2 sgn(s x) + b3 sgn(x z) + b4 s + b5 sgn(z) + b6 sgn(x)
 
-The strain is what remains of the field without the state, ``g x - z``, with g a bound of the
-slope of z. Loops are asymmetric and kink where x changes sign; minor loops do not close exactly
-and do not wipe each other out.
+The strain is the difference ``g x - z`` of field and state, with g a bound of the slope of z.
+Loops are asymmetric with a kink where x changes sign; minor loops do not close exactly and do not
+wipe each other out.
 
 Source: Song & Der Kiureghian, J. Eng. Mech. 132 (2006) 610.
 """
@@ -43,7 +43,7 @@ class GeneralisedBoucWen:
 
     @property
     def rest(self) -> float:
-        """The sum of all shape factors but the first, which must be the smaller part."""
+        """Sum of all shape factors but the first; it must be smaller than the first."""
         return sum(map(abs, self.shape[1:]))
 
     @property

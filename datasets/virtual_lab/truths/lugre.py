@@ -1,10 +1,10 @@
-"""A LuGre wall driven slowly: bristles whose Coulomb level depends on where the wall stands.
+"""A slowly driven LuGre wall: bristles with a Coulomb level that depends on the position.
 
     dz/dE = sigma (1 - s z / L(E)),     L(E) = 1 + a tanh((E - E0) / w) + b exp(-(E - E0)^2 / w^2)
 
-It is LuGre's law below the Stribeck speed, without bristle damping: rate independent. The strain
-is what remains of the field without the friction, ``g E - z``, with g a bound of the slope of z.
-Because L varies over the range, loops of equal span differ with bias. A reversal is forgotten
+This is LuGre's law below the Stribeck speed without bristle damping, which is rate independent.
+The strain is the difference ``g E - z`` of field and friction, with g a bound of the slope of z.
+Because L varies over the range, loops of equal span depend on bias. A reversal is forgotten
 gradually; minor loops drift before they close.
 
 Source: Canudas de Wit, Olsson, Astrom & Lischinsky, IEEE Trans. Autom. Control 40 (1995) 419; a
@@ -38,7 +38,7 @@ class LuGre:
     width: float
 
     def level(self, field: float) -> float:
-        """Return the friction after a long way in one direction."""
+        """Return the friction after a long motion in one direction."""
         place = (field - self.centre) / self.width
         return 1.0 + self.tilt * math.tanh(place) + self.hump * math.exp(-place * place)
 

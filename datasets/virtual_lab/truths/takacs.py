@@ -1,11 +1,12 @@
-"""A Takacs ceramic: branches are shifted hyperbolic tangents, led back to their turning points.
+"""A Takacs ceramic: branches are shifted hyperbolic tangents that return to turning points.
 
     P = P0 + (P1 - P0) (T(E - a) - T(E0 - a)) / (T(E1 - a) - T(E0 - a)),   E rising from E0 to E1
 
-with T(E) = tanh(c (E - centre)), and a falling branch with -a for a. A branch leads to the turning
-point before the last, goes on from there on the branch it had left, and has then forgotten both:
-wiping-out holds exactly and minor loops close at once. They are congruent as well: by the addition
-theorem of T, ``sinh(c (x - y)) / (cosh(c x) cosh(c y))``, the factors of nested branches cancel.
+with T(E) = tanh(c (E - centre)), and -a instead of a on a falling branch. A branch leads to the
+last but one turning point, continues there on the earlier branch, and both turning points are
+wiped out: wiping-out holds exactly and minor loops close at once. They are also congruent: by the
+addition theorem of T, ``sinh(c (x - y)) / (cosh(c x) cosh(c y))``, factors of nested branches
+cancel.
 
 Source: Takacs, COMPEL 20 (2001) 1002, and Mathematics of Hysteretic Phenomena (2003), chapter 2.
 """
@@ -34,7 +35,7 @@ class Takacs:
     centre: float
 
     def curve(self, field: Array, *, rising: bool) -> Array:
-        """Return the tangent hyperbolic that branches of one direction are cut from."""
+        """Return the hyperbolic tangent of the branches of one direction."""
         shift = self.shift[0] if rising else -self.shift[1]
         return np.asarray(np.tanh(self.steepness * (field - self.centre - shift)))
 

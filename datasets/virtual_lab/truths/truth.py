@@ -1,4 +1,4 @@
-"""The contract of a hysteresis truth: a rate-independent ceramic, drawn from a seed."""
+"""Interface of a hysteresis law: a rate-independent ceramic, drawn from a seed."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 from piezoid_datasets.virtual_lab.signals import Array
 
 # Maps a path of fields to the irreversible part of the strain at each of its points. The path
-# begins at FLOOR, where every ceramic has forgotten everything.
+# starts at FLOOR, where no ceramic has any memory.
 Memory = Callable[[Array], Array]
 Curve = Callable[[Array], Array]
 
@@ -17,7 +17,7 @@ FLOOR = -3.0
 
 @dataclass(frozen=True, kw_only=True)
 class Ceramic:
-    """A piezo ceramic at rest: strain as a functional of the field, whatever its speed.
+    """A quasi-static piezo ceramic: strain as a rate-independent functional of the field.
 
         strain[field] = (1 - p) reversible(field) + p irreversible[field]
 
@@ -42,10 +42,10 @@ class Ceramic:
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """A kind of ceramic.
+    """A type of ceramic.
 
-    name  as in truth.json and on the command line
-    draw  makes one ceramic from a generator
+    name  in truth.json and on the command line
+    draw  returns a random ceramic
     """
 
     name: str
@@ -53,13 +53,13 @@ class Truth:
 
 
 def gentle_curve(rng: np.random.Generator) -> Curve:
-    """Draw a reversible part that bends by a few percent of the stroke."""
+    """Draw a reversible part with a curvature of a few percent of the stroke."""
     bend, flex = rng.uniform(-0.06, 0.06), rng.uniform(-0.05, 0.02)
     return lambda field: field + bend * field**2 + flex * field**3
 
 
 def ceramic_with_opening(opening: float, reversible: Curve, memory: Memory) -> Ceramic:
-    """Normalise both parts over the major loop and mix them for a wanted opening.
+    """Normalise both parts over the major loop and combine them for a given opening.
 
     opening  largest vertical distance between the branches of the major loop, as a fraction of
              the stroke

@@ -2,14 +2,14 @@
 
     dP/dE = s (A(E) - P) / k,   s = +1 rising, -1 falling
 
-P is drawn towards the anhysteretic curve A(E) of a wall that nothing pins, and needs a field of
-about k to get there: Jiles and Atherton's law without mean field, which is Coleman and Hodgdon's
-Duhem law with the derivative of A as its second function. It is linear in P, so a branch from
+P approaches the anhysteretic curve A(E) of an unpinned wall over a field of about k. This is Jiles
+and Atherton's law without mean field, which is Coleman and Hodgdon's Duhem law with the derivative
+of A as its second function. It is linear in P, so a branch from
 (E0, P0) has a closed form with one quadrature M of the anhysteretic curve:
 
     P(E) = (P0 - M(E0)) exp(-|E - E0| / k) + M(E),   M = the branch from far away
 
-Because A is curved and skewed, loops of equal span differ with bias, and minor loops creep from
+Because A is curved and skewed, loops of equal span depend on bias, and minor loops shift from
 cycle to cycle before they close.
 
 Source: Jiles & Atherton, J. Magn. Magn. Mater. 61 (1986); Smith & Hom, SPIE 3667 (1999);

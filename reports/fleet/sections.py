@@ -1,4 +1,4 @@
-"""The sections of the page of a batch: verdict, failures, outliers, distributions, all stages."""
+"""Sections of the page of a batch: verdict, failures, outliers, distributions, all stages."""
 
 from heapq import nsmallest
 from itertools import islice
@@ -8,13 +8,6 @@ import numpy as np
 
 from piezoid.formatting import Scale
 from piezoid_reports.chart import Axis, Canvas, axis_over
-from piezoid_reports.fleet.findings import (
-    FALSE_ALARMS,
-    FEWEST,
-    TREND_P,
-    Distribution,
-    compare_stages,
-)
 from piezoid_reports.fleet.records import (
     CRASHED,
     FAILED,
@@ -25,28 +18,35 @@ from piezoid_reports.fleet.records import (
     Fleet,
     FleetStage,
 )
-from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table
+from piezoid_reports.fleet.statistics import (
+    FALSE_ALARMS,
+    MIN_STAGES,
+    TREND_P,
+    Distribution,
+    compare_stages,
+)
+from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table, count_of
 from piezoid_reports.quantities import number, significant, with_half_width
 from piezoid_reports.render import html
 
-NEGLIGIBLE = 1e-3  # of its interval: a slope below it is rounding
-DOTS = 1000  # stages with a serial number that are drawn one by one
-STRETCHES = 60  # of serial numbers, of each of which 5 % to 95 % are drawn
-LOOK_SPREAD = (
+NEGLIGIBLE = 1e-3  # of its interval: a smaller slope is rounding
+MAX_DOTS = 1000  # stages drawn one by one
+SERIAL_BINS = 60  # of a larger batch, drawn as the range from 5 % to 95 %
+GUIDE_SPREAD = (
     "Good: one hump inside the dashed lines. Bad: two humps (two batches of ceramics), a long "
     "tail, single stages far away."
 )
-LOOK_DRIFT = (
+GUIDE_DRIFT = (
     "Good: dots scatter about a level line. Bad: a slope (tool wear, an ageing reference), a step "
     "(a new batch, a new sensor), single dots far away."
 )
 
 HALF_95 = 1.96  # standard errors
-WORST = 200  # rows of a table, so that the page of any batch opens at once
+MAX_ROWS = 200  # of a table, so that the page of any batch opens quickly
 
 
 def verdict(fleet: Fleet, distributions: tuple[Distribution, ...]) -> Section:
-    """Return the verdict: how many stages passed, which stand out, what drifts."""
+    """Return the number of stages that passed, the outliers, and the quantities that drift."""
     n_passed, n_stages = fleet.counts.get(PASSED, 0), len(fleet.stages)
     tone = "good" if fleet.passed else "middling" if n_passed >= 0.9 * n_stages else "bad"
     kinds = ((FAILED, "failed a verdict"), (REFUSED, "could not be used"), (CRASHED, "crashed"))
@@ -59,38 +59,38 @@ def verdict(fleet: Fleet, distributions: tuple[Distribution, ...]) -> Section:
     drifting = [f"{row.quantity.label} of axis {row.axis}" for row in distributions if row.drifts]
     trends = ""
     if drifting:
-        trends = f"Over the serial numbers {', '.join(drifting)} drifts."
+        trends = f"Drift over the serial numbers: {', '.join(drifting)}."
     elif any(row.trend is not None for row in distributions):
-        trends = "Nothing drifts over the serial numbers."
+        trends = "No quantity drifts over the serial numbers."
     elif distributions:
         trends = "Too few stage names contain a serial number to test for drift."
-    text = " ".join((counted, _odd(distributions), trends))
+    text = " ".join((counted, _describe_outliers(distributions), trends))
     parts = (Prose(text=text, tone=tone),)
     return Section(anchor="verdict", title="Verdict", lead="", parts=parts)
 
 
-def _odd(distributions: tuple[Distribution, ...]) -> str:
+def _describe_outliers(distributions: tuple[Distribution, ...]) -> str:
     if not distributions:
-        return f"Fewer than {FEWEST} stages can be compared, so the spread is not reported."
-    ranked = sorted(
-        ((abs(float(row.away[k])), row.stages[k]) for row in distributions for k in row.outliers),
-        reverse=True,
-    )
-    names = list(dict.fromkeys(name for _, name in ranked))
+        return f"Fewer than {MIN_STAGES} stages can be compared, so the spread is not reported."
+    outliers = [
+        (abs(float(row.deviation[k])), row.stages[k])
+        for row in distributions
+        for k in row.outliers
+    ]
+    names = list(dict.fromkeys(name for _, name in sorted(outliers, reverse=True)))
     if not names:
-        return "No stage stands out from the others in anything that was compared."
+        return "No stage is an outlier."
     listed = ", ".join(names[:3])
-    omitted = f" most, and {len(names) - 3} more" if len(names) > 3 else ""
-    verb = "stands" if len(names) == 1 else "stand"
-    return f"{len(names)} {verb} out from the others: {listed}{omitted}."
+    omitted = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return f"{count_of(len(names), 'outlier')}: {listed}{omitted}."
 
 
 def failures(fleet: Fleet) -> Section:
-    """Return every stage that did not pass, with the reason as it was given."""
-    failed = list(islice((s for s in fleet.stages if s.state != PASSED), WORST))
+    """Return every stage that did not pass, with its reason."""
+    failed = list(islice((s for s in fleet.stages if s.state != PASSED), MAX_ROWS))
     table = Table(
         caption="Stages that did not pass."
-        + _beyond(len(fleet.stages) - fleet.counts.get(PASSED, 0)),
+        + _truncation(len(fleet.stages) - fleet.counts.get(PASSED, 0)),
         columns=("stage", "state", "reason"),
         rows=tuple((s.name, s.state, s.reason) for s in failed),
         links=tuple(_link(s) for s in failed),
@@ -100,26 +100,26 @@ def failures(fleet: Fleet) -> Section:
     lead = "; ".join(f"{state}: {meaning}" for state, meaning in STATES.items())
     return Section(
         anchor="failures",
-        title="Failures and their reasons",
+        title="Failures",
         lead=f"{lead}.",
         parts=(table if failed else Prose(text="Every stage passed.", tone="good"),),
     )
 
 
 def outliers(distributions: tuple[Distribution, ...]) -> Section:
-    """Return the stages that stand out, farthest first."""
+    """Return the outliers, largest deviation first."""
     rows = sorted(
         ((row, k) for row in distributions for k in row.outliers),
-        key=lambda pair: -abs(pair[0].away[pair[1]]),
+        key=lambda pair: -abs(pair[0].deviation[pair[1]]),
     )
     limit = min((row.limit for row in distributions), default=0.0)
     lead = (
-        f"At least {limit:.1f} robust standard deviations from the others (of the logarithm for "
-        "quantities with a long tail), beyond the interval of the value. In a batch without "
-        f"faults chance names {FALSE_ALARMS:g} stages at most."
+        f"Outliers deviate by at least {limit:.1f} robust standard deviations (of the logarithm "
+        "for quantities with a long tail), including the uncertainty of the value. Expected "
+        f"number in a batch without faults: {FALSE_ALARMS:g} at most."
     )
     cells = []
-    for row, k in rows[:WORST]:
+    for row, k in rows[:MAX_ROWS]:
         unit, value = row.quantity.unit, float(row.values[k])
         half = HALF_95 * float(row.errors[k])
         cells.append(
@@ -129,35 +129,35 @@ def outliers(distributions: tuple[Distribution, ...]) -> Section:
                 row.quantity.label,
                 with_half_width(value, half, unit) if half > 0.0 else number(value, unit),
                 number(row.spread.median, unit),
-                f"{significant(float(row.away[k]), 2)} sigma",
-                row.quantity.means,
+                f"{significant(float(row.deviation[k]), 2)} sigma",
+                row.quantity.cause,
             )
         )
     table = Table(
-        caption="Measured against the middle of all stages, or against the drift."
-        + _beyond(len(rows)),
-        columns=("stage", "axis", "quantity", "value", "middle", "away", "may be"),
+        caption="Deviation from the median of all stages, or from the drift."
+        + _truncation(len(rows)),
+        columns=("stage", "axis", "quantity", "value", "median", "deviation", "possible cause"),
         rows=tuple(cells),
-        links=tuple(_report_link(row.stages[k]) for row, k in rows[:WORST]),
+        links=tuple(_report_link(row.stages[k]) for row, k in rows[:MAX_ROWS]),
         is_open=True,
     )
     none = Prose(text="None.", tone="good")
     if not distributions:
-        none = Prose(text=f"Not tested: fewer than {FEWEST} stages can be compared.")
+        none = Prose(text=f"Not tested: fewer than {MIN_STAGES} stages can be compared.")
     return Section(
         anchor="outliers",
-        title="Stages that stand out",
+        title="Outliers",
         lead=lead if distributions else "",
         parts=(table if rows else none,),
     )
 
 
 def stages(fleet: Fleet) -> Section:
-    """Return state, error and digests of all stages, or of the worst of very many."""
+    """Return state, error and digests of all stages, or of the worst in a large batch."""
     rows, title = fleet.stages, "All stages"
-    if len(rows) > WORST:
-        rows = nsmallest(WORST, rows, key=_badness)
-        title = f"The worst {WORST} stages"
+    if len(rows) > MAX_ROWS:
+        rows = nsmallest(MAX_ROWS, rows, key=_badness)
+        title = f"The worst {MAX_ROWS} stages"
     return Section(
         anchor="stages",
         title=title,
@@ -165,7 +165,7 @@ def stages(fleet: Fleet) -> Section:
         parts=(
             Table(
                 caption="State, error, and digests of model and parameters."
-                + _beyond(len(fleet.stages)),
+                + _truncation(len(fleet.stages)),
                 columns=("stage", "state", "held-out error", "model.json", "params.json"),
                 rows=tuple(
                     (
@@ -188,15 +188,15 @@ def stages(fleet: Fleet) -> Section:
     )
 
 
-def _beyond(rows: int) -> str:
-    """Say where the rows are that a table does not show."""
-    if rows <= WORST:
+def _truncation(rows: int) -> str:
+    """Return a sentence about the rows that a table does not show, or empty."""
+    if rows <= MAX_ROWS:
         return ""
-    return f" Of {rows} rows {WORST} are shown; all stages stand in parameters.parquet."
+    return f" {MAX_ROWS} of {rows} rows are shown; parameters.parquet lists all stages."
 
 
 def _badness(stage: FleetStage) -> tuple[bool, float, str]:
-    """Order stages: those that did not pass, then by the largest error on rows left out."""
+    """Return the key that sorts stages: first those that did not pass, then by error."""
     errors = [axis.values.get("held_out_rms_percent", 0.0) for axis in stage.axes]
     return stage.state == PASSED, -max(errors, default=0.0), stage.name
 
@@ -206,12 +206,12 @@ def _link(stage: FleetStage) -> str:
 
 
 def _report_link(name: str) -> str:
-    """Return where a stage's report lies; a name can be no scheme and no other place."""
+    """Return the relative address of the report of a stage, quoted against other schemes."""
     return f"./{STAGES}/{quote(name)}/report.html"
 
 
 def render_fleet(fleet: Fleet) -> str:
-    """Return summary.html, to lie beside the folder of the stages."""
+    """Return summary.html, which belongs next to the folder of the stages."""
     distributions = compare_stages(fleet)
     sections = (
         verdict(fleet, distributions),
@@ -252,18 +252,18 @@ def spread(distributions: tuple[Distribution, ...]) -> Section | None:
             if np.ptp(row.values) > 0.0:
                 parts.append(_histogram(row))
             if row.trend is not None:
-                parts.append(_course(row))
+                parts.append(_trend_figure(row))
     return Section(
         anchor="parameters",
         title="Distribution and drift of the parameters",
-        lead="Every stage to which the model applies, whether it passed or not.",
+        lead="All stages to which the model applies, including those that did not pass.",
         parts=tuple(parts),
     )
 
 
 def _drift(row: Distribution) -> str:
     if row.trend is None:
-        return "not known"
+        return "unknown"
     low, high = (100.0 * end for end in row.trend.ci95)
     unit, slope = row.quantity.unit, 100.0 * row.trend.slope
     middle = slope if abs(slope) > NEGLIGIBLE * (high - low) else 0.0
@@ -286,23 +286,23 @@ def _histogram(row: Distribution) -> Figure:
     layers = [canvas.band("count", "stages", across, np.zeros_like(up), up)]
     for level in inside:
         height = np.array([0.0, y.high])
-        layers.append(canvas.line("limit", "limit for most stages", np.full(2, level), height))
+        layers.append(canvas.line("limit", "limit of outliers", np.full(2, level), height))
     outside = f"{len(row.outliers)} beyond {row.limit:.1f} of them"
-    outside += ", counted in the logarithm" if row.quantity.ratio else ""
-    outside += ", each value's own interval counted in" if row.errors.any() else ""
+    outside += ", in the logarithm" if row.quantity.ratio else ""
+    outside += ", including the uncertainty of each value" if row.errors.any() else ""
     return Figure(
         title=f"{row.quantity.label}, axis {row.axis}: distribution",
         caption=f"{row.spread.count} stages, median "
         f"{number(row.spread.median, row.quantity.unit)}, "
         f"robust standard deviation {number(row.spread.sigma, row.quantity.unit)}; "
         f"{outside}.",
-        guide=LOOK_SPREAD,
+        guide=GUIDE_SPREAD,
         canvas=canvas,
         layers=tuple(layers),
     )
 
 
-def _course(row: Distribution) -> Figure:
+def _trend_figure(row: Distribution) -> Figure:
     assert row.trend is not None
     serials = np.array([np.nanmin(row.serials), np.nanmax(row.serials)])
     line = row.trend.middle + row.trend.slope * (serials - row.trend.about)
@@ -311,25 +311,25 @@ def _course(row: Distribution) -> Figure:
         x=x, y=axis_over(row.quantity.label, [row.values], row.quantity.unit), height=200
     )
     is_outlier = np.zeros(len(row.values), dtype=bool)
-    is_outlier[list(row.outliers[:DOTS])] = True
+    is_outlier[list(row.outliers[:MAX_DOTS])] = True
     layer = canvas.dots("dots", "stages", row.serials[~is_outlier], row.values[~is_outlier])
     numbered = np.flatnonzero(np.isfinite(row.serials))
-    if len(numbered) > DOTS:  # the range of 90 % of the stages instead
+    if len(numbered) > MAX_DOTS:
         order = numbered[np.argsort(row.serials[numbered], kind="stable")]
-        stretches = np.array_split(order, STRETCHES)
-        middle = np.array([np.median(row.serials[part]) for part in stretches])
-        low, high = np.array([np.quantile(row.values[p], (0.05, 0.95)) for p in stretches]).T
+        bins = np.array_split(order, SERIAL_BINS)
+        middle = np.array([np.median(row.serials[part]) for part in bins])
+        low, high = np.array([np.quantile(row.values[p], (0.05, 0.95)) for p in bins]).T
         layer = canvas.band("count", "9 of 10 stages", middle, low, high)
     layers = [layer, canvas.line("trend", "median trend", serials, line)]
     if (is_outlier & np.isfinite(row.serials)).any():
         layers.append(
-            canvas.dots("odd", "standing out", row.serials[is_outlier], row.values[is_outlier])
+            canvas.dots("odd", "outliers", row.serials[is_outlier], row.values[is_outlier])
         )
     return Figure(
         title=f"{row.quantity.label}, axis {row.axis} over the serial numbers",
-        caption=f"Drift for 100 serial numbers {_drift(row)}, p = {significant(row.trend_p, 2)}: "
+        caption=f"Drift per 100 serial numbers {_drift(row)}, p = {significant(row.trend_p, 2)}: "
         f"{'significant' if row.drifts else 'not distinguishable from chance'}.",
-        guide=LOOK_DRIFT,
+        guide=GUIDE_DRIFT,
         canvas=canvas,
         layers=tuple(layers),
     )

@@ -1,6 +1,6 @@
 """Statistics of a batch: spread of every quantity, outliers, trends over serial numbers.
 
-Every look at a stage is a chance to be wrong, so the thresholds know how often was looked.
+The thresholds are corrected for the number of tests.
 """
 
 from array import array
@@ -24,22 +24,22 @@ from piezoid.record_json import fields_of
 from piezoid_reports.fleet.quantities import QUANTITIES, Quantity
 from piezoid_reports.fleet.records import Fleet
 
-FEWEST = 5  # stages from which a spread is one
-# A spread of few stages is itself uncertain: the limit is widened by 12 over their number, which
-# keeps the false alarms of normal samples of 5 to 200 stages below what is said (tested).
-WIDENED = 12.0
-FALSE_ALARMS = 0.5  # stages expected to stand out by chance in a batch where nothing is wrong
+MIN_STAGES = 5  # for a spread
+# The spread of few stages is uncertain. Widening the limit by a factor of 1 + 12 / number keeps
+# the false alarms of normal samples of 5 to 200 stages below FALSE_ALARMS (tested).
+WIDENING = 12.0
+FALSE_ALARMS = 0.5  # expected outliers in a batch without faults
 TREND_P = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class QuantityValues:
-    """One quantity of one axis over all stages that have it.
+    """One quantity of one axis for all stages that have it.
 
     stages   (count,)  names
-    serials  (count,)  NaN where a name holds no number
+    serials  (count,)  NaN if a name contains no number
     values   (count,)  SI
-    errors   (count,)  their standard errors; 0 where none is known
+    errors   (count,)  standard errors of the values; 0 if unknown
     """
 
     axis: str
@@ -52,19 +52,20 @@ class QuantityValues:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Distribution(QuantityValues):
-    """The spread of a quantity, the stages that stand out, and its trend.
+    """The spread of a quantity, its outliers, and its trend.
 
-    spread   of the values, as they are
-    away     (count,)  in robust standard deviations of the stages and of the value itself, which
-             may hardly be known; from the trend, where there is one; of the logarithm where
-             ratios count
-    limit    beyond which a stage stands out
-    normal   the values between which none does that is known as well as most, about the middle
-    trend    over serial numbers, its p-value corrected for all that were looked at
+    spread     of the values
+    deviation  (count,)  from the median or a significant trend, in standard deviations: robust
+               spread of the stages and standard error of the value combined; of the logarithm for
+               quantities scaled_spread by ratio
+    limit      deviation above which a stage is an outlier
+    normal     lowest and highest value of a stage with median standard error within the limit
+    trend      over serial numbers
+    trend_p    p-value of the trend, corrected for the number of quantities
     """
 
     spread: Spread
-    away: Array
+    deviation: Array
     limit: float
     normal: tuple[float, float]
     trend: Trend | None
@@ -72,23 +73,23 @@ class Distribution(QuantityValues):
 
     @property
     def drifts(self) -> bool:
-        """Whether the trend is more than chance."""
+        """Whether the trend is significant."""
         return self.trend is not None and self.trend_p < TREND_P
 
     @property
     def outliers(self) -> tuple[int, ...]:
-        """Places of the stages that stand out, farthest first."""
-        outliers = np.flatnonzero(np.abs(self.away) > self.limit)
+        """Indices of the outliers, largest deviation first."""
+        outliers = np.flatnonzero(np.abs(self.deviation) > self.limit)
         return tuple(
-            int(k) for k in outliers[np.argsort(-np.abs(self.away[outliers]), kind="stable")]
+            int(k) for k in outliers[np.argsort(-np.abs(self.deviation[outliers]), kind="stable")]
         )
 
 
 def compare_stages(fleet: Fleet) -> tuple[Distribution, ...]:
-    """Return every quantity that at least ``FEWEST`` stages have, axis by axis."""
+    """Return every quantity that at least ``MIN_STAGES`` stages have, axis by axis."""
     quantities = _quantities(fleet)
-    looks = sum(len(q.values) for q in quantities)
-    limit = float(-normal_quantile(FALSE_ALARMS / max(looks, 1) / 2))
+    n_tests = sum(len(q.values) for q in quantities)
+    limit = float(-normal_quantile(FALSE_ALARMS / max(n_tests, 1) / 2))
     trends = [trend_of(q.serials, q.values) for q in quantities]
     p_values = holm(np.array([1.0 if trend is None else trend.p_value for trend in trends]))
     return tuple(
@@ -98,10 +99,10 @@ def compare_stages(fleet: Fleet) -> tuple[Distribution, ...]:
 
 
 def _quantities(fleet: Fleet) -> list[QuantityValues]:
-    """Return names, values, errors and serials of all that is compared, in one pass."""
+    """Return names, values, errors and serial numbers of all quantities, in one pass."""
     names: list[str] = []
     numbers = array("d")
-    # Of each quantity of an axis: stage, value and error, 20 bytes a stage.
+    # Stage, value and error of each quantity of an axis: 20 bytes per stage.
     columns: defaultdict[tuple[str, str], tuple[array[int], array[float], array[float]]]
     columns = defaultdict(lambda: (array("l"), array("d"), array("d")))
     for index, stage in enumerate(fleet.stages):
@@ -118,7 +119,7 @@ def _quantities(fleet: Fleet) -> list[QuantityValues]:
     for axis_name in sorted({axis for axis, _ in columns}):
         for quantity in QUANTITIES:
             indices, values, errors = columns[axis_name, quantity.name]
-            if len(indices) < FEWEST:
+            if len(indices) < MIN_STAGES:
                 continue
             is_complete = len(indices) == len(all_names)
             quantities.append(
@@ -142,16 +143,16 @@ def _distribution(
     level = values - trend.slope * (measured.serials - trend.about) if trend and drifts else values
     ratio = measured.quantity.ratio and level.min() > 0.0
     scaled, errors = (np.log(level), errors / level) if ratio else (level, errors)
-    compared = spread_beyond(scaled, errors)
-    reach = limit * (1.0 + WIDENED / len(values))
-    usual = float(np.hypot(compared.sigma, np.median(errors)))
-    limits = compared.median + reach * usual * np.array([-1.0, 1.0])
+    scaled_spread = spread_beyond(scaled, errors)
+    widened_limit = limit * (1.0 + WIDENING / len(values))
+    typical_sigma = float(np.hypot(scaled_spread.sigma, np.median(errors)))
+    limits = scaled_spread.median + widened_limit * typical_sigma * np.array([-1.0, 1.0])
     low, high = np.exp(limits) if ratio else limits
     return Distribution(
         **fields_of(measured),
         spread=spread_of(values),
-        away=deviations(scaled, compared, errors),
-        limit=reach,
+        deviation=deviations(scaled, scaled_spread, errors),
+        limit=widened_limit,
         normal=(float(low), float(high)),
         trend=trend,
         trend_p=p_value,
