@@ -14,10 +14,20 @@ from piezoid.numerics.polynomial import (
     spectral_radius,
 )
 
+ROUNDING = 1e-12
+
 
 def test_leading_zeros_are_a_delay_and_no_roots():
     assert roots_of([0.0, 0.0, 1.0, -0.5]) == pytest.approx([0.5])
     assert spectral_radius([3.0]) == 0.0
+
+
+def test_a_target_of_high_degree_makes_s_longer_and_not_r():
+    a, b = np.array([1.0, -1.5, 0.56]), np.array([0.0, 1.0, 0.5])
+    p = from_roots(np.full(7, 0.3))
+    solution = solve_bezout(a, b, p)
+    assert (len(solution.S), len(solution.R)) == (6, 2)
+    assert solution.residual <= ROUNDING
 
 
 def test_a_plant_of_first_order_needs_no_more_than_two_numbers():
