@@ -1,6 +1,7 @@
 """Every record draws itself into axes of its own or given ones, with a unit at each number."""
 
 import re
+from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
@@ -8,9 +9,9 @@ import pytest
 from matplotlib.figure import Figure
 
 import piezoid
-from piezoid.diagnosis.diagnosis import FinalError, Finding, HeldOut, NotDetected, Size
 from piezoid.errors import PictureError
 from tests.api.stage import fitted, recorded, unseen_drive
+from tests.reports.known_diagnosis import diagnosed, finding
 from tests.verification.known_fit import fitted as known
 from tests.verification.rig import RATE_Hz
 
@@ -64,40 +65,9 @@ def test_a_model_draws_its_loops_its_response_and_an_unseen_recording() -> None:
 
 
 def test_a_diagnosis_draws_what_was_found_and_what_was_not() -> None:
-    held = HeldOut(rms_m=3e-8, rms_percent=0.3)
-    found = piezoid.Diagnosis(
-        axis="x",
-        stroke_m=1e-5,
-        baseline=held,
-        final=FinalError(rms_m=1e-8, rms_percent=0.1),
-        envelope_rms_m=9e-9,
-        noise_floor_rms_m=8e-9,
-        explained_fraction=0.9,
-        findings=(
-            Finding(
-                effect="creep",
-                held_out_gain=0.6,
-                held_out_rms_before_m=3e-8,
-                held_out_rms_after_m=1e-8,
-                p_value=1e-4,
-                rms_percent=100.0 * 2.5e-3,
-                size=Size(value=0.01, unit="1", ci95=(0.009, 0.011)),
-                not_separable_from=(),
-                explanation="",
-                next_experiment="",
-                parameters={},
-            ),
-        ),
-        not_detected=(
-            NotDetected(
-                effect="slew_limit",
-                upper_bound_m=2e-9,
-                detection_limit_m=3e-9,
-                reason="",
-                next_experiment="",
-            ),
-        ),
-    )
+    known_one = diagnosed(finding("creep", share=2.5e-3))
+    absent = tuple(one for one in known_one.not_detected if one.effect == "slew_limit")
+    found = replace(known_one, stroke_m=1e-5, not_detected=absent)
     axes = piezoid.plot(found)
     drawn(axes)
     assert [tick.get_text() for tick in axes.get_yticklabels()] == ["creep", "slew limit"]

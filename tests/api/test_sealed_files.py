@@ -1,6 +1,7 @@
 """Every sealed file comes back as the record that wrote it, and writes the same bytes again."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import piezoid
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.errors import ParameterFileError, RecordingError
 from piezoid.sealed_files import sealed
+from tests.reports.known_diagnosis import diagnosed, finding
 from tests.verification.known_fit import fitted
 from tests.verification.rig import RATE_Hz
 
@@ -40,20 +42,7 @@ def shipping(lab, design) -> piezoid.Shipping:
 
 
 def diagnosis(axis: str) -> piezoid.Diagnosis:
-    from piezoid.diagnosis.diagnosis import FinalError, HeldOut
-
-    held = HeldOut(rms_m=3e-9, rms_percent=0.03)
-    return piezoid.Diagnosis(
-        axis=axis,
-        stroke_m=1e-5,
-        baseline=held,
-        final=FinalError(rms_m=3e-9, rms_percent=0.03),
-        envelope_rms_m=2e-9,
-        noise_floor_rms_m=1e-9,
-        explained_fraction=0.5,
-        findings=(),
-        not_detected=(),
-    )
+    return replace(diagnosed(finding("creep")), axis=axis)
 
 
 def test_every_sealed_file_writes_the_same_bytes_again(design, shipping, tmp_path) -> None:

@@ -83,14 +83,6 @@ def test_readings_fit_the_converter_and_drives_the_range() -> None:
             assert rows.voltage_V.max() <= campaign.rig.drive_max_V
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"effects": ["crep"]}, {"truth": "play"}, {"plans": ["sweeep"]}]
-)
-def test_an_unknown_name_is_refused_with_the_known_ones(wrong: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match=r"known are .*(creep|preisach|sweep)"):
-        draw_campaign(1, **wrong)  # type: ignore[arg-type]
-
-
 def test_a_negative_size_is_refused() -> None:
     with pytest.raises(ValueError, match="must not be negative"):
         draw_campaign(1, effects={"creep": -0.1})

@@ -102,11 +102,6 @@ def test_coupling_is_silent_where_the_other_axis_rests(seed: int) -> None:
             assert np.array_equal(faulty.displacement_m, sound.displacement_m)
 
 
-def test_coupling_needs_another_axis() -> None:
-    with pytest.raises(ValueError, match="no other axis is driven"):
-        draw_campaign(1, effects=["cross_coupling"], plans=("sweep",))
-
-
 def test_both_paths_of_coupling_occur() -> None:
     paths = {campaign(s, "cross_coupling").answer.effects[0].numbers["path"] for s in range(4)}
     assert paths == {"mechanical", "electrical"}

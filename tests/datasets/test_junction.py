@@ -1,13 +1,10 @@
 """The virtual junction obeys its own physics; its records depend on their seeds alone."""
 
-import ast
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from piezoid_datasets.virtual_lab import junction as module
 from piezoid_datasets.virtual_lab.junction import Junction, multisine, simulate_junctions
 
 STILL = Junction(
@@ -18,12 +15,6 @@ STILL = Junction(
     mains_gap_m=0.0,
     mains_current_A=0.0,
 )
-
-
-def test_the_module_imports_nothing_of_the_library() -> None:
-    tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
-    names = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    assert not [name for name in names if name.split(".")[0] == "piezoid"]
 
 
 def test_a_still_junction_rests_at_its_set_point() -> None:

@@ -1,8 +1,6 @@
 """`piezoid simulate` writes what a lab would hand over, and the truth somewhere else."""
 
 import json
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -89,15 +87,3 @@ def test_a_folder_of_other_files_is_never_written_and_results_only_with_force(
     assert run("--out", results, *arguments)[0] == 0
     assert run("--out", results, *arguments)[0] != 0
     assert run("--out", results, *arguments, "--force")[0] == 0
-
-
-def test_the_laboratory_imports_nothing_of_the_model() -> None:
-    script = (
-        "import sys, piezoid_datasets.virtual_lab.write, piezoid_datasets.virtual_lab.bundled\n"
-        "print([m for m in sys.modules if m.split('.')[0] in "
-        "('piezoid', 'piezoid_cli', 'piezoid_reports')])"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    assert result.stdout.strip() == "[]"

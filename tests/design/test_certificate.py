@@ -6,7 +6,7 @@ import pytest
 from piezoid.design.certificate import Operation, certify, impulse_response, peak_gain
 from piezoid.design.feedforward import ReferencePath, fit_reference_path
 from piezoid.design.hysteresis_bounds import affine_bounds
-from piezoid.design.observer import DisturbanceObserver, linear_controller
+from piezoid.design.observer import linear_controller
 from piezoid.design.plant import plant_from_chain
 from piezoid.errors import UnstableLoopError
 from piezoid.numerics.arrays import Array
@@ -14,11 +14,16 @@ from tests.design.hysteretic import REACH_V, THRESHOLD_V, hysteresis, loop
 from tests.design.rig import LATERAL_m_per_V, RATE_Hz, lateral_chain
 from tests.design.stepping import with_observer
 
+BOUNDS = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
+PLANT, OBSERVER = loop(BOUNDS)
+CONTROLLER = linear_controller(OBSERVER)
+
 
 def run_around_hysteresis(
-    o: DisturbanceObserver, path: ReferencePath, reference_m: Array, step_V: float
+    path: ReferencePath, reference_m: Array, step_V: float
 ) -> tuple[Array, Array]:
     """Step the affine form around hysteresis, dynamics of unit gain behind it; return y and u."""
+    o = OBSERVER
     unit = plant_from_chain(lateral_chain(1.0))
     A, B, C = unit.realised()
     z = np.zeros(len(THRESHOLD_V))
@@ -39,13 +44,13 @@ def run_around_hysteresis(
     return y, u
 
 
-def certificate_of(plant, o, bounds, slew_m_per_s, step_V=0.0):
-    c = linear_controller(o)
-    path = fit_reference_path([plant], c.R, c.S, c.T, band_Hz=100.0)
+def certificate_of(slew_m_per_s, step_V=0.0, plants=(PLANT,)):
+    c = CONTROLLER
+    path = fit_reference_path([PLANT], c.R, c.S, c.T, band_Hz=100.0)
     operation = Operation(
         reference_slew_m_per_s=slew_m_per_s, voltage_step_V=step_V, sensor_noise_rms_m=1e-9
     )
-    return path, certify([plant], c.R, c.S, c.T, path=path, bounds=bounds, operation=operation)
+    return path, certify(plants, c.R, c.S, c.T, path=path, bounds=BOUNDS, operation=operation)
 
 
 def test_the_norm_of_a_lag_is_its_geometric_sum():
@@ -55,29 +60,25 @@ def test_the_norm_of_a_lag_is_its_geometric_sum():
 
 
 def test_small_gain_is_the_sector_times_the_loops_peak():
-    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
-    plant, o = loop(bounds)
-    _, found = certificate_of(plant, o, bounds, 1e-4)
-    c = linear_controller(o)
+    _, found = certificate_of(1e-4)
     z = np.exp(1j * np.linspace(1e-4, np.pi, 100_001))
-    p = [np.polyval(x[::-1], 1 / z) for x in (plant.B, c.R, plant.A, c.S)]
+    c = CONTROLLER
+    p = [np.polyval(x[::-1], 1 / z) for x in (PLANT.B, c.R, PLANT.A, c.S)]
     peak = np.abs(p[0] * p[1] / (p[2] * p[3] + p[0] * p[1])).max()
     assert found.loop_peak == pytest.approx(peak, rel=1e-3)
-    assert found.small_gain == pytest.approx(bounds.increment_gain * peak, rel=1e-3)
+    assert found.small_gain == pytest.approx(BOUNDS.increment_gain * peak, rel=1e-3)
     assert found.is_guaranteed
 
 
 @pytest.mark.parametrize("frequency_Hz", [2.0, 10.0, 40.0])
 @pytest.mark.parametrize("step_V", [0.0, 5e-3])
 def test_the_guaranteed_error_is_never_exceeded_in_closed_loop(frequency_Hz, step_V):
-    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
-    plant, o = loop(bounds)
     amplitude_m = 0.6 * REACH_V * LATERAL_m_per_V
     t = np.arange(int(2.5 / frequency_Hz * RATE_Hz)) / RATE_Hz
     reference = amplitude_m * np.sin(2 * np.pi * frequency_Hz * t)
     slew = 2 * np.pi * frequency_Hz * amplitude_m
-    path, found = certificate_of(plant, o, bounds, slew, step_V)
-    y, u = run_around_hysteresis(o, path, reference, step_V)
+    path, found = certificate_of(slew, step_V)
+    y, u = run_around_hysteresis(path, reference, step_V)
     assert np.abs(u).max() <= REACH_V  # the certificate's own condition
     p = path.preview_samples
     error = np.abs(reference[: len(reference) - p] - y[p:]).max()
@@ -89,47 +90,36 @@ def test_the_guaranteed_error_is_never_exceeded_in_closed_loop(frequency_Hz, ste
 
 
 def test_of_a_slower_reference_as_much_is_guaranteed_as_by_a_certificate_of_its_own():
-    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
-    plant, o = loop(bounds)
     fast_m_per_s = 2e-3
-    _, fast = certificate_of(plant, o, bounds, fast_m_per_s, 5e-3)
+    _, fast = certificate_of(fast_m_per_s, 5e-3)
     for slow_m_per_s in (1e-7, 2e-5, 3e-4, fast_m_per_s):
-        _, slow = certificate_of(plant, o, bounds, slow_m_per_s, 5e-3)
+        _, slow = certificate_of(slow_m_per_s, 5e-3)
         assert fast.guaranteed_at(slow_m_per_s) == pytest.approx(slow.guaranteed_error_m)
     assert fast.guaranteed_at(2e-5) < 0.1 * fast.guaranteed_error_m
     assert np.isinf(fast.guaranteed_at(1.01 * fast_m_per_s))
 
 
 def test_the_worst_row_of_half_steps_errs_by_what_is_guaranteed_of_a_converter():
-    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
-    plant, o = loop(bounds)
-    _, found = certificate_of(plant, o, bounds, 1e-4, step_V=2e-3)
-    c = linear_controller(o)
+    _, found = certificate_of(1e-4, step_V=2e-3)
+    c = CONTROLLER
     through = impulse_response(
-        np.convolve(plant.B, c.S), np.convolve(plant.A, c.S) + np.convolve(plant.B, c.R)
+        np.convolve(PLANT.B, c.S), np.convolve(PLANT.A, c.S) + np.convolve(PLANT.B, c.R)
     )
     half_steps_V = 1e-3 * np.sign(through[::-1])
     assert half_steps_V @ through[::-1] == pytest.approx(found.converter_error_m, rel=1e-9)
 
 
 def test_three_standard_deviations_of_the_noise_are_its_own_line():
-    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
-    plant, o = loop(bounds)
-    _, found = certificate_of(plant, o, bounds, 1e-4)
+    _, found = certificate_of(1e-4)
     # White noise is a row of independent pushes: their squares add.
     push = np.eye(3000)[0]
-    y, _ = with_observer(plant, o, np.zeros(3000), np.zeros(3000), 1e-9 * push)
+    y, _ = with_observer(PLANT, OBSERVER, np.zeros(3000), np.zeros(3000), 1e-9 * push)
     assert found.noise_error_m == pytest.approx(3.0 * np.linalg.norm(y), rel=1e-6)
     sum_m = found.hysteresis_error_m + found.reference_error_m + found.converter_error_m
     assert found.guaranteed_error_m == pytest.approx(sum_m)
 
 
 def test_an_unstable_member_has_no_certificate():
-    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
-    plant, o = loop(bounds)
-    wrong = plant_from_chain(lateral_chain(8.0 * bounds.gain_m_per_V))
-    c = linear_controller(o)
-    path = fit_reference_path([plant], c.R, c.S, c.T, band_Hz=100.0)
-    operation = Operation(reference_slew_m_per_s=1e-4, voltage_step_V=0.0, sensor_noise_rms_m=0.0)
+    wrong = plant_from_chain(lateral_chain(8.0 * BOUNDS.gain_m_per_V))
     with pytest.raises(UnstableLoopError, match="has a pole of magnitude"):
-        certify([plant, wrong], c.R, c.S, c.T, path=path, bounds=bounds, operation=operation)
+        certificate_of(1e-4, plants=(PLANT, wrong))

@@ -131,10 +131,9 @@ def test_between_the_ends_of_a_wide_interval_members_are_no_farther_apart_than_w
 
 
 def test_what_creeps_and_what_is_late_widen_the_interval_of_the_gain() -> None:
-    plain, _ = members(rigged())
+    plain, still = members(rigged())
     creep = CreepLadder(time_s=(0.1, 1.0), share=(0.03, 0.02))
     _, crept = members(rigged(extensions=(creep,)))
-    _, still = members(rigged())
     highest = max(c.gain for c in still.values())
     assert max(c.gain for c in crept.values()) == pytest.approx(1.05 * highest)
     late = RateDependence(time_s=1e-3)

@@ -48,11 +48,6 @@ def default() -> Design:
     return design_stage(stage(), model_digest=DIGEST, forms=("inverse",))
 
 
-def test_the_gain_lies_in_the_middle_of_the_slope_sector(task: LateralTask) -> None:
-    least, greatest = axis_model().hysteresis.slope_sector_m_per_V
-    assert task.families["inverse"].nominal.gain == pytest.approx(0.5 * (least + greatest))
-
-
 def test_the_family_spans_the_interval_of_the_gain(task: LateralTask) -> None:
     half = relative_gain_half(rigged())
     gains = [m.gain for m in task.families["inverse"].members]
@@ -211,29 +206,29 @@ def test_no_first_mode_is_assumed_above_a_resonance_that_recordings_show() -> No
     assert limits_Hz == pytest.approx([200.0, 600.0, 100.0, 100.0])
 
 
-def test_a_missing_rate_and_a_missing_pole_are_stated_at_once() -> None:
-    words = r"stage bench: .*rate of the controller is not known, and no pole.*piezoid design"
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        (stage_model(rigged()), r"sampling_rate_Hz under \[acquisition\]"),
+        (
+            stage_model(axis_model()),
+            r"stage bench: .*rate of the controller is not known, and no pole.*piezoid design",
+        ),
+        (stage(axes={}), "the model holds no axis"),
+        (
+            replace(
+                stage_model(axis_model(reason="it opens the wrong way")), controller_rate_Hz=1e4
+            ),
+            "does not apply, it opens the wrong way",
+        ),
+    ],
+    ids=["no rate", "neither rate nor pole", "no axis", "another class"],
+)
+def test_what_cannot_be_designed_is_refused_with_the_reason(
+    model: ActuatorModel, words: str
+) -> None:
     with pytest.raises(DesignError, match=words):
-        design_stage(stage_model(axis_model()), model_digest=DIGEST)
-
-
-def test_without_the_rate_of_the_controller_nothing_is_designed() -> None:
-    model = stage_model(rigged())
-    with pytest.raises(DesignError, match=r"sampling_rate_Hz under \[acquisition\]"):
         design_stage(model, model_digest=DIGEST)
-
-
-def test_a_model_without_an_axis_is_not_designed() -> None:
-    with pytest.raises(DesignError, match="the model holds no axis"):
-        design_stage(stage(axes={}), model_digest=DIGEST)
-
-
-def test_an_axis_to_which_the_class_does_not_apply_is_not_designed() -> None:
-    wrong = replace(
-        stage_model(axis_model(reason="it opens the wrong way")), controller_rate_Hz=1e4
-    )
-    with pytest.raises(DesignError, match="does not apply, it opens the wrong way"):
-        design_stage(wrong, model_digest=DIGEST)
 
 
 def test_what_stands_in_the_way_of_one_axis_is_remarked_and_the_others_are_designed() -> None:

@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 
 from piezoid.design.feedforward import filter_sections, fit_reference_path
-from piezoid.design.observer import (
-    DisturbanceObserver,
-    disturbance_model,
-    linear_controller,
-    with_oscillators_as_states,
-)
+from piezoid.design.observer import disturbance_model, linear_controller
 from piezoid.design.plant import plant_from_chain
 from piezoid.design.rst import place_poles
+from piezoid.export.export_stage import observer_values
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import product
 from piezoid.runtime.controller import Controller
@@ -47,24 +43,6 @@ def by_polynomials(R: Array, S: Array, T: Array, reference: Array, measured: Arr
     return u
 
 
-def parameters_of(o: DisturbanceObserver) -> dict[str, object]:
-    order = len(o.A)
-    return {
-        **LIMITS,
-        "method": "dob",
-        "gain_m_per_V": LATERAL_m_per_V,
-        "observer_order": order,
-        "observer_A": o.A,
-        "observer_B": o.B,
-        "observer_C": o.C,
-        "observer_L": o.state_gain,
-        "observer_disturbance_L_V_per_m": o.disturbance_gain[0],
-        "observer_rest": np.linalg.solve(np.eye(order) - o.A, o.B),
-        "feedback_K_V": o.feedback_gain,
-        "feedback_N_V_per_m": o.reference_gain,
-    }
-
-
 @pytest.mark.parametrize("delay_s", [0.0, 30e-6, 100e-6])
 @pytest.mark.parametrize("oscillation_Hz", [(), (40.0, 120.0)])
 def test_the_runtimes_observer_is_the_designed_controller(delay_s, oscillation_Hz, rng):
@@ -80,9 +58,8 @@ def test_the_runtimes_observer_is_the_designed_controller(delay_s, oscillation_H
     c = linear_controller(o)
     path = fit_reference_path([plant], c.R, c.S, c.T, band_Hz=100.0)
     sections = filter_sections(path.filter)
-    given = parameters_of(with_oscillators_as_states(o))
-    given["reference_section_count"] = len(sections)
-    given["reference_section"] = sections
+    given = {**LIMITS, **observer_values(o), "method": "dob"}
+    given |= {"reference_section_count": len(sections), "reference_section": sections}
     reference, measured = 1e-7 * rng.normal(size=(2, SAMPLES))
     measured[0] = reference[0] = 0.0
     controller = Controller(given)

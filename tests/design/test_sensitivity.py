@@ -10,15 +10,16 @@ from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
 from tests.design.placed import plant_from_fraction
 from tests.design.rig import LOOPS, RATE_Hz, loop, vertical_chain, vertical_family
 
+PLANT = plant_from_chain(vertical_chain())
+
 
 @pytest.mark.parametrize(("frequency_Hz", "damping"), LOOPS)
 def test_whole_samples_below_the_delay_margin_are_stable_and_above_unstable(frequency_Hz, damping):
-    plant = plant_from_chain(vertical_chain())
     R, S = loop(frequency_Hz, damping)
-    samples = margins(plant, R, S).delay_margin_s * RATE_Hz
+    samples = margins(PLANT, R, S).delay_margin_s * RATE_Hz
 
     def radius(late: int) -> float:
-        return spectral_radius(total(product(plant.A, S), delayed(product(plant.B, R), late)))
+        return spectral_radius(total(product(PLANT.A, S), delayed(product(PLANT.B, R), late)))
 
     assert radius(int(np.floor(samples))) < 1.0
     assert radius(int(np.ceil(samples))) > 1.0
@@ -28,42 +29,38 @@ def test_whole_samples_below_the_delay_margin_are_stable_and_above_unstable(freq
 def test_the_modulus_margin_is_the_distance_of_the_nyquist_curve_from_minus_one(
     frequency_Hz, damping
 ):
-    plant = plant_from_chain(vertical_chain())
     R, S = loop(frequency_Hz, damping)
     z = np.exp(1j * np.linspace(1e-4, np.pi, 200_001))
-    curve = np.polyval(np.convolve(plant.B, R)[::-1], 1 / z)
-    curve = curve / np.polyval(np.convolve(plant.A, S)[::-1], 1 / z)
+    curve = np.polyval(np.convolve(PLANT.B, R)[::-1], 1 / z)
+    curve = curve / np.polyval(np.convolve(PLANT.A, S)[::-1], 1 / z)
     distance = np.abs(1.0 + curve).min()
-    assert margins(plant, R, S).modulus_margin == pytest.approx(distance, rel=1e-7)
+    assert margins(PLANT, R, S).modulus_margin == pytest.approx(distance, rel=1e-7)
 
 
 @pytest.mark.parametrize(("frequency_Hz", "damping"), LOOPS)
 def test_bodes_integral_vanishes_for_a_stable_loop(frequency_Hz, damping):
-    plant = plant_from_chain(vertical_chain())
     R, S = loop(frequency_Hz, damping)
     # Midpoints: the integrator's logarithm at zero is integrable, its value there is not.
     n = 200_000
     f = (np.arange(n) + 0.5) / n * 0.5 * RATE_Hz
-    mean = np.log(np.abs(sensitivities(plant, R, S, f).Syp)).mean()
+    mean = np.log(np.abs(sensitivities(PLANT, R, S, f).Syp)).mean()
     assert abs(mean) <= 1e-5
 
 
 def test_the_four_functions_belong_together():
-    plant = plant_from_chain(vertical_chain())
     R, S = loop(1e3, 0.9)
     f = np.geomspace(1.0, 9e3, 40)
-    found = sensitivities(plant, R, S, f)
+    found = sensitivities(PLANT, R, S, f)
     np.testing.assert_allclose(found.Syp - found.Syb, 1.0, atol=1e-12)
     q = np.exp(-2j * np.pi * f / RATE_Hz)
-    g = np.polyval(plant.B[::-1], q) / np.polyval(plant.A[::-1], q)
+    g = np.polyval(PLANT.B[::-1], q) / np.polyval(PLANT.A[::-1], q)
     np.testing.assert_allclose(found.Syb, g * found.Sup, rtol=1e-11)
     np.testing.assert_allclose(found.Syv, g * found.Syp, rtol=1e-11)
 
 
 def test_an_unstable_loop_has_no_margins():
-    plant = plant_from_chain(vertical_chain())
     R, S = loop(3e3, 0.6)
-    reached = margins(plant, 5.0 * R, S)
+    reached = margins(PLANT, 5.0 * R, S)
     assert not reached.is_stable
     assert (reached.modulus_margin, reached.delay_margin_s) == (0.0, 0.0)
 
@@ -89,15 +86,14 @@ def test_a_loop_without_gain_has_no_delay_margin_to_lose():
 @pytest.mark.parametrize("late", [0.5, 1.0, 1.7, 3.0])
 def test_below_the_delay_limit_the_delay_margin_is_kept(late):
     """Sufficient, for delays beyond one sample too."""
-    plant = plant_from_chain(vertical_chain())
     f = np.linspace(1.0, 0.5 * RATE_Hz, 4000)
     kept = 0
     for frequency_Hz in np.geomspace(300.0, 5e3, 25):
         R, S = loop(frequency_Hz, 0.7)
-        below = np.abs(sensitivities(plant, R, S, f).Syb) <= delay_limit(f, late / RATE_Hz)
+        below = np.abs(sensitivities(PLANT, R, S, f).Syb) <= delay_limit(f, late / RATE_Hz)
         if below.all():
             kept += 1
-            assert margins(plant, R, S).delay_margin_s >= late / RATE_Hz
+            assert margins(PLANT, R, S).delay_margin_s >= late / RATE_Hz
     assert kept > 0
 
 

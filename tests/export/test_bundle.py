@@ -20,7 +20,7 @@ from piezoid.runtime.controller import Status
 from piezoid.runtime.library import library
 from piezoid.runtime.schema import PARAMETERS
 from tests.export.stage import lateral, stage
-from tests.runtime.compiler import PRECISION, STRICT, found, run
+from tests.runtime.compiler import PRECISION, STRICT, found, run, write_files
 
 # The example answers for its own reading of the table; the library for every bit of the numbers.
 DUMP = """
@@ -33,9 +33,7 @@ int main(void) {
 
 
 def written(folder, made=None):
-    for name, content in (made or bundle(stage())).items():
-        (folder / name).write_bytes(content)
-    return folder
+    return write_files(folder, made or bundle(stage()))
 
 
 def built(folder, *flags, main="example_main.c", out="example"):
@@ -183,9 +181,10 @@ def test_all_hostile_texts_at_once_compile_and_give_the_golden_answers(tmp_path)
         assert run(program, stdin=table).endswith(" 0 differ\n")
 
 
-@pytest.mark.parametrize(
-    "axis", [t for t in HOSTILE if t] + ["x\n", "X", "1x", "x-y", "ä"], ids=ascii
-)
+NO_NAMES = ("x\n", "X", "1x", "x-y", "ä", "x y", "x;", "x" * 17, "../x")
+
+
+@pytest.mark.parametrize("axis", [*HOSTILE, *NO_NAMES], ids=ascii)
 def test_an_axis_that_is_no_name_in_c_is_refused(axis):
     with pytest.raises(ParameterFileError, match="an axis is named"):
         AxisParameters(axis=axis, values=lateral("mpi_dob"))

@@ -11,7 +11,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import bundle
 from piezoid.export.parameter_file import Decoupled, digest_of, from_json, to_json
 from tests.export.stage import stage
-from tests.runtime.compiler import STRICT, found, run
+from tests.runtime.compiler import STRICT, found, run, write_files
 
 MATRIX = np.array([[1.0, -0.125, 1 / 3], [0.1, 1.0, 2e-7], [0.0, 1e-300, 1.0]])
 FILE = replace(stage(), decoupled=Decoupled(axes=("x", "y", "z"), matrix=MATRIX))
@@ -41,8 +41,7 @@ def test_a_matrix_of_another_shape_is_refused() -> None:
 
 
 def test_the_header_holds_it_as_it_is(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    for name, content in bundle(FILE).items():
-        (tmp_path / name).write_bytes(content)
+    write_files(tmp_path, bundle(FILE))
     (tmp_path / "dump.c").write_text(MAIN)
     compiler = found("cc", "gcc", "clang")
     run(compiler, *STRICT, f"-I{tmp_path}", str(tmp_path / "dump.c"), "-o", str(tmp_path / "dump"))

@@ -254,17 +254,3 @@ def test_a_loop_without_an_observer_is_no_lateral_loop():
     mpi_dob, dob = design().loops
     with pytest.raises(ParameterFileError, match="observer"):
         lateral_axis(model(), axis_design(replace(mpi_dob, observer=None), dob))
-
-
-@pytest.mark.parametrize("oscillation_Hz", [(), (20.0,)])
-def test_the_runtime_is_the_polynomials_whose_margins_were_computed(oscillation_Hz, rng):
-    """S u = T r - R y, for the R, S and T that the design derives from its observer."""
-    observer = placed(oscillation_Hz)
-    loop = linear_controller(observer)
-    reference, measured = rng.normal(0, 1e-7, (2, 300))
-    controller = Controller({**WIDE, **observer_values(observer), "method": "dob"})
-    controller.start(0.0, 0.0)
-    u = controller.run(reference, measured).voltage_V
-    terms = [np.convolve(p, x)[:300] for p, x in ((loop.S, u), (loop.T, reference))]
-    left = terms[0] - terms[1] + np.convolve(loop.R, measured)[:300]
-    assert np.abs(left).max() < 1e-9 * np.abs(u).max()

@@ -4,12 +4,12 @@ import math
 from dataclasses import replace
 
 import pytest
+from msgspec import structs
 
 from piezoid.design.junction_task import vertical_task
 from piezoid.errors import LabFileError
 from piezoid.export.tip_guards import extension_m_per_V, tip_guards
 from piezoid.identification.tunnelling.model import TunnellingModel
-from piezoid.records.lab import Acquisition, Tunnelling
 from tests.design.junction_lab import LAB, loop_plant
 from tests.design.rig import NEPER_PER_V, RATE_Hz
 
@@ -17,8 +17,7 @@ ASKED = vertical_task(TunnellingModel(gap_law=None, loop_plant=loop_plant()), LA
 
 
 def guards(**changed: float | None):
-    declared = {name: getattr(LAB.tunnelling, name) for name in LAB.tunnelling.__struct_fields__}
-    lab = replace(LAB, tunnelling=Tunnelling(**{**declared, **changed}))
+    lab = replace(LAB, tunnelling=structs.replace(LAB.tunnelling, **changed))
     return tip_guards(lab, ASKED, RATE_Hz, loop_plant())
 
 
@@ -91,17 +90,8 @@ def test_a_sensor_is_watched_for_as_long_as_its_noise_needs_to_move_it() -> None
     """0.42 pA of Johnson noise in steps of 0.3 pA; and steps of 78 pA that nothing moves."""
     assert guards()["stuck_samples"] == 20
     assert guards()["stuck_current_A"] == -1.0
-    coarse = replace(LAB, acquisition=replace_bits(8))
+    eight_bits = structs.replace(LAB.acquisition, dac_bits=8, adc_bits=8)
+    coarse = replace(LAB, acquisition=eight_bits)
     found = tip_guards(coarse, ASKED, RATE_Hz, loop_plant())
     assert found["stuck_samples"] == 200
     assert found["stuck_current_A"] == found["current_floor_A"]
-
-
-def replace_bits(bits: int) -> Acquisition:
-    held = LAB.acquisition
-    return Acquisition(
-        sampling_rate_Hz=held.sampling_rate_Hz,
-        dac_bits=bits,
-        adc_bits=bits,
-        input_range_V=held.input_range_V,
-    )

@@ -17,22 +17,7 @@ from piezoid.numerics.arrays import (
 from piezoid.numerics.noise import white_noise_rms
 
 
-def test_a_frozen_array_is_a_copy_that_nobody_writes_into() -> None:
-    given = np.arange(3.0)
-    held = frozen(given, "x")
-    given[0] = 7.0
-    np.testing.assert_array_equal(held, [0.0, 1.0, 2.0])
-    with pytest.raises(ValueError, match="read-only"):
-        held[0] = 1.0
-    assert frozen([[1, 2]], "x", ndim=2).dtype == np.float64
-    assert frozen(np.ones((2, 3)).T, "x", ndim=2).flags.c_contiguous
-
-
 def test_what_is_wrong_with_an_array_is_told_with_its_first_place() -> None:
-    with pytest.raises(ValueError, match=r"x has 2 axes, expected 1"):
-        frozen([[1.0]], "x")
-    with pytest.raises(ValueError, match=r"x\[1\] is nan, expected"):
-        frozen([0.0, np.nan, np.inf], "x")
     with pytest.raises(ValueError, match=r"\[1\] = 2.0, \[2\] = 2.0"):
         strictly_increasing(np.array([1.0, 2.0, 2.0, 1.0]), "x")
     strictly_increasing(np.array([1.0, 1.0 + 1e-15]), "x")
@@ -53,12 +38,15 @@ class Held:
 
 
 def test_a_record_holds_copies_of_the_arrays_it_was_given() -> None:
-    row, table = np.ones(3), np.ones((3, 2))
+    row, table = np.ones(3), np.ones((2, 3)).T
     held = Held(row=row, table=table)
     row[0] = table[0, 0] = 7.0
     assert held.row[0] == held.table[0, 0] == 1.0
-    assert not held.row.flags.writeable
-    assert not held.table.flags.writeable
+    assert held.table.flags.c_contiguous
+    for array in (held.row, held.table):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+    assert frozen([[1, 2]], "x", ndim=2).dtype == np.float64
 
 
 def test_a_record_names_the_field_whose_axes_values_or_shape_are_wrong() -> None:

@@ -6,7 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
+from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import bounded_minimum
+
+
+def expect_optimum(found: Array, slope: Array, lower: Array, upper: Array) -> None:
+    """The cost falls only in directions that a bound forbids."""
+    assert ((lower <= found) & (found <= upper)).all()
+    assert (slope[found > lower] <= 1e-9).all()
+    assert (slope[found < upper] >= -1e-9).all()
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -51,10 +59,7 @@ def test_bounds_at_zero_are_guessed_and_let_go_where_the_guess_was_wrong(
     side = chance.integers(0, 3, 10)
     lower, upper = np.where(side == 0, 0.0, -unit), np.where(side == 1, 0.0, unit)
     found = bounded_minimum(gram, right, lower, upper)
-    slope = (gram @ found - right) / unit
-    assert ((lower <= found) & (found <= upper)).all()
-    assert (slope[found > lower] <= 1e-9).all()
-    assert (slope[found < upper] >= -1e-9).all()
+    expect_optimum(found, (gram @ found - right) / unit, lower, upper)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -66,10 +71,7 @@ def test_columns_much_alike_are_told_apart(seed: int) -> None:
     gram, right = rows.T @ rows + 1e-9 * np.eye(120), rows.T @ chance.standard_normal(400)
     lower, upper = -chance.uniform(0.0, 0.5, 120), chance.uniform(0.0, 0.5, 120)
     found = bounded_minimum(gram, right, lower, upper)
-    slope = (gram @ found - right) / np.linalg.norm(right)
-    assert ((lower <= found) & (found <= upper)).all()
-    assert (slope[found > lower] <= 1e-9).all()
-    assert (slope[found < upper] >= -1e-9).all()
+    expect_optimum(found, (gram @ found - right) / np.linalg.norm(right), lower, upper)
 
 
 def test_a_form_that_is_not_definite_is_refused() -> None:

@@ -70,24 +70,6 @@ def test_sampling_equals_the_continuous_system_driven_by_steps(delay_samples: fl
     np.testing.assert_allclose(found, expected, atol=ROUNDING)
 
 
-def test_the_delay_stands_in_b_as_leading_zeros_and_splits_between_two_samples() -> None:
-    system = cascade(
-        ContinuousSystem(
-            A=np.zeros((0, 0)),
-            B=np.zeros((0, 1)),
-            C=np.zeros((1, 0)),
-            D=np.ones((1, 1)),
-            delay_s=2.4 / RATE_HZ,
-        ),
-        first_order(630),
-    )
-    B, A = fraction(system)
-    pole = np.exp(-2 * np.pi * 630 / RATE_HZ)
-    newest = 1 - pole**0.6
-    np.testing.assert_allclose(B, [0, 0, 0, newest, 1 - pole - newest], atol=1e-12)
-    np.testing.assert_allclose(A, [1, -pole], atol=1e-12)
-
-
 @pytest.mark.parametrize("delay_samples", [0.0, 0.3, 1.0, 53.75])
 @pytest.mark.parametrize("damping", [0.02, 1.0, 3.0])
 @pytest.mark.parametrize("before", [[], [4000], [4000, 4000]], ids=["none", "one", "two alike"])

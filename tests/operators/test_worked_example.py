@@ -50,11 +50,6 @@ def test_inverse_thresholds_and_weights_are_those_printed() -> None:
     )
 
 
-def test_inverse_returns_the_input() -> None:
-    command, _ = MODEL.inverse_run(Y, np.zeros(4))
-    np.testing.assert_allclose(command, U, atol=1e-14)
-
-
 def test_a_start_that_is_not_virgin_maps_to_the_printed_inverse_memory() -> None:
     memory = np.array([0.5, 1.0, 1.5, 1.0])
     assert is_admissible(memory, 0.5, PLAYS.threshold)

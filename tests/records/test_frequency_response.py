@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from piezoid.errors import LabFileError, PiezoidError, RecordingError
+from piezoid.numerics.arrays import Array
 from piezoid.records.collection import collect
 from piezoid.records.frequency_response import FrequencyResponseRecord, ResponsePath
 from piezoid.records.inspection import inspect_files
@@ -26,6 +27,7 @@ from tests.records.responses import (
 G = response()
 SIZE_um, ANGLE_deg = np.abs(G) * 1e6, np.degrees(np.angle(G))
 DECIBEL = 20.0 * np.log10(SIZE_um)
+SORTED = "f [Hz],gain [um/V],phase [deg]"
 WRITERS: dict[str, Callable[[Path], Path]] = {
     "decibel and degrees": lambda f: write_csv(
         f / "a.csv",
@@ -58,15 +60,6 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
         f / "a.mat", freq_Hz=FREQUENCY_Hz, mag_um_per_V=SIZE_um, phase_deg=ANGLE_deg
     ),
 }
-INSTRUMENTS = {
-    "nanonis": (
-        "Experiment\tFrequency Sweep\n\n[DATA]\n",
-        "Frequency (Hz)\tAmplitude (m)\tPhase (deg)\tExcitation (V)",
-        "a.dat",
-        'columns = { frequency = "Frequency (Hz)", magnitude = "Amplitude (m)", '
-        'phase = "Phase (deg)", excitation = "Excitation (V)" }\n',
-    )
-}
 
 
 def lab_of(folder: Path, entry: str, rest: str = "") -> Lab:
@@ -95,75 +88,100 @@ def test_every_way_to_write_a_response_is_the_same_response(
     assert_true(only(write(tmp_path)))
 
 
-def test_decibels_of_nothing_are_refused_with_the_line_that_mends_it(tmp_path: Path) -> None:
-    path = write_csv(
-        tmp_path / "a.csv",
-        "Frequency (Hz),Magnitude (dB),Phase (deg)",
-        *(FREQUENCY_Hz, DECIBEL, ANGLE_deg),
-    )
-    with pytest.raises(RecordingError, match="is in dB without a reference"):
+@pytest.mark.parametrize(
+    ("heading", "columns", "words", "entry"),
+    [
+        (
+            "Frequency (Hz),Magnitude (dB),Phase (deg)",
+            (FREQUENCY_Hz, DECIBEL, ANGLE_deg),
+            "is in dB without a reference",
+            'units = { magnitude = "dB re 1 um/V" }\n',
+        ),
+        (
+            "f [Hz],gain [V/V],phase [deg]",
+            (FREQUENCY_Hz, SIZE_um * 0.2, ANGLE_deg),
+            "gain_V_per_m",
+            "[sensor]\ngain_V_per_m = 2e5\n",
+        ),
+        (
+            f"{SORTED},coherence",
+            (FREQUENCY_Hz, SIZE_um, ANGLE_deg, np.full(len(G), 98.0)),
+            "from 0 to 1",
+            'units = { coherence = "%" }\n',
+        ),
+        (
+            f"time [s],{SORTED}",
+            (np.arange(len(G)) * 0.1, FREQUENCY_Hz, SIZE_um, ANGLE_deg),
+            r"in one file\. Needed: one of the two",
+            'columns = { frequency = "f [Hz]", magnitude = "gain [um/V]", '
+            'phase = "phase [deg]" }\n',
+        ),
+    ],
+    ids=["decibels of nothing", "volts of a sensor", "coherence in percent", "time and frequency"],
+)
+def test_what_is_ambiguous_is_refused_until_lab_toml_decides(
+    heading: str, columns: tuple[Array, ...], words: str, entry: str, tmp_path: Path
+) -> None:
+    path = write_csv(tmp_path / "a.csv", heading, *columns)
+    with pytest.raises(RecordingError, match=words):
         collect([path])
-    lab = lab_of(tmp_path, 'file = "a.csv"\nunits = { magnitude = "dB re 1 um/V" }\n')
-    assert_true(only(path, lab))
-
-
-def test_volts_of_a_sensor_need_its_gain(tmp_path: Path) -> None:
-    path = write_csv(
-        tmp_path / "a.csv", "f [Hz],gain [V/V],phase [deg]", FREQUENCY_Hz, SIZE_um * 0.2, ANGLE_deg
-    )
-    with pytest.raises(RecordingError, match="gain_V_per_m"):
-        collect([path])
-    rig = "[sensor]\ngain_V_per_m = 2e5\n"
-    assert_true(only(path, lab_of(tmp_path, 'file = "a.csv"\naxis = "y"\n', rig)), "y")
+    is_rig = entry.startswith("[sensor]")
+    lab = lab_of(tmp_path, 'file = "a.csv"\n' + entry * (not is_rig), entry * is_rig)
+    found = only(path, lab)
+    assert_true(found)
+    coherence = found.paths[0].coherence
+    assert (coherence is not None) == ("coherence" in heading)
+    if coherence is not None:
+        np.testing.assert_allclose(coherence, 0.98)
 
 
 def test_an_amplitude_of_a_lock_in_is_divided_by_its_excitation(tmp_path: Path) -> None:
-    head, names, name, columns = INSTRUMENTS["nanonis"]
-    excitation = np.linspace(0.5, 0.6, len(G))
-    rows = np.column_stack([FREQUENCY_Hz, np.abs(G) * excitation, ANGLE_deg, excitation])
-    text = "\n".join("\t".join(f"{x:.10e}" for x in row) for row in rows)
-    (tmp_path / name).write_text(f"{head}{names}\n{text}\n")
-    with pytest.raises(RecordingError, match="an amplitude and not a response"):
-        collect([tmp_path / name])
-    assert_true(only(tmp_path / name, lab_of(tmp_path, f'file = "{name}"\n{columns}')))
+    excitation_V = np.linspace(0.5, 0.6, len(G))
+    rows = np.column_stack([FREQUENCY_Hz, np.abs(G) * excitation_V, ANGLE_deg, excitation_V])
+    lines = ["\t".join(f"{x:.10e}" for x in row) for row in rows]
+    names = "Frequency (Hz)\tAmplitude (m)\tPhase (deg)\tExcitation (V)"
+    path = tmp_path / "a.dat"
+    path.write_text("\n".join(["Experiment\tFrequency Sweep\n", "[DATA]", names, *lines, ""]))
+    with pytest.raises(RecordingError, match="an amplitude and not yet a response"):
+        collect([path])
+    columns = (
+        'columns = { frequency = "Frequency (Hz)", magnitude = "Amplitude (m)", '
+        'phase = "Phase (deg)", excitation = "Excitation (V)" }\n'
+    )
+    assert_true(only(path, lab_of(tmp_path, f'file = "a.dat"\n{columns}')))
+
+
+PAIRS = [(i, j) for i in range(3) for j in range(3)]
+
+
+def assert_every_path(found: FrequencyResponseRecord) -> None:
+    assert found.axes == ("x", "y", "z")
+    for i, j in PAIRS:
+        path = found.path("xyz"[i], "xyz"[j])
+        assert path is not None
+        np.testing.assert_allclose(path.response_m_per_V, matrix()[i, j], rtol=1e-6)
 
 
 def test_a_matrix_of_matlab_has_every_path(tmp_path: Path) -> None:
-    whole = matrix()
-    found = only(write_matlab(tmp_path / "a.mat", f_Hz=FREQUENCY_Hz, H_m_per_V=whole))
-    assert found.axes == ("x", "y", "z")
-    for i, output in enumerate("xyz"):
-        for j, drive in enumerate("xyz"):
-            path = found.path(output, drive)
-            assert path is not None
-            np.testing.assert_allclose(path.response_m_per_V, whole[i, j], rtol=1e-9)
+    path = write_matlab(tmp_path / "a.mat", f_Hz=FREQUENCY_Hz, H_m_per_V=matrix())
+    assert_every_path(only(path))
 
 
 def test_nine_columns_of_complex_cells_have_every_path(tmp_path: Path) -> None:
-    whole = matrix() * 1e6
-    pairs = [(i, j) for i in range(3) for j in range(3)]
-    names = ["f [Hz]", *(f"H{'xyz'[i]}{'xyz'[j]} [um/V]" for i, j in pairs)]
-    cells = [cells_of(whole[i, j], "{re:.9g}{im:+.9g}i") for i, j in pairs]
+    names = ["f [Hz]", *(f"H{'xyz'[i]}{'xyz'[j]} [um/V]" for i, j in PAIRS)]
+    cells = [cells_of(matrix()[i, j] * 1e6, "{re:.9g}{im:+.9g}i") for i, j in PAIRS]
     rows = zip(map("{:.9g}".format, FREQUENCY_Hz), *cells, strict=True)
     (tmp_path / "a.csv").write_text("\n".join(map(",".join, [names, *rows])))
-    found = only(tmp_path / "a.csv")
-    for i, j in pairs:
-        path = found.path("xyz"[i], "xyz"[j])
-        assert path is not None
-        np.testing.assert_allclose(path.response_m_per_V * 1e6, whole[i, j], rtol=1e-6)
+    assert_every_path(only(tmp_path / "a.csv"))
 
 
 def test_nine_groups_of_columns_have_every_path(tmp_path: Path) -> None:
-    whole = matrix()
     heading, columns = ["f [Hz]"], [FREQUENCY_Hz]
-    for i, output in enumerate("xyz"):
-        for j, drive in enumerate("xyz"):
-            heading += [f"mag_{output}{drive} (um/V)", f"phase_{output}{drive} (deg)"]
-            columns += [np.abs(whole[i, j]) * 1e6, np.degrees(np.angle(whole[i, j]))]
-    found = only(write_csv(tmp_path / "a.csv", ",".join(heading), *columns))
-    path = found.path("z", "x")
-    assert path is not None
-    np.testing.assert_allclose(path.response_m_per_V, whole[2, 0], rtol=1e-6)
+    for i, j in PAIRS:
+        pair = f"{'xyz'[i]}{'xyz'[j]}"
+        heading += [f"mag_{pair} (um/V)", f"phase_{pair} (deg)"]
+        columns += [np.abs(matrix()[i, j]) * 1e6, np.degrees(np.angle(matrix()[i, j]))]
+    assert_every_path(only(write_csv(tmp_path / "a.csv", ",".join(heading), *columns)))
 
 
 def test_inspect_tells_band_coherence_peaks_and_coupling(tmp_path: Path) -> None:
@@ -181,7 +199,6 @@ def test_inspect_tells_band_coherence_peaks_and_coupling(tmp_path: Path) -> None
     assert all(c.low == pytest.approx(0.02, rel=0.05) for c in told.couplings)
 
 
-SORTED = "f [Hz],gain [um/V],phase [deg]"
 AT = 40
 
 
@@ -191,68 +208,45 @@ def changed(column: int, value: float) -> list[np.ndarray]:  # type: ignore[type
     return columns
 
 
+RADIANS = SORTED.replace("deg", "rad")
 WRONG = {
-    "repeated": (changed(0, FREQUENCY_Hz[AT - 1]), "repeats .* frequencies do not rise"),
-    "unsorted": (changed(0, 2.0), "2 Hz at line 42 follows"),
-    "negative": (changed(0, -5.0), "1 frequencies are negative, the first is -5 Hz at line 42"),
-    "empty": (changed(1, np.nan), "hold no number, the first is line 42"),
-    "zero": (changed(1, 0.0), "is zero in 1 rows, the first is line 42"),
-    "below zero": (changed(1, -3.0), "is -3 at line 42. Needed: a magnitude above zero"),
+    "repeated": (SORTED, changed(0, FREQUENCY_Hz[AT - 1]), "repeats .* frequencies do not rise"),
+    "unsorted": (SORTED, changed(0, 2.0), "2 Hz at line 42 follows"),
+    "negative": (
+        SORTED,
+        changed(0, -5.0),
+        "1 frequencies are negative, the first is -5 Hz at line 42",
+    ),
+    "empty": (SORTED, changed(1, np.nan), "hold no number, the first is line 42"),
+    "zero": (SORTED, changed(1, 0.0), "is zero in 1 rows, the first is line 42"),
+    "below zero": (SORTED, changed(1, -3.0), "is -3 at line 42. Needed: a magnitude above zero"),
     "radians called degrees": (
+        SORTED,
         [FREQUENCY_Hz, SIZE_um, np.angle(G)],
         r"the unit is wrong\. .*rad is plausible",
     ),
+    "degrees called radians": (RADIANS, [FREQUENCY_Hz, SIZE_um, ANGLE_deg], "deg is plausible"),
 }
 
 
-@pytest.mark.parametrize(("columns", "words"), WRONG.values(), ids=WRONG)
+@pytest.mark.parametrize(("heading", "columns", "words"), WRONG.values(), ids=WRONG)
 def test_numbers_that_are_no_response_are_refused_with_their_place(
+    heading: str,
     columns: list[np.ndarray],  # type: ignore[type-arg]
     words: str,
     tmp_path: Path,
 ) -> None:
-    path = write_csv(tmp_path / "a.csv", SORTED, *columns)
+    path = write_csv(tmp_path / "a.csv", heading, *columns)
     with pytest.raises(RecordingError, match=words):
         collect([path])
     (found,) = inspect_files([path])
     assert re.search(words, found.refusal or "")
 
 
-def test_degrees_called_radians_are_refused(tmp_path: Path) -> None:
-    heading = "f [Hz],gain [um/V],phase [rad]"
-    path = write_csv(tmp_path / "a.csv", heading, FREQUENCY_Hz, SIZE_um, ANGLE_deg)
-    with pytest.raises(RecordingError, match="deg is plausible"):
-        collect([path])
-
-
 def test_a_long_delay_in_radians_is_no_degrees(tmp_path: Path) -> None:
     angle = np.unwrap(np.angle(response(delay_s=0.0))) - 2.0 * np.pi * 0.02 * FREQUENCY_Hz
-    heading = "f [Hz],gain [um/V],phase [rad]"
-    found = only(write_csv(tmp_path / "a.csv", heading, FREQUENCY_Hz, SIZE_um, angle))
+    found = only(write_csv(tmp_path / "a.csv", RADIANS, FREQUENCY_Hz, SIZE_um, angle))
     assert len(found.frequency_Hz) == 300
-
-
-def test_a_coherence_above_one_is_refused_and_in_percent_it_is_read(tmp_path: Path) -> None:
-    percent = np.full(len(G), 98.0)
-    heading = f"{SORTED},coherence"
-    path = write_csv(tmp_path / "a.csv", heading, FREQUENCY_Hz, SIZE_um, ANGLE_deg, percent)
-    with pytest.raises(RecordingError, match="from 0 to 1"):
-        collect([path])
-    found = only(path, lab_of(tmp_path, 'file = "a.csv"\nunits = { coherence = "%" }\n'))
-    held = found.paths[0].coherence
-    assert held is not None
-    np.testing.assert_allclose(held, 0.98)
-
-
-def test_a_time_beside_a_frequency_is_refused_until_lab_toml_decides(tmp_path: Path) -> None:
-    time_s = np.arange(len(G)) * 0.1
-    path = write_csv(
-        tmp_path / "a.csv", f"time [s],{SORTED}", time_s, FREQUENCY_Hz, SIZE_um, ANGLE_deg
-    )
-    with pytest.raises(RecordingError, match=r"in one file\. Needed: one of the two"):
-        collect([path])
-    columns = '{ frequency = "f [Hz]", magnitude = "gain [um/V]", phase = "phase [deg]" }'
-    assert_true(only(path, lab_of(tmp_path, f'file = "a.csv"\ncolumns = {columns}\n')))
 
 
 def test_a_recording_with_a_frequency_shift_stays_a_recording(tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
 """Packed files that would be large: refused in proportion, before memory or disk is gone."""
 
 import gzip
-import struct
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -134,14 +132,6 @@ def test_texts_beside_the_numbers_of_a_parquet_file_are_never_unpacked(tmp_path:
     write_table(pa.table({"voltage [V]": np.arange(rows) / 7, "remark": texts}), path)
     table = read_table(path)  # all of it would be three gigabytes
     assert [column.label for column in table.columns] == ["voltage [V]"]
-
-
-def test_a_matlab_element_is_measured_without_being_kept(tmp_path: Path) -> None:
-    head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
-    packed = zlib.compress(bytes(FREE_SIZE // 8 + 1))
-    path = tmp_path / "bomb.mat"
-    path.write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
-    assert "bomb.mat: " in said(path)
 
 
 def test_numbers_that_lie_in_other_files_are_not_fetched(tmp_path: Path) -> None:

@@ -16,8 +16,10 @@ from piezoid.errors import ParameterFileError, PiezoidError, UnreadableFileError
 from piezoid.records.inspection import inspect_files
 from piezoid.records.readers import read_table
 from tests.records.formats import SILENT, SPEAKING
+from tests.records.messy.writers import igor, jpk
 
-MUTATIONS = 60  # for each of nineteen formats; 1000 for each were tried once as well
+FUZZED = {**SPEAKING, **SILENT, "wave.ibw": igor, "curve.jpk-force": jpk}
+MUTATIONS = 60  # for each of 21 formats; 1000 for each were tried once as well
 
 
 def _mutated(content: bytes, rng: np.random.Generator) -> bytes:
@@ -43,11 +45,10 @@ def _mutated(content: bytes, rng: np.random.Generator) -> bytes:
     return bytes(damaged)
 
 
-@pytest.mark.parametrize("name", [*SPEAKING, *SILENT])
-def test_a_damaged_file_is_read_or_refused_and_never_crashes(
-    name: str, write: Callable[[str], Path]
-) -> None:
-    path = write(name)
+@pytest.mark.parametrize("name", FUZZED)
+def test_a_damaged_file_is_read_or_refused_and_never_crashes(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    FUZZED[name](path)
     content = path.read_bytes()
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     for _ in range(MUTATIONS):

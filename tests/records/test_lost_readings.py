@@ -154,19 +154,25 @@ def test_inspect_tells_what_was_written_how_often_and_where(tmp_path: Path) -> N
         ("dahl", "full scale", 0.05),
         ("duhem", "-1", 0.005),
         ("plays", "spike", 0.05),
+        ("preisach", "clipped", 0.07),
+        ("plays", "clipped", 0.07),
     ],
 )
 def test_the_held_out_error_hardly_rises(
     tmp_path: Path, law: str, kind: str, share: float
 ) -> None:
     field, reading_um = swept_um(law)
+    is_clipped = kind == "clipped"
+    top_um = np.quantile(reading_um, 1.0 - share)
+    faulty_um = np.minimum(reading_um, top_um) if is_clipped else broken(reading_um, kind, share)
     errors_m = []
-    for values_um in (reading_um, broken(reading_um, kind, share)):
+    for values_um in (reading_um, faulty_um):
         recording = recorded(tmp_path, field, values_um)
         model = estimate_axis((recording,), "x", Rig(), orders=((8, 2), (16, 6)))
         assert model.verdict.applies
         errors_m.append(model.quality.held_out_rms_m)
-    assert errors_m[1] < 1.1 * errors_m[0]
+    # Clipped, 1.03 and 1.12: the upper ends of the largest loops were not seen by the fit.
+    assert errors_m[1] < (1.2 if is_clipped else 1.1) * errors_m[0]
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -187,17 +193,3 @@ def test_a_sensor_at_the_end_of_its_range_is_left_out_and_a_stage_at_its_end_is_
     (told,) = [p.text for p in found.statements if p.quantity == "saturated"]
     assert f"is clipped at {top:.6g} um while the drive moves" in told
     assert "left out as invalid" in told
-
-
-@pytest.mark.parametrize("law", ["preisach", "plays"])
-def test_a_clipped_sensor_does_not_spoil_the_fit(law: str, tmp_path: Path) -> None:
-    field, clean_um = swept_um(law)
-    clipped_um = np.minimum(clean_um, np.quantile(clean_um, 0.93))
-    errors_m = []
-    for values_um in (clean_um, clipped_um):
-        recording = recorded(tmp_path, field, values_um)
-        model = estimate_axis((recording,), "x", Rig(), orders=((8, 2), (16, 6)))
-        assert model.verdict.applies
-        errors_m.append(model.quality.held_out_rms_m)
-    # 1.03 and 1.12: the upper ends of the largest loops were not seen by the fit.
-    assert errors_m[1] < 1.2 * errors_m[0]

@@ -28,6 +28,7 @@ from tests.records.messy.writers import (
     RATE_Hz,
     columns,
     lines,
+    scaled,
     text,
 )
 from tests.records.tables import lab_with
@@ -42,8 +43,15 @@ def named(messy: Messy) -> str:
     return messy.name
 
 
-def lab_for(messy: Messy, folder: Path, entry: str) -> Lab:
-    (folder / "lab.toml").write_text(f'[[recording]]\nfile = "{messy.name}"\n{entry}')
+def written(name: str, folder: Path) -> Path:
+    """Write the messy file of a name and return its path."""
+    (messy,) = (m for m in FILES if m.name == name)
+    messy.write(folder / name)
+    return folder / name
+
+
+def lab_for(name: str, folder: Path, entry: str) -> Lab:
+    (folder / "lab.toml").write_text(f'[[recording]]\nfile = "{name}"\n{entry}')
     return read_lab(folder / "lab.toml")
 
 
@@ -84,7 +92,7 @@ def test_a_file_that_cannot_be_read_is_refused_for_its_reason(
 @pytest.mark.parametrize("messy", MENDED, ids=named)
 def test_the_lines_of_lab_toml_give_the_true_values(messy: Messy, tmp_path: Path) -> None:
     messy.write(tmp_path / messy.name)
-    lab = lab_for(messy, tmp_path, messy.lines)
+    lab = lab_for(messy.name, tmp_path, messy.lines)
     assert_true_values(tmp_path / messy.name, lab, np.arange(SAMPLES), 0)
     found = inspected(messy, tmp_path, messy.lines)
     kinds = {problem.quantity for one in found for problem in one.statements}
@@ -103,9 +111,7 @@ def test_every_reader_has_a_sample_for_the_fuzzer(tmp_path: Path) -> None:
 
 
 def test_stretches_of_several_rates_keep_their_own_clock(tmp_path: Path) -> None:
-    (messy,) = (m for m in FILES if m.name == "two_rates.csv")
-    path = tmp_path / messy.name
-    messy.write(path)
+    path = written("two_rates.csv", tmp_path)
     slow, fast = collect([path]).recordings
     assert (slow.sampling_rate_Hz, fast.sampling_rate_Hz) == (256, 2048)
     assert slow.samples + fast.samples == 4096
@@ -115,10 +121,9 @@ def test_stretches_of_several_rates_keep_their_own_clock(tmp_path: Path) -> None
 
 
 def test_a_part_in_seconds_is_counted_from_the_first_sample_of_the_file(tmp_path: Path) -> None:
-    (messy,) = (m for m in FILES if m.name == "two_rates.csv")
-    messy.write(tmp_path / messy.name)
-    lab = lab_for(messy, tmp_path, "start_s = 8.5\nstop_s = 8.75\n")
-    fast = collect([tmp_path / messy.name], lab)[0]
+    path = written("two_rates.csv", tmp_path)
+    lab = lab_for(path.name, tmp_path, "start_s = 8.5\nstop_s = 8.75\n")
+    fast = collect([path], lab)[0]
     assert fast.sampling_rate_Hz == 2048
     assert fast.duration_s == pytest.approx(0.25, abs=1e-3)
 
@@ -140,10 +145,8 @@ def test_a_part_in_seconds_is_counted_from_the_first_sample_of_the_file(tmp_path
 def test_a_file_that_does_not_fit_the_others_is_refused_with_the_likely_reason(
     name: str, reason: str, tmp_path: Path
 ) -> None:
-    (messy,) = (m for m in FILES if m.name == name)
-    messy.write(tmp_path / name)
     text(lines())(tmp_path / "clean.csv")
-    recordings = collect([tmp_path / "clean.csv", tmp_path / name]).recordings
+    recordings = collect([tmp_path / "clean.csv", written(name, tmp_path)]).recordings
     with pytest.raises(RecordingError) as caught:
         refuse_inconsistent(recordings)
     assert re.search(reason, str(caught.value), re.DOTALL)
@@ -151,8 +154,8 @@ def test_a_file_that_does_not_fit_the_others_is_refused_with_the_likely_reason(
 
 
 def test_of_two_files_the_one_with_an_implausible_gain_is_to_be_corrected(tmp_path: Path) -> None:
-    text(lines(table=columns() * [1, 0.5, 0.5], written="{:.6f}".format))(tmp_path / "clean.csv")
-    text(lines(table=columns() * [1, 1, 1000], written="{:.6f}".format))(tmp_path / "wide.csv")
+    scaled(1, 0.5, 0.5, written="{:.6f}".format)(tmp_path / "clean.csv")
+    scaled(1, 1, 1000, written="{:.6f}".format)(tmp_path / "wide.csv")
     recordings = collect([tmp_path / "clean.csv", tmp_path / "wide.csv"]).recordings
     with pytest.raises(RecordingError, match="another unit of the displacement") as caught:
         refuse_inconsistent(recordings)
@@ -161,9 +164,7 @@ def test_of_two_files_the_one_with_an_implausible_gain_is_to_be_corrected(tmp_pa
 
 def test_a_monitor_that_loops_of_other_gain_hide_is_not_guessed(tmp_path: Path) -> None:
     text(lines())(tmp_path / "clean.csv")
-    text(lines(table=columns() * [1, 1 / 15, 1.17], written="{:.6f}".format))(
-        tmp_path / "check.csv"
-    )
+    scaled(1, 1 / 15, 1.17, written="{:.6f}".format)(tmp_path / "check.csv")
     with pytest.raises(
         RecordingError, match=r"a monitor \(1/15 or 1/20\) or the command"
     ) as caught:
@@ -173,7 +174,7 @@ def test_a_monitor_that_loops_of_other_gain_hide_is_not_guessed(tmp_path: Path) 
 
 def test_a_displacement_in_another_unit_is_told_from_a_drive(tmp_path: Path) -> None:
     text(lines())(tmp_path / "clean.csv")
-    text(lines(table=columns() * [1, 1, 1e3]))(tmp_path / "nm_as_um.csv")
+    scaled(1, 1, 1e3)(tmp_path / "nm_as_um.csv")
     found = inspect_files([tmp_path / "clean.csv", tmp_path / "nm_as_um.csv"])
     (said,) = (p.text for p in found[1].statements if p.quantity == "does_not_fit")
     assert said.endswith("another unit of the displacement.")
@@ -241,9 +242,7 @@ def test_two_runs_of_one_drive_are_no_copies(tmp_path: Path, rng: np.random.Gene
 
 
 def test_a_part_in_which_a_feedback_holds_the_sensor_contradicts_no_gain(tmp_path: Path) -> None:
-    (messy,) = (m for m in FILES if m.name == "held.csv")
-    messy.write(tmp_path / "whole.csv")
-    rows = (tmp_path / "whole.csv").read_text().splitlines()
+    rows = written("held.csv", tmp_path).read_text().splitlines()
     text(rows[:600])(tmp_path / "approach.csv")
     text([rows[0], *rows[600:]])(tmp_path / "hold.csv")
     recordings = collect([tmp_path / "approach.csv", tmp_path / "hold.csv"]).recordings
@@ -282,7 +281,7 @@ def test_what_no_text_table_can_be_is_refused_in_lab_toml(entry: str, tmp_path: 
 
 def test_the_writing_of_what_is_no_text_is_not_declared(tmp_path: Path) -> None:
     np.save(tmp_path / "run.npy", columns())
-    lab = read_lab(_lab(tmp_path, '[[recording]]\nfile = "run.npy"\ndecimal = ","\n'))
+    lab = lab_for("run.npy", tmp_path, 'decimal = ","\n')
     with pytest.raises(LabFileError, match=r"decimal of run.npy is declared, which is npy"):
         collect([tmp_path / "run.npy"], lab)
 
@@ -292,7 +291,8 @@ def test_counts_of_a_known_converter_are_offered_as_volts(tmp_path: Path) -> Non
         "[amplifier]\ngain_V_per_V = 15\n[acquisition]\ndac_bits = 16\ninput_range_V = [-10, 10]\n"
     )
     text(lines(names=("time [s]", "drive [counts]", "position [um]")))(tmp_path / "run.csv")
-    read = collect([tmp_path / "run.csv"], read_lab(_lab(tmp_path, above)))[0]
+    (tmp_path / "lab.toml").write_text(above)
+    read = collect([tmp_path / "run.csv"], read_lab(tmp_path / "lab.toml"))[0]
     (problem,) = read.statements
     assert "scale = { voltage = 0.000305175781 }" in problem.text
     np.testing.assert_allclose(read.voltage_V(), VOLTAGE_V)  # the counts themselves
@@ -323,8 +323,3 @@ def test_a_clock_in_counts_is_refused(tmp_path: Path) -> None:
                 columns={"time": 1, "voltage": 2, "displacement": 3}, units={"time": "ticks"}
             ),
         )[0]
-
-
-def _lab(folder: Path, content: str) -> Path:
-    (folder / "lab.toml").write_text(content)
-    return folder / "lab.toml"

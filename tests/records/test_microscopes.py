@@ -1,6 +1,5 @@
 """Files of Igor and of JPK give the numbers that were written, or the reason they cannot."""
 
-import contextlib
 import zipfile
 from pathlib import Path
 
@@ -87,19 +86,3 @@ def test_many_curves_and_a_curve_without_a_sensor_are_refused(tmp_path: Path) ->
                 blind.writestr(item, whole.read(item))
     with pytest.raises(UnreadableFileError, match="capacitiveSensorHeight"):
         read_table(tmp_path / "blind.jpk-force")
-
-
-@pytest.mark.parametrize("name", ["run.ibw", "curve.jpk-force"])
-def test_a_damaged_file_is_refused_in_one_message(name: str, tmp_path: Path) -> None:
-    write_ibw(tmp_path / "run.ibw", WAVE, labels=("voltage [V]", "position [um]"))
-    write_jpk(tmp_path / "curve.jpk-force", [(0.3, DRIVE_V, HEIGHT_m)])
-    whole = (tmp_path / name).read_bytes()
-    random = np.random.default_rng(1)
-    for k in range(60):
-        content = bytearray(whole)
-        place = int(random.integers(2, 700))
-        content[place : place + 4] = random.bytes(4)
-        cut = len(content) if k % 2 else int(random.integers(100, len(content)))
-        (tmp_path / name).write_bytes(bytes(content[:cut]))
-        with contextlib.suppress(UnreadableFileError):
-            read_table(tmp_path / name)

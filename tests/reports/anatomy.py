@@ -60,3 +60,8 @@ class Anatomy(HTMLParser):
             for e in self.elements
             if e.tag == tag and (not of_class or of_class in e.attributes.get("class", "").split())
         ]
+
+
+def skeleton(page: str) -> list[str]:
+    """Return the tag and the names of the attributes of every element."""
+    return [f"{e.tag} {' '.join(e.attributes)}" for e in Anatomy(page).elements]

@@ -12,11 +12,10 @@ from typing import Any
 
 import pytest
 
-from piezoid_reports.page import Page
-from piezoid_reports.render import render
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_diagnosis import diagnosed, finding
-from tests.reports.known_stage import axis_model, recording, stage_model
+from tests.reports.known_page import page_of
+from tests.reports.known_stage import axis_model, recording
 
 BROWSER = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -34,10 +33,7 @@ pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this mac
 @pytest.fixture(scope="module")
 def page() -> str:
     """A stage with a spectrum among its figures, and a long table."""
-    found = diagnosed(finding("mains_interference"))
-    return render(
-        Page(model=stage_model(axis_model()), recordings=[recording()], diagnoses=(found,))
-    )
+    return page_of(axis_model(), diagnoses=(diagnosed(finding("mains_interference")),))
 
 
 def _browse(folder: Path, page: str, *arguments: str) -> tuple[str, str]:

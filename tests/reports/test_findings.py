@@ -32,14 +32,7 @@ def _with(added_m: np.ndarray) -> Recording:
     ]
     other_V = 5.0 + 4.0 * np.sin(np.arange(made.samples) / 40.0)
     channels.append(Channel(quantity=Quantity.VOLTAGE, axis="y", values=other_V, label="v"))
-    return Recording(
-        name=made.name,
-        digest=made.digest,
-        axis=made.axis,
-        sampling_rate_Hz=made.sampling_rate_Hz,
-        channels=tuple(channels),
-        breaks=made.breaks,
-    )
+    return replace(made, channels=tuple(channels))
 
 
 @pytest.mark.parametrize("effect", NAMES)

@@ -9,7 +9,7 @@ from piezoid.statement import finding
 from piezoid_reports.page import Page
 from piezoid_reports.plain_text import printable
 from piezoid_reports.render import render
-from tests.reports.anatomy import Anatomy
+from tests.reports.anatomy import Anatomy, skeleton
 from tests.reports.known_stage import axis_model, recording, stage_model
 
 HOSTILE = [
@@ -43,16 +43,12 @@ def _hostile_page(name: str) -> str:
 @pytest.fixture(scope="module")
 def tame() -> list[str]:
     """Tags and attribute names of the same page with a harmless name."""
-    return _skeleton(_hostile_page("harmless"))
-
-
-def _skeleton(page: str) -> list[str]:
-    return [f"{e.tag} {' '.join(e.attributes)}" for e in Anatomy(page).elements]
+    return skeleton(_hostile_page("harmless"))
 
 
 @pytest.mark.parametrize("name", [n for n in HOSTILE if "\ud800" not in n], ids=ascii)
 def test_a_hostile_name_adds_no_element_and_no_attribute(name: str, tame: list[str]) -> None:
-    assert _skeleton(_hostile_page(name)) == tame
+    assert skeleton(_hostile_page(name)) == tame
 
 
 @pytest.mark.parametrize("name", HOSTILE[:8])

@@ -17,7 +17,7 @@ from piezoid_reports.fleet.records import Fleet, FleetStage, stage_from_json
 from piezoid_reports.fleet.sections import render_fleet
 from piezoid_reports.page import Page
 from piezoid_reports.render import render, render_design
-from tests.reports.anatomy import Anatomy
+from tests.reports.anatomy import skeleton
 from tests.reports.known_stage import axis_model, recording, stage_model
 from tests.reports.test_hostile_names import HOSTILE
 
@@ -82,10 +82,6 @@ def _is_read(record: dict[str, Any], read: Callable[[bytes], Any]) -> bool:
     return True
 
 
-def _skeleton(page: str) -> list[str]:
-    return [f"{e.tag} {' '.join(e.attributes)}" for e in Anatomy(page).elements]
-
-
 @pytest.mark.parametrize("name", PAGES)
 def test_no_text_of_a_sealed_file_adds_an_element_or_an_attribute(name: str) -> None:
     first = _kept(name) if name != "model.json" else write_model(stage_model(axis_model()))
@@ -106,4 +102,4 @@ def test_no_text_of_a_sealed_file_adds_an_element_or_an_attribute(name: str) -> 
         for holder, key in free:
             holder[key] = hostile
         page = drawn(read(_sealed(record)))
-        assert _skeleton(page) == _skeleton(tame)
+        assert skeleton(page) == skeleton(tame)

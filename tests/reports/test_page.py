@@ -13,21 +13,18 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.diagnosis import HeldOut
-from piezoid_reports.page import MAX_PLOTTED, Page
-from piezoid_reports.render import render
+from piezoid_reports.page import MAX_PLOTTED
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_diagnosis import diagnosed, finding
-from tests.reports.known_stage import axis_model, recording, stage_model
+from tests.reports.known_page import page_of
+from tests.reports.known_stage import axis_model, recording
 
 LARGEST_PAGE = 3_000_000
 LARGEST_FIGURE = 60_000
 
 
 def test_the_same_records_give_the_same_bytes() -> None:
-    model = stage_model(axis_model())
-    assert render(Page(model=model, recordings=[recording()])) == render(
-        Page(model=model, recordings=[recording()])
-    )
+    assert page_of(axis_model()) == page_of(axis_model())
 
 
 def test_the_page_asks_nothing_of_any_network(page: str) -> None:
@@ -102,21 +99,15 @@ def test_no_sentence_stands_twice_on_a_page() -> None:
         quality=replace(other.quality, held_out_rms_m=4e-8, noise_rms_m=6e-9),
         uncertainty=replace(other.uncertainty, loop_width_m=(1.7e-6, 5e-8)),
     )
-    axes = [axis_model("x"), other]
     found = diagnosed(finding("creep", rivals=("lag",)), finding("initial_state"))
-    page = render(
-        Page(
-            model=stage_model(*axes),
-            recordings=[
-                recording(),
-                recording("up.csv", "y", noise_m=8e-9),
-                recording("down.csv", "y", noise_m=2e-8),
-            ],
-            diagnoses=(
-                found,
-                replace(found, axis="y", final=HeldOut(rms_m=2e-8, rms_percent=0.1)),
-            ),
-        )
+    page = page_of(
+        *(axis_model("x"), other),
+        recordings=[
+            recording(),
+            recording("up.csv", "y", noise_m=8e-9),
+            recording("down.csv", "y", noise_m=2e-8),
+        ],
+        diagnoses=(found, replace(found, axis="y", final=HeldOut(rms_m=2e-8, rms_percent=0.1))),
     )
     text = unescape(re.sub(r"<(style|script).*?</\1>|<[^>]+>", "\n", page, flags=re.DOTALL))
     sentences = [" ".join(s.split()) for s in re.split(r"(?<=[.;:])\s+|\n", text)]
@@ -150,7 +141,7 @@ def test_digests_of_recordings_and_model_stand_on_the_page(page: str) -> None:
 
 def test_a_recording_that_is_not_the_one_of_the_fit_is_called_so() -> None:
     other = replace(recording(), digest="sha256:" + "1" * 64)
-    assert "another file" in render(Page(model=stage_model(axis_model()), recordings=[other]))
+    assert "another file" in page_of(axis_model(), recordings=[other])
 
 
 def test_a_recording_of_a_million_samples_stays_light() -> None:
@@ -165,8 +156,7 @@ def test_a_recording_of_a_million_samples_stays_light() -> None:
         breaks=(),
     )
     start = replace(axis_model().starts[1], last=1_050_000)
-    model = stage_model(replace(axis_model(), starts=(start,)))
-    page = render(Page(model=model, recordings=[long]))
+    page = page_of(replace(axis_model(), starts=(start,)), recordings=[long])
     figures = re.findall(r"<figure.*?</figure>", page, re.DOTALL)
     assert len(figures) > 4
     assert max(map(len, figures)) < LARGEST_FIGURE
@@ -175,9 +165,7 @@ def test_a_recording_of_a_million_samples_stays_light() -> None:
 def test_a_stage_of_six_axes_with_ten_recordings_each_stays_below_three_megabytes() -> None:
     names = tuple(f"{k}.csv" for k in range(10))
     axes = [axis_model(axis, names) for axis in "abcdef"]
-    page = render(
-        Page(model=stage_model(*axes), recordings=[_of_all_axes(name, "abcdef") for name in names])
-    )
+    page = page_of(*axes, recordings=[_of_all_axes(name, "abcdef") for name in names])
     assert len(page.encode()) < LARGEST_PAGE
     loops = re.findall(r'<svg class="frame"[^>]*aria-label="\d\.csv, axis a: loop', page)
     assert len(loops) == 1 + MAX_PLOTTED

@@ -7,10 +7,9 @@ from pathlib import Path
 import piezoid_reports.sections
 from piezoid.calibration.stage_statements import stage_statements
 from piezoid.statement import select
-from piezoid_reports.page import Page
-from piezoid_reports.render import render
 from piezoid_reports.sections import SECTIONS
 from tests.reports.anatomy import Anatomy
+from tests.reports.known_page import page_of
 from tests.reports.known_stage import axis_model, recording, stage_model
 
 
@@ -23,7 +22,7 @@ def test_every_section_of_the_folder_is_in_the_tuple_once() -> None:
 
 
 def test_a_model_without_its_recordings_still_makes_a_page() -> None:
-    page = Anatomy(render(Page(model=stage_model(axis_model()))))
+    page = Anatomy(page_of(axis_model(), recordings=()))
     assert [e.attributes["id"] for e in page.all("section")] == [
         "summary",
         "parameters",
@@ -43,21 +42,19 @@ def rows(page: str) -> list[tuple[str, ...]]:
 
 
 def test_quantities_of_the_fit_stand_with_their_intervals() -> None:
-    table = rows(render(Page(model=stage_model(axis_model()), recordings=[recording()])))
+    table = rows(page_of(axis_model()))
     assert ("width of the full loop", "(1.600 ± 0.040) µm") in table
     assert ("valid drive", "0 V to 10.0 V") in table
 
 
 def test_every_error_of_an_axis_has_a_row_and_its_limits_a_range() -> None:
-    page = render(Page(model=stage_model(axis_model()), recordings=[recording()]))
+    page = page_of(axis_model())
     values = {row[0]: row[1] for row in rows(page) if len(row) == 2}
     assert values["held-out error, rms"] == "30.0 nm"
     assert values["bound of the hysteresis model alone, 95 %"] == "140 nm"
     assert values["guaranteed error with feedback"] == "none"
     assert "drive below 0 V or above 10.0 V" in page.replace("\u202f", " ")
-    wrong = render(
-        Page(model=stage_model(axis_model(reason="a butterfly")), recordings=[recording()])
-    )
+    wrong = page_of(axis_model(reason="a butterfly"))
     assert "hysteresis model alone" not in wrong
 
 
@@ -68,7 +65,7 @@ def test_limits_hold_every_statement_that_the_summary_does_not_show() -> None:
         quality=replace(axis.quality, converged=False),
         uncertainty=replace(axis.uncertainty, blocks=5),
     )
-    page = render(Page(model=stage_model(weak), recordings=[recording()]))
+    page = page_of(weak)
     limits = page.partition('id="limits"')[2].partition("</section>")[0]
     facts = select(stage_statements(stage_model(weak), recordings=[recording()]))
     for fact in facts:
@@ -82,9 +79,7 @@ def test_a_limit_of_several_axes_stands_in_one_row() -> None:
         for axis in (axis_model("x"), axis_model("y", ("up.csv",)))
     ]
     few = [replace(a, uncertainty=replace(a.uncertainty, blocks=5)) for a in unsure]
-    page = render(
-        Page(model=stage_model(*few), recordings=[recording(), recording("up.csv", "y")])
-    )
+    page = page_of(*few)
     limits = [row[2] for row in rows(page) if row[0] == "note"]
     assert sum(text.startswith("Axes x, y: The intervals rest") for text in limits) == 1
     assert not any(text.startswith("Axis y: The intervals rest") for text in limits)
@@ -93,7 +88,7 @@ def test_a_limit_of_several_axes_stands_in_one_row() -> None:
 def test_intervals_that_the_held_out_error_contradicts_are_not_printed() -> None:
     axis = axis_model()
     wild = replace(axis, uncertainty=replace(axis.uncertainty, loop_width_m=(5.1e-6, 7.2e-6)))
-    page = render(Page(model=stage_model(wild), recordings=[recording()]))
+    page = page_of(wild)
     values = {row[0]: row[1] for row in rows(page) if len(row) == 2}
     assert values["width of the full loop"] == "5.10 µm (no usable interval)"
     assert values["95 % of positions"] == "no usable interval"

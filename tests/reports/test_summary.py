@@ -5,13 +5,12 @@ from dataclasses import replace
 import pytest
 
 from piezoid.identification.quality import Limit
-from piezoid_reports.page import Page
-from piezoid_reports.render import render
 from tests.calibration.test_stage_statements import verification
 from tests.reports.anatomy import Anatomy
 from tests.reports.conftest import REASON
 from tests.reports.known_diagnosis import diagnosed, finding
-from tests.reports.known_stage import axis_model, recording, stage_model
+from tests.reports.known_page import page_of
+from tests.reports.known_stage import axis_model
 
 
 def sentences(page: str) -> dict[str, str]:
@@ -39,7 +38,7 @@ def test_the_most_important_limit_and_the_next_step_stand_on_top() -> None:
     found = diagnosed(finding("creep", rivals=("thermal_drift",), experiment="Do this at once."))
     axis = axis_model()
     few = replace(axis, uncertainty=replace(axis.uncertainty, blocks=5))
-    page = render(Page(model=stage_model(few), recordings=[recording()], diagnoses=(found,)))
+    page = page_of(few, diagnoses=(found,))
     top = sentences(page)
     assert top["Next"].endswith("Do this at once.")
     assert "5 blocks" in top["Limits"]
@@ -50,9 +49,7 @@ def test_the_error_is_that_of_the_worst_axis() -> None:
     better, worse = axis_model("x"), axis_model("y", ("up.csv",))
     quality = replace(worse.quality, held_out_rms_m=4 * worse.quality.held_out_rms_m)
     worse = replace(worse, quality=quality)
-    page = render(
-        Page(model=stage_model(better, worse), recordings=[recording(), recording("up.csv", "y")])
-    )
+    page = page_of(better, worse)
     assert "120 nm rms on axis y" in sentences(page)["Error"]
 
 
@@ -67,8 +64,7 @@ def test_a_class_that_does_not_apply_is_bad_in_word_and_colour(page_of_wrong_cla
 
 
 def test_one_axis_that_fails_does_not_hide_behind_one_that_does_not() -> None:
-    model = stage_model(axis_model("x"), axis_model("y", ("up.csv",), reason=REASON))
-    page = render(Page(model=model, recordings=[recording(), recording("up.csv", "y")]))
+    page = page_of(axis_model("x"), axis_model("y", ("up.csv",), reason=REASON))
     assert "does not apply to axis y, but it does to axis x" in sentences(page)["Bad"]
     assert [e.text for e in Anatomy(page).all("span", "word")] == ["good", "model does not apply"]
 
@@ -80,21 +76,12 @@ def test_nothing_is_called_good_if_its_recordings_leave_the_loop_open(
     axis = axis_model()
     limit = Limit(lack="branch", reason="only one branch was recorded", most=score)
     axis = replace(axis, quality=replace(axis.quality, limits=(limit,)))
-    assert (
-        next(iter(sentences(render(Page(model=stage_model(axis), recordings=[recording()])))))
-        == word
-    )
+    assert next(iter(sentences(page_of(axis)))) == word
 
 
 @pytest.mark.parametrize(("value", "expected"), [(0.2, "good"), (0.9, "bad")])
 def test_the_verification_decides_the_tone(value: float, expected: str) -> None:
-    page = render(
-        Page(
-            model=stage_model(axis_model()),
-            recordings=[recording()],
-            verification=verification(value=value),
-        )
-    )
+    page = page_of(axis_model(), verification=verification(value=value))
     assert tone(page) == expected
     top = sentences(page)
     if expected == "good":
@@ -105,13 +92,7 @@ def test_the_verification_decides_the_tone(value: float, expected: str) -> None:
 
 
 def test_an_axis_without_a_controller_is_named_on_top() -> None:
-    page = render(
-        Page(
-            model=stage_model(axis_model()),
-            recordings=[recording()],
-            unshipped={"z": "ceiling_A is missing"},
-        )
-    )
+    page = page_of(axis_model(), unshipped={"z": "ceiling_A is missing"})
     assert "axis z has no controller" in sentences(page)["Fails"]
     assert tone(page) == "bad"
     assert page.count("ceiling_A is missing") == 1

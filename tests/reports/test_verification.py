@@ -15,7 +15,6 @@ from piezoid.verification.verify import verify
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Section
 from piezoid_reports.quantities import number
-from piezoid_reports.render import render
 from piezoid_reports.sections import verification
 from piezoid_reports.sections.verification import (
     MAX_VERDICTS,
@@ -26,7 +25,8 @@ from piezoid_reports.sections.verification import (
     spiral,
 )
 from tests.reports.anatomy import Anatomy
-from tests.reports.known_stage import axis_model, recording, stage_model
+from tests.reports.known_page import page_of
+from tests.reports.known_stage import axis_model, stage_model
 from tests.verification.rig import PLANTS, stage
 
 AT_10_Hz = [s for s in SCENARIOS if s.name == "spiral, 10 Hz"]
@@ -39,10 +39,8 @@ def found() -> Verification:
 
 
 def chapter(found: Verification) -> tuple[Section, Anatomy]:
-    model = stage_model(axis_model())
-    page = render(Page(model=model, recordings=[recording()], verification=found))
-    bare = Page(model=model, verification=found)
-    made = verification.render(bare)
+    page = page_of(axis_model(), verification=found)
+    made = verification.render(Page(model=stage_model(axis_model()), verification=found))
     assert made is not None
     assert len(page) < 3_000_000
     return made, Anatomy(page)
@@ -53,9 +51,7 @@ def texts(found: Verification) -> list[str]:
 
 
 def test_without_a_verification_there_is_no_chapter() -> None:
-    assert 'id="verification"' not in render(
-        Page(model=stage_model(axis_model()), recordings=[recording()])
-    )
+    assert 'id="verification"' not in page_of(axis_model())
 
 
 def test_every_method_and_verdict_has_its_row_and_every_verdict_its_limit(

@@ -28,3 +28,12 @@ def run(*command, **arguments):
     done = subprocess.run(command, capture_output=True, text=True, check=False, **arguments)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
+
+
+def write_files(folder, files):
+    """Write files by their names below a folder and return the folder."""
+    for name, content in files.items():
+        place = folder / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(content)
+    return folder

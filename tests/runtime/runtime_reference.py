@@ -1,7 +1,6 @@
 """What the runtime is compared with: the same mathematics in numpy, sample by sample.
 
-Nothing here imports piezoid. The inverse keeps its own memory and its own thresholds, which the
-runtime does not: two ways to the same numbers.
+Nothing here imports piezoid.
 """
 
 import numpy as np
@@ -24,49 +23,6 @@ def forward(u, r, w, z, knot, weight):
         z = follow(volts, r, z)
         y[k] = dead_zones(float(w @ z), knot, weight)
     return y, z
-
-
-def inverse_plays(r, w):
-    W = np.cumsum(w)
-    threshold = np.array([(w[: i + 1] * (r[i] - r[: i + 1])).sum() for i in range(len(r))])
-    return threshold, np.r_[1 / W[0], -w[1:] / (W[1:] * W[:-1])]
-
-
-def inverse_memory(w, z):
-    W = np.cumsum(w)
-    return np.array([W[i] * z[i] + (w[i + 1 :] * z[i + 1 :]).sum() for i in range(len(w))])
-
-
-def inverse_dead_zones(knot, weight):
-    zero = int(np.flatnonzero(knot == 0)[0])
-    out, inverse = np.zeros(len(knot)), np.zeros(len(knot))
-    inverse[zero] = 1 / weight[zero]
-    for places in (range(zero + 1, len(knot)), range(zero - 1, -1, -1)):
-        slope = weight[zero]
-        for i in places:
-            between = slice(min(i, zero), max(i, zero) + 1)
-            out[i] = (weight[between] * (knot[i] - knot[between])).sum()
-            inverse[i] = -weight[i] / ((slope + weight[i]) * slope)
-            slope += weight[i]
-    return out, inverse
-
-
-def compensate(y, r, w, z, knot, weight, *, limit_V, lsb_V, synchronise):
-    """Closed-form inverse, converter, and memory rebuilt from the forward memory, or not."""
-    inverse_r, inverse_w = inverse_plays(r, w)
-    inverse_knot, inverse_weight = inverse_dead_zones(knot, weight)
-    inverse_z = inverse_memory(w, z)
-    u = np.empty(len(y))
-    for k, wanted in enumerate(y):
-        q = dead_zones(wanted, inverse_knot, inverse_weight)
-        inverse_z = follow(q, inverse_r, inverse_z)
-        u[k] = np.clip(inverse_w @ inverse_z, -limit_V, limit_V)
-        if lsb_V:
-            u[k] = lsb_V * np.round(u[k] / lsb_V)
-        z = follow(u[k], r, z)
-        if synchronise:
-            inverse_z = inverse_memory(w, z)
-    return u
 
 
 def nested(z, u, r):

@@ -7,7 +7,6 @@ import pytest
 
 from piezoid.runtime.controller import Controller, Status
 from tests.runtime.runtime_parameters import tunnelling
-from tests.runtime.test_edges import refused
 
 SET_A = 1e-9
 STEP_V = 1e-3
@@ -33,20 +32,6 @@ def started(volts=0.0, current_A=SET_A, precision="double", **others):
 def shown(controller, currents_A):
     currents_A = np.asarray(currents_A, float)
     return controller.run(np.full(len(currents_A), SET_A), currents_A)
-
-
-@pytest.mark.parametrize(
-    ("given", "name"),
-    [
-        ({"contact_samples": 0}, "contact_samples"),
-        ({"approach_step_V": 0.0}, "approach_step_V"),
-        ({"approach_log_step": 0.0}, "approach_log_step"),
-        ({"contact_log": 0.0}, "contact_log"),
-        ({"trip_limit": 0, "search_voltage_V": 0.0, "retract_step_V": 0.0}, None),
-    ],
-)
-def test_a_tip_that_cannot_approach_is_refused(given, name):
-    assert refused({**tunnelling(), **GUARDED, **given}) == name
 
 
 @pytest.mark.parametrize("precision", ["double", "float"])

@@ -35,13 +35,6 @@ def biquad(section, x):
     return y
 
 
-def test_without_a_model_it_is_a_gain():
-    reference = np.array([0.0, 1.0, -3.0])
-    run = started(static()).run(reference, np.zeros(3))
-    assert np.array_equal(run.voltage_V, reference / 0.5)
-    assert not run.status.any()
-
-
 def test_compensated_creep_leaves_none():
     """The stage creeps by the same ladder; what it shows is what was asked for."""
     creeping = {"relaxation_count": 2, "relaxation_rate": RATES, "relaxation_share": SHARES}

@@ -54,6 +54,11 @@ def test_lateral_parameters_are_usable_up_to_the_edge(given, name):
         ({"current_floor_A": 2.0**-40, "current_ceiling_A": 1.0}, "current_ceiling_A"),
         ({"rst_S": [0.5, 0.1]}, "rst_S"),
         ({"rst_A0": [0.5]}, "rst_A0"),
+        ({"contact_samples": 0}, "contact_samples"),
+        ({"approach_step_V": 0.0}, "approach_step_V"),
+        ({"approach_log_step": 0.0}, "approach_log_step"),
+        ({"contact_log": 0.0}, "contact_log"),
+        ({"trip_limit": 0, "search_voltage_V": 0.0, "retract_step_V": 0.0}, None),
     ],
 )
 def test_tunnelling_parameters_are_usable_up_to_the_edge(given, name):
@@ -69,6 +74,7 @@ def test_tunnelling_parameters_are_usable_up_to_the_edge(given, name):
         ((3.0, 0, 0, 1.5, 0.5), False),  # a pole at -1
         ((0.0, 0, 0, -1.5, 0.5), False),  # a pole at 1
         ((2.0, 0, 0, 0, 1.0), False),  # a pair on the circle
+        ((0.2, 0, 0, -1.9, 1.1), False),  # and one outside
         ((0.1, 0.1, 0.1, -1.5, 0.8), True),
         ((0.1, 0.1, 0.101, -1.5, 0.8), False),  # another gain at rest
     ],
@@ -132,25 +138,6 @@ def test_a_current_is_judged_at_the_floor_and_at_the_ceiling(current_A, status):
     controller.start(0.0, 1e-9)
     controller.step(1e-9, current_A)
     assert controller.status == status
-
-
-def test_the_tip_stays_back_for_exactly_the_samples_asked():
-    controller = Controller(tunnelling(retract_samples=3))
-    controller.start(0.0, 1e-9)
-    currents = np.full(8, 1e-9)
-    currents[2] = 1e-7
-    back = (controller.run(np.full(8, 1e-9), currents).status & Status.RETRACTED) != 0
-    np.testing.assert_array_equal(np.flatnonzero(back), [2, 3, 4])
-
-
-def test_one_bad_sample_more_than_allowed_retracts():
-    controller = Controller(tunnelling(bad_samples=2, retract_samples=1))
-    controller.start(0.0, 1e-9)
-    run = controller.run(np.full(5, 1e-9), np.array([np.nan, np.nan, np.nan, 1e-9, np.nan]))
-    back = (run.status & Status.RETRACTED) != 0
-    np.testing.assert_array_equal(np.flatnonzero(back), [2])
-    bad = (run.status & Status.BAD_MEASUREMENT) != 0
-    np.testing.assert_array_equal(np.flatnonzero(bad), [0, 1, 2, 4])
 
 
 def observer_of(states, **others):

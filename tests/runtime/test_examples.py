@@ -8,7 +8,7 @@ import pytest
 
 from piezoid.export.bundle import bundle
 from tests.export.stage import stage as three_axes
-from tests.runtime.compiler import SOURCE, found, run
+from tests.runtime.compiler import SOURCE, found, run, write_files
 from tests.verification.rig import stage
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
@@ -43,9 +43,7 @@ extern Stream Serial;
 
 @pytest.fixture
 def folder(tmp_path):
-    (tmp_path / "bundle").mkdir()
-    for name, content in bundle(stage("x")).items():
-        (tmp_path / "bundle" / name).write_bytes(content)
+    write_files(tmp_path / "bundle", bundle(stage("x")))
     return tmp_path
 
 
@@ -92,8 +90,7 @@ def test_the_program_for_the_chip_builds_without_a_warning_and_fits(folder):
     ],
 )
 def test_the_examples_refuse_the_axis_of_a_tip(example, language, axis, tmp_path):
-    for name, content in bundle(three_axes()).items():
-        (tmp_path / name).write_bytes(content)
+    write_files(tmp_path, bundle(three_axes()))
     (tmp_path / "Arduino.h").write_text(ARDUINO)
     compiler = found("c++", "g++") if language == "c++" else found("cc", "gcc", "clang")
     command = [compiler, "-w", "-fsyntax-only", "-DPZ_REAL_FLOAT", f"-I{tmp_path}", "-x", language]

@@ -176,37 +176,6 @@ def test_at_the_limits_nothing_winds_up():
     assert np.abs(y[560:]).max() < 1e-3
 
 
-def test_an_anti_windup_polynomial_changes_nothing_away_from_the_limits():
-    reference = np.full(100, 1.5 * REFERENCE_A)
-    plain, _ = close_loop(started(), Gap(), reference)
-    slower = started(rst_A0_count=2, rst_A0=np.array([1.0, -0.5]))
-    other, _ = close_loop(slower, Gap(), reference)
-    assert np.array_equal(plain, other)
-
-
-def test_the_anti_windup_polynomial_is_the_written_equation(rng):
-    """S u_a + A_0 (u - u_a) = T r - R y, with S including the integrator."""
-    a0 = np.array([1.0, -0.6, 0.1])
-    y = rng.normal(0.0, 0.5, 300)
-    controller = started(
-        rst_A0_count=3,
-        rst_A0=a0,
-        voltage_minimum_V=-2e-4,
-        voltage_maximum_V=2e-4,
-        retract_voltage_V=0.0,
-    )
-    applied = controller.run(np.full(300, REFERENCE_A), REFERENCE_A * np.exp(y)).voltage_V
-    u, ua, seen = np.zeros(310), np.zeros(310), np.r_[np.zeros(10), y]
-    for k in range(10, 310):
-        past = slice(k - 1, k - 5, -1)
-        right = -RST_R @ seen[k : k - 4 : -1]
-        excess = (u - ua)[k - 1 : k - 3 : -1]
-        u[k] = right - RST_S[1:] @ ua[past] - a0[1:] @ excess
-        ua[k] = min(max(u[k], -2e-4), 2e-4)
-    assert (np.abs(applied) >= 2e-4).any()
-    assert np.abs(applied - ua[10:]).max() < 1e-11
-
-
 def test_the_gain_schedule_gives_a_scaled_plant_the_loop_of_the_first():
     reference = np.full(200, 1.5 * REFERENCE_A)
     designed, u = close_loop(started(), Gap(), reference)

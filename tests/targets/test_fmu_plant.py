@@ -18,7 +18,7 @@ from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import Hysteresis, Junction
 from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.verify import verify
-from tests.runtime.compiler import found, run
+from tests.runtime.compiler import found, run, write_files
 from tests.verification.rig import PLANTS, RATE_Hz, junction, lateral, operator, stage
 
 SEED = 7
@@ -81,10 +81,7 @@ def made(tmp_path_factory):
         f"rig/{place}": made for place, made in target_files(exported, ["fmu"]).files.items()
     }
     written |= {f"other/fmu/{place}": made for place, made in others.items()}
-    for place, content in written.items():
-        (folder / place).parent.mkdir(exist_ok=True, parents=True)
-        (folder / place).write_bytes(content)
-    return folder
+    return write_files(folder, written)
 
 
 def tip_elsewhere():

@@ -21,7 +21,7 @@ from piezoid.targets.nanonis import (
     line_errors_m,
     nanonis_files,
 )
-from tests.runtime.compiler import run
+from tests.runtime.compiler import run, write_files
 from tests.targets.known_inputs import exported
 
 
@@ -43,8 +43,7 @@ def test_names_and_order_are_those_of_the_published_package():
 def test_the_bytes_that_are_sent_hold_the_table(tmp_path):
     """send.py against a server of this test, decoded without that package."""
     pytest.importorskip("nanonis_spm")
-    for name, content in made()[0].items():
-        (tmp_path / name).write_bytes(content)
+    write_files(tmp_path, made()[0])
     heard = {}
 
     def answer(connection):

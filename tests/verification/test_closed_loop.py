@@ -17,11 +17,9 @@ from tests.verification.rig import (
     SENSOR,
     GAIN_m_per_V,
     RATE_Hz,
-    junction,
     lateral,
     lateral_parameters,
     operator,
-    stage,
 )
 
 ROUNDING_m = 1e-18
@@ -141,15 +139,6 @@ def test_another_sampling_rate_is_refused(rng):
     slow = lateral_parameters().with_values({"sampling_rate_Hz": 10e3})
     with pytest.raises(ParameterFileError, match="10000 Hz"):
         run_axis(lateral(), slow, swing(), rng=rng)
-
-
-def test_the_junctions_controller_holds_the_current_over_a_bump(rng):
-    file = stage("z")
-    bump = 2.0 * np.sin(np.pi * np.arange(8000) / 8000) ** 2
-    set_point = np.full(8000, 1e-9)
-    found = run_axis(junction(), file.axes[0], set_point, rng=rng, disturbance=bump)
-    assert np.std(np.log(found.position / 1e-9)) < 0.05
-    assert not (found.status & Status.RETRACTED).any()
 
 
 def test_the_chain_has_the_sensor_behind_the_position(rng):

@@ -14,7 +14,7 @@ from piezoid.design.design_stage import design_stage
 from piezoid.errors import LabFileError, ParameterFileError
 from piezoid.export.export_stage import export_stage
 from piezoid.export.parameter_file import from_json, to_json
-from piezoid.identification.store import read_model, write_model
+from piezoid.identification.store import write_model
 from piezoid.records.lab import read_lab
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.verification import verification_from_json
@@ -47,30 +47,29 @@ barrier_range_eV = [0.25, 4]
 GUARDED = LAB_TOML + "ceiling_A = 9e-9\n"
 
 
+def write_stage(folder, model, design):
+    (folder / "model.json").write_bytes(write_model(model))
+    (folder / "design.json").write_bytes(design.to_json())
+
+
 @pytest.fixture(scope="module")
 def designed():
-    content = write_model(fitted())
-    design = design_stage(
-        fitted(),
-        model_digest=json.loads(content)["digest"],
-        sampling_rate_Hz=RATE_Hz,
-        forms=("inverse",),
+    digest = json.loads(write_model(fitted()))["digest"]
+    return design_stage(
+        fitted(), model_digest=digest, sampling_rate_Hz=RATE_Hz, forms=("inverse",)
     )
-    return content, design
 
 
 @pytest.fixture
 def folder(designed, tmp_path):
-    (tmp_path / "model.json").write_bytes(designed[0])
-    (tmp_path / "design.json").write_bytes(designed[1].to_json())
+    write_stage(tmp_path, fitted(), designed)
     return tmp_path
 
 
 @pytest.fixture(scope="module")
 def exported_once(designed, tmp_path_factory):
     place = tmp_path_factory.mktemp("exported")
-    (place / "model.json").write_bytes(designed[0])
-    (place / "design.json").write_bytes(designed[1].to_json())
+    write_stage(place, fitted(), designed)
     assert called("export", place).exit_code == 0
     return place
 
@@ -179,9 +178,8 @@ def test_a_designed_folder_is_exported_and_verified(folder):
 
 
 def test_a_failed_verdict_is_exit_status_1_and_still_written(folder, designed):
-    model = read_model(designed[0])
     digest = json.loads((folder / "design.json").read_bytes())["digest"]
-    file = export_stage(model, designed[1], design_digest=digest)
+    file = export_stage(fitted(), designed, design_digest=digest)
     bare = replace(
         file,
         axes=tuple(
@@ -211,8 +209,7 @@ def test_limits_come_from_a_file_or_from_the_lab_toml_of_the_folder(exported):
 
 def test_a_guard_that_was_written_after_the_export_does_not_pass_unseen(folder, with_tip):
     """1 uA instead of 9 nA: the tip would retract when it is in the surface."""
-    (folder / "model.json").write_bytes(write_model(with_tip[0]))
-    (folder / "design.json").write_bytes(with_tip[1].to_json())
+    write_stage(folder, *with_tip[:2])
     (folder / "lab.toml").write_text(GUARDED)
     assert called("export", folder).exit_code == 0
     shipped = from_json((folder / "params.json").read_bytes(), "params.json")
@@ -232,8 +229,7 @@ def test_a_guard_that_was_written_after_the_export_does_not_pass_unseen(folder, 
 
 
 def test_another_converter_asks_for_another_design(folder, with_tip):
-    (folder / "model.json").write_bytes(write_model(with_tip[0]))
-    (folder / "design.json").write_bytes(with_tip[1].to_json())
+    write_stage(folder, *with_tip[:2])
     (folder / "lab.toml").write_text(GUARDED.replace("[-10, 10]", "[-5, 5]"))
     done = called("export", folder)
     assert isinstance(done.exception, ParameterFileError)
@@ -249,13 +245,12 @@ def with_tip(designed, tmp_path_factory):
     tip = replace(model, axes={})
     found = design_stage(tip, model_digest="sha256:none", lab=read_lab(place))
     digest = json.loads(write_model(model))["digest"]
-    axes = (*designed[1].axes, *found.axes)
+    axes = (*designed.axes, *found.axes)
     return model, replace(found, axes=axes, model_digest=digest), read_lab(place)
 
 
 def test_x_and_a_tip_over_a_rough_surface_go_to_a_verdict_by_the_verbs(folder, with_tip):
-    (folder / "model.json").write_bytes(write_model(with_tip[0]))
-    (folder / "design.json").write_bytes(with_tip[1].to_json())
+    write_stage(folder, *with_tip[:2])
     (folder / "lab.toml").write_text(LAB_TOML)
     partly = called("export", folder)
     assert partly.exit_code == 1
@@ -322,7 +317,7 @@ def test_largest_errors_are_bounded_on_request(exported):
 
 
 def test_another_design_than_the_exported_one_is_not_compared(exported, designed):
-    other = replace(designed[1], remarks=("made again",))
+    other = replace(designed, remarks=("made again",))
     (exported / "design.json").write_bytes(other.to_json())
     for flags in ((), ("--bounds",)):
         done = called("verify", exported, *flags)
@@ -359,7 +354,7 @@ def test_a_verdict_stands_only_beside_the_bundle_it_was_reached_on(exported, des
     assert "the rig in lab.toml was changed; run piezoid design" in said
     assert "another rig" in str(called("verify", exported).exception)
     (exported / "lab.toml").unlink()
-    other = replace(designed[1], remarks=("made again",))
+    other = replace(designed, remarks=("made again",))
     (exported / "design.json").write_bytes(other.to_json())
     is_verified, said = reported()
     assert not is_verified

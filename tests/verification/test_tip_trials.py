@@ -4,9 +4,8 @@ import math
 
 import pytest
 
-from piezoid.errors import LabFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
-from piezoid.verification.criteria import Limits, limits_from_toml
+from piezoid.verification.criteria import limits_from_toml
 from piezoid.verification.tip_trials import TIP_TRIALS
 from piezoid.verification.verify import verify
 from tests.verification.rig import PLANTS, stage
@@ -76,6 +75,3 @@ def test_limits_are_the_laboratorys_to_say():
     assert not found["amplifier dead", CLOSER].passed
     assert not found["reading NaN for 20 ms", BACK].passed
     assert math.isclose(found["amplifier dead", CLOSER].limit, 1e-10)
-    with pytest.raises(LabFileError, match="closest_m"):
-        limits_from_toml("closest = 1")
-    assert Limits().closest_m < 5e-10

@@ -7,8 +7,8 @@ from tests.records.messy.writers import (
     NAMES,
     VOLTAGE_V,
     Messy,
-    POSITION_um,
     TIME_s,
+    Write,
     columns,
     grouped,
     lines,
@@ -16,10 +16,27 @@ from tests.records.messy.writers import (
     with_rows,
 )
 
+SMALL = ("time [s]", "voltage [mV]", "position [nm]")
+
 
 def whole_volts(k: int) -> str:
     """Return 950 or 1,234: no decimals, thousands marked off."""
     return f"{round(1e3 * VOLTAGE_V[k] / 40):,}"
+
+
+def with_thousands(mark: str, decimal: str) -> Write:
+    """Write millivolts and nanometres with a mark between thousands, semicolons between."""
+    rows = [
+        ";".join(
+            (
+                f"{t:.3f}".replace(".", decimal),
+                grouped(1e3 * volts, mark, decimal),
+                grouped(1e3 * position_um, mark, decimal),
+            )
+        )
+        for t, volts, position_um in columns()
+    ]
+    return text([";".join(SMALL), *rows])
 
 
 def _prefixed(line: str) -> str:
@@ -110,55 +127,18 @@ FILES: tuple[Messy, ...] = (
         "thousands.txt",
         "`1,234.50`: commas mark thousands",
         text(
-            lines(
-                ";",
-                table=columns() * [1, 1e3, 1e3],
-                names=("time [s]", "voltage [mV]", "position [nm]"),
-                written=lambda v: f"{v:,.3f}",
-            )
+            lines(";", table=columns() * [1, 1e3, 1e3], names=SMALL, written=lambda v: f"{v:,.3f}")
         ),
     ),
     Messy(
         "tausender.csv",
         "`1.234,50`: points mark thousands",
-        with_rows(
-            lambda rows: [
-                rows[0],
-                *(
-                    ";".join(
-                        (
-                            f"{TIME_s[k]:.3f}".replace(".", ","),
-                            grouped(1e3 * VOLTAGE_V[k], ".", ","),
-                            grouped(1e3 * POSITION_um[k], ".", ","),
-                        )
-                    )
-                    for k in EVERY
-                ),
-            ],
-            separator=";",
-            names=("time [s]", "voltage [mV]", "position [nm]"),
-        ),
+        with_thousands(".", ","),
     ),
     Messy(
         "swiss.csv",
         "`1'234.50`: apostrophes mark thousands",
-        with_rows(
-            lambda rows: [
-                rows[0],
-                *(
-                    ";".join(
-                        (
-                            f"{TIME_s[k]:.3f}",
-                            grouped(1e3 * VOLTAGE_V[k], "'", "."),
-                            grouped(1e3 * POSITION_um[k], "'", "."),
-                        )
-                    )
-                    for k in EVERY
-                ),
-            ],
-            separator=";",
-            names=("time [s]", "voltage [mV]", "position [nm]"),
-        ),
+        with_thousands("'", "."),
     ),
     Messy(
         "either.csv",

@@ -17,6 +17,7 @@ from tests.records.messy.writers import (
     across_noon,
     at,
     clock_of_day,
+    clocked,
     columns,
     iso,
     lines,
@@ -60,13 +61,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "jitter.csv",
         "stamps that scatter by 5 %",
-        text(
-            lines(
-                table=columns()
-                + np.outer(np.random.default_rng(3).normal(0, 5e-5, SAMPLES), [1, 0, 0]),
-                written="{:.6f}".format,
-            )
-        ),
+        clocked(TIME_s + np.random.default_rng(3).normal(0, 5e-5, SAMPLES), "{:.6f}".format),
         problems=frozenset({"jitter"}),
     ),
     Messy(
@@ -80,23 +75,13 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "stall.csv",
         "a clock that stands and catches up",
-        text(
-            lines(
-                table=np.column_stack(
-                    [
-                        np.where((EVERY > 99) & (EVERY < 110), TIME_s[100], TIME_s),
-                        VOLTAGE_V,
-                        POSITION_um,
-                    ]
-                )
-            )
-        ),
+        clocked(np.where((EVERY > 99) & (EVERY < 110), TIME_s[100], TIME_s)),
         problems=frozenset({"duplicate_time"}),
     ),
     Messy(
         "coarse_clock.csv",
         "stamps printed to a hundredth of a second",
-        text(lines(table=np.column_stack([np.floor(TIME_s * 100) / 100, VOLTAGE_V, POSITION_um]))),
+        clocked(np.floor(TIME_s * 100) / 100),
     ),
     Messy(
         "clock_time.csv",
@@ -134,18 +119,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "random_clock.csv",
         "no uniform clock",
-        text(
-            lines(
-                table=np.column_stack(
-                    [
-                        np.cumsum(np.random.default_rng(4).uniform(0, 2e-3, SAMPLES)),
-                        VOLTAGE_V,
-                        POSITION_um,
-                    ]
-                ),
-                written="{:.6f}".format,
-            )
-        ),
+        clocked(np.cumsum(np.random.default_rng(4).uniform(0, 2e-3, SAMPLES)), "{:.6f}".format),
         refused="Needed: samples at a uniform rate",
     ),
     Messy(
@@ -158,7 +132,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "bursts.csv",
         "bursts of 100 samples, a second between",
-        text(lines(table=np.column_stack([TIME_s + EVERY // 100, VOLTAGE_V, POSITION_um]))),
+        clocked(TIME_s + EVERY // 100),
         breaks=3,
         problems=frozenset({"gap"}),
     ),

@@ -2,13 +2,24 @@
 
 import numpy as np
 
-from tests.records.messy.writers import COPY, COUNTS, FIT, NAMES, Messy, columns, held, lines, text
+from tests.records.messy.writers import (
+    BY_NUMBER,
+    COPY,
+    COUNTS,
+    FIT,
+    NAMES,
+    Messy,
+    held,
+    lines,
+    scaled,
+    text,
+)
 
 FILES: tuple[Messy, ...] = (
     Messy(
         "counts.csv",
         "a sensor in counts",
-        text(lines(table=columns() * [1, 1, 1e4], names=(*NAMES[:2], "position [counts]"))),
+        scaled(1, 1, 1e4, names=(*NAMES[:2], "position [counts]")),
         lines=COUNTS,
         kept=np.zeros(0, dtype=int),
         problems=frozenset({"counts"}),
@@ -16,12 +27,10 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "codes.csv",
         "counts of both converters under their own names",
-        text(
-            lines(
-                table=columns() * [1, 1e3, 1e4],
-                names=("time [s]", "DAC [codes]", "ADC [codes]"),
-                written="{:.6g}".format,
-            )
+        scaled(
+            *(1, 1e3, 1e4),
+            names=("time [s]", "DAC [codes]", "ADC [codes]"),
+            written="{:.6g}".format,
         ),
         refused="no column is a drive voltage or a displacement",
         lines='columns = { time = 1, voltage = "DAC [codes]", displacement = "ADC [codes]" }\n'
@@ -31,12 +40,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "dac.csv",
         "a drive in counts of the converter",
-        text(
-            lines(
-                table=columns() * [1, 1000, 1],
-                names=("time [s]", "drive [counts]", "position [um]"),
-            )
-        ),
+        scaled(1, 1000, 1, names=("time [s]", "drive [counts]", "position [um]")),
         lines="scale = { voltage = 0.001 }\n",
         kept=np.zeros(0, dtype=int),
         problems=frozenset({"counts"}),
@@ -44,18 +48,14 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "tube.csv",
         "150 mV that move 16 um",
-        text(
-            lines(
-                table=columns() * [1, 3.75, 1], names=("time [s]", "voltage [mV]", "position [um]")
-            )
-        ),
+        scaled(1, 3.75, 1, names=("time [s]", "voltage [mV]", "position [um]")),
         lines="scale = { voltage = 266.6666666666667 }\n",
         problems=frozenset({"implausible_gain"}),
     ),
     Messy(
         "kilovolts.csv",
         "kilovolts under a heading of volts, beside a clean file",
-        text(lines(table=columns() * [1, 1e-3, 1], written="{:.7f}".format)),
+        scaled(1, 1e-3, 1, written="{:.7f}".format),
         problems=FIT | COPY | {"implausible_gain"},
         lines="scale = { voltage = 1000 }\n",
         mended=COPY,
@@ -64,7 +64,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "monitor.csv",
         "the 1/15 monitor of the drive, beside a clean file",
-        text(lines(table=columns() * [1, 1 / 15, 1], written="{:.7f}".format)),
+        scaled(1, 1 / 15, 1, written="{:.7f}".format),
         problems=FIT | COPY,
         lines="scale = { voltage = 15 }\n",
         mended=COPY,
@@ -73,7 +73,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "polarity.csv",
         "the other polarity, beside a clean file",
-        text(lines(table=columns() * [1, -1, 1])),
+        scaled(1, -1, 1),
         problems=FIT,
         lines="scale = { voltage = -1 }\n",
         mended=COPY,
@@ -84,13 +84,12 @@ FILES: tuple[Messy, ...] = (
         "the headings of drive and displacement exchanged",
         text(lines(names=("time [s]", "position [um]", "voltage [V]"))),
         problems=frozenset({"leads"}),
-        lines="columns = { time = 1, voltage = 2, displacement = 3 }\n"
-        'units = { time = "s", voltage = "V", displacement = "um" }\n',
+        lines=BY_NUMBER,
     ),
     Messy(
         "nanometres.csv",
         "the same run in nanometres, beside the clean file",
-        text(lines(table=columns() * [1, 1, 1e3], names=(*NAMES[:2], "position [nm]"))),
+        scaled(1, 1, 1e3, names=(*NAMES[:2], "position [nm]")),
         problems=COPY,
         beside=True,
     ),

@@ -1,5 +1,7 @@
 """Text tables in odd shapes: headings, comments, rows cut short, several runs in one file."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from tests.records.messy.writers import (
@@ -10,6 +12,7 @@ from tests.records.messy.writers import (
     UNITS,
     Messy,
     TIME_s,
+    Write,
     at,
     columns,
     lines,
@@ -18,6 +21,21 @@ from tests.records.messy.writers import (
 )
 
 MIDDLE = 1 + SAMPLES // 2
+
+
+def headed_anew(table: np.ndarray, names: Sequence[str]) -> Write:
+    """Write the first half, and the second half of another table under its own heading."""
+    return text([*lines()[:MIDDLE], *lines(table=table[MIDDLE - 1 :], names=names)])
+
+
+def with_last_cells(cell: str, *places: int) -> Write:
+    """Write the recording with other words in the last column of some lines."""
+    return with_rows(
+        lambda rows: [
+            row if k not in places else f"{row.rsplit(',', 1)[0]},{cell}"
+            for k, row in enumerate(rows)
+        ]
+    )
 
 
 FILES: tuple[Messy, ...] = (
@@ -101,12 +119,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "words.csv",
         "`OVERLOAD` in place of three numbers",
-        with_rows(
-            lambda rows: [
-                row if k not in (50, 51, 52) else row.rsplit(",", 1)[0] + ",OVERLOAD"
-                for k, row in enumerate(rows)
-            ]
-        ),
+        with_last_cells("OVERLOAD", 50, 51, 52),
         kept=at(49, 50, 51),
         breaks=1,
         problems=frozenset({"not_a_number", "missing_values"}),
@@ -114,12 +127,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "holes.csv",
         "empty cells in two pairs of rows",
-        with_rows(
-            lambda rows: [
-                row if k not in (50, 51, 300, 301) else row.rsplit(",", 1)[0] + ","
-                for k, row in enumerate(rows)
-            ]
-        ),
+        with_last_cells("", 50, 51, 300, 301),
         kept=at(49, 50, 299, 300),
         breaks=2,
         problems=frozenset({"missing_values"}),
@@ -158,29 +166,13 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "other_unit.csv",
         "a second heading in the middle, in millivolts",
-        text(
-            [
-                *lines()[:MIDDLE],
-                *lines(
-                    table=columns()[MIDDLE - 1 :] * [1, 1e3, 1],
-                    names=("time [s]", "voltage [mV]", "position [um]"),
-                ),
-            ]
-        ),
+        headed_anew(columns() * [1, 1e3, 1], ("time [s]", "voltage [mV]", "position [um]")),
         refused="line 202 heads the columns anew",
     ),
     Messy(
         "other_comment.csv",
         "a comment in the middle that heads millivolts",
-        text(
-            [
-                *lines()[:MIDDLE],
-                *lines(
-                    table=columns()[MIDDLE - 1 :] * [1, 1e3, 1],
-                    names=("# time [s]", "voltage [mV]", "position [um]"),
-                ),
-            ]
-        ),
+        headed_anew(columns() * [1, 1e3, 1], ("# time [s]", "voltage [mV]", "position [um]")),
         refused="line 202 heads the columns anew",
     ),
     Messy(
@@ -199,14 +191,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "other_order.csv",
         "a second heading in the middle, its columns exchanged",
-        text(
-            [
-                *lines()[:MIDDLE],
-                *lines(
-                    table=columns()[MIDDLE - 1 :, [0, 2, 1]], names=[NAMES[k] for k in (0, 2, 1)]
-                ),
-            ]
-        ),
+        headed_anew(columns()[:, [0, 2, 1]], [NAMES[k] for k in (0, 2, 1)]),
         refused="line 202 heads the columns anew",
     ),
     Messy(

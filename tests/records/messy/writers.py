@@ -80,6 +80,20 @@ def text(rows: Sequence[str], *, end: str = "\n", encoding: str = "utf-8") -> Wr
     return write
 
 
+def scaled(
+    *factors: float,
+    names: Sequence[str] = NAMES,
+    written: Callable[[float], str] = "{:.4f}".format,
+) -> Write:
+    """Write the recording with each column multiplied by a factor."""
+    return text(lines(table=columns() * factors, names=names, written=written))
+
+
+def clocked(stamps: np.ndarray, written: Callable[[float], str] = "{:.4f}".format) -> Write:
+    """Write the recording with other time stamps."""
+    return text(lines(table=np.column_stack([stamps, VOLTAGE_V, POSITION_um]), written=written))
+
+
 def with_rows(edit: Callable[[list[str]], list[str]], **named: object) -> Write:
     return text(edit(lines(**named)))  # type: ignore[arg-type]
 
@@ -190,8 +204,8 @@ def second_sheet(book: object) -> None:
     other = book.create_sheet("run 7")  # type: ignore[attr-defined]
     other.append(["stage 42"])
     other.append(NAMES)
-    for k, row in enumerate(columns().tolist()):
-        other.append([datetime.fromisoformat(iso()[k]).time() if k < 0 else row[0], *row[1:]])
+    for row in columns().tolist():
+        other.append(row)
     more = book.create_sheet("summary")  # type: ignore[attr-defined]
     more.append(["mean", 3.0, 4.0])
     more.append(["std", 1.0, 2.0])
