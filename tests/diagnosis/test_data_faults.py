@@ -121,9 +121,12 @@ def test_spikes_off_the_lattice_do_not_hide_a_coarse_reading(repaired):
         where = np.random.default_rng(k).choice(len(reading_m) - 2, 9, replace=False) + 1
         between_m = 0.5 * (reading_m[where - 1] + reading_m[where + 1]) + 0.25 * step_m
         reading_m[where] = between_m if repaired else reading_m[where] + 17.3 * step_m
-    fault = quantisation.EFFECT.fault.find(view_with(**readings_m))
+    view = view_with(**readings_m)
+    fault = quantisation.EFFECT.fault.find(view)
     assert within(fault, 1e9 * step_m)
     assert fault.spread < 0.05 * fault.value
+    ripple = score_test(sensor_periodic_error.EFFECT, view)
+    assert ripple is None or ripple.cv.gain < 0.05
 
 
 def test_a_converter_of_sixteen_bits_is_not_coarse():

@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.effects import gain_change
+from piezoid.diagnosis.refinement import initial_guess, with_step
 from piezoid.diagnosis.score_test import score_test
 from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
@@ -74,6 +75,9 @@ def test_the_instant_of_a_gain_change_is_found_in_its_recording() -> None:
     assert result is not None
     assert result.trial.parameters["track"] == 2.0
     assert result.trial.parameters["place"] == pytest.approx(instant, abs=0.02)
+    guess = initial_guess(gain_change.EFFECT, result.trial, -0.03)
+    for steps in (-1000.0, 1000.0):  # a search that runs away leaves data on both sides
+        assert 0.05 < with_step(guess, "place", steps).parameters["place"] < 0.95
 
 
 def test_a_gain_of_one_recording_alone_is_no_change_at_an_instant() -> None:

@@ -142,7 +142,7 @@ def test_an_amplitude_of_a_lock_in_is_divided_by_its_excitation(tmp_path: Path) 
     names = "Frequency (Hz)\tAmplitude (m)\tPhase (deg)\tExcitation (V)"
     path = tmp_path / "a.dat"
     path.write_text("\n".join(["Experiment\tFrequency Sweep\n", "[DATA]", names, *lines, ""]))
-    with pytest.raises(RecordingError, match="an amplitude and not yet a response"):
+    with pytest.raises(RecordingError, match="an amplitude and not a response"):
         collect([path])
     columns = (
         'columns = { frequency = "Frequency (Hz)", magnitude = "Amplitude (m)", '

@@ -116,6 +116,7 @@ def _trial(
         coefficient_range=(-0.3, 0.3),
         minimum_coefficient=min_change,
         free=free or {},
+        limits={"place": (float(INSTANTS[0]), float(INSTANTS[-1]))} if free else {},
     )
 
 

@@ -28,13 +28,13 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
+from piezoid.diagnosis.effects.quantisation import lattice_step
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.periodic_error import PeriodicError, Phase
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
-from piezoid.records.sample_statistics import step_size
 
 MIN_PERIODS, MAX_PERIODS = 6.0, 420.0  # in the stroke
 STEP = 0.1  # periods in the stroke
@@ -108,7 +108,7 @@ def _spectrum(view: View) -> tuple[Array, Array]:
         spectrum = np.fft.rfft(np.bincount(cell, residual, CELLS), padded)
         wave = np.abs(spectrum[: len(frequencies)])
         rows = max(len(position), 1)
-        step = step_size(np.round(track.response, 9))
+        step = lattice_step(track.measured)
         is_resolved = np.ptp(position) * frequencies / 2.0 > PERIODS_IN_TRACK
         is_large = 2.0 * wave / rows > step / 2.0
         power += np.where(is_resolved & is_large, wave**2 / rows, 0.0)
