@@ -139,7 +139,7 @@ def test_what_shows_already_from_the_least_that_is_named_needs_no_recording() ->
 
 
 def test_a_diagnosis_that_leaves_nothing_open_asks_for_nothing() -> None:
-    with pytest.raises(ExcitationError, match="nothing open"):
+    with pytest.raises(ExcitationError, match="no open question"):
         _planned(_open())
 
 
