@@ -112,6 +112,23 @@ def search_faults(view: View, rejection: str, executor: Executor = SERIAL) -> Ou
     )
 
 
+def without_causes(outcome: Outcome, names: Collection[str]) -> Outcome:
+    """Return the outcome of a search without some of its causes, which are dismissed."""
+    remaining = [cause for cause in outcome.causes if cause.effect.name not in names]
+    final = with_effects(outcome.clean, [cause.selected for cause in remaining])
+    named_effects = {cause.effect.name for cause in remaining}
+    return replace(
+        outcome,
+        final=final,
+        causes=tuple(remaining),
+        dismissed=(*outcome.dismissed, *(c for c in outcome.causes if c.effect.name in names)),
+        score_tests={
+            **_test_dropped_effects(final, {*named_effects, *outcome.score_tests}),
+            **outcome.score_tests,
+        },
+    )
+
+
 def _test_dropped_effects(final: View, tested: Collection[str]) -> dict[str, ScoreTest]:
     """Test effects on the final view that were selected and dropped again."""
     tests = [
