@@ -85,7 +85,7 @@ def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
         reasons = {absence.reason for absence in diagnosis.not_detected}
         why = ""
         if len(reasons) == 1:
-            reason = reasons.pop().removeprefix("not looked for, because ")
+            reason = reasons.pop().removeprefix("not tested, because ")
             why = f" because {reason.rstrip('.')}"
         text = f"No effect was tested{why}."
         return [_statement(diagnosis, Kind.LIMIT, Level.WARNING, "no_effect_tested", text)]
