@@ -132,7 +132,7 @@ def test_a_sealed_file_with_other_content_is_refused(change, said):
 
 def test_two_axes_of_one_name_are_refused():
     axis = AxisParameters(axis="x", values=lateral("dob"))
-    with pytest.raises(ParameterFileError, match="own name"):
+    with pytest.raises(ParameterFileError, match="different names"):
         ParameterFile(name="twice", axes=(axis, axis))
 
 
@@ -157,7 +157,7 @@ def test_an_axis_can_be_taken_with_another_of_its_methods():
 
 
 def test_two_controllers_of_one_method_are_refused():
-    with pytest.raises(ParameterFileError, match="one method"):
+    with pytest.raises(ParameterFileError, match="two controllers of the same method"):
         AxisParameters(axis="x", values=lateral("dob"), alternatives=(lateral("dob"),))
 
 

@@ -152,7 +152,7 @@ def test_the_report_shows_the_loop_and_the_naive_estimate(fitted: tuple[Path, st
         'id="tunnelling"',
         "Spectra in the closed loop: loop_1.csv",
         "naive barrier",
-        "step of the drive",
+        "resolution of the drive",
         "mains, 60 Hz",
         "Sweeps and loop agree",
     ):

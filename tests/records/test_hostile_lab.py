@@ -26,7 +26,7 @@ ENTRY = '[[recording]]\nfile = "run.csv"\n'
         ("a = " + "[" * 100_000, "nested too deep"),
         ("a" + ".a" * 500 + " = 1", "unknown field"),
         ("[verification]\njudged_Hz" + ".a" * 500 + " = 1", "Expected `float`"),
-        ("[rig]\na" + ".a" * 100_000 + " = 1", "line 2 holds 100000 dots"),
+        ("[rig]\na" + ".a" * 100_000 + " = 1", "line 2 contains 100000 dots"),
         ("[" + "x" * 1_000_000 + "]", "unknown field"),
     ],
 )
