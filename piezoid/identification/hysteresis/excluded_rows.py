@@ -56,8 +56,9 @@ def without_outliers(fit: HysteresisFit) -> tuple[tuple[Piece, ...], tuple[str, 
             piece = replace(piece, response=response, invalid=invalid.astype(np.intp))
         if count:
             remarks.append(
-                f"{piece.name}: {count} single readings ({100 * count / piece.rows:.2g} %) were "
-                "left out: they deviate far from their neighbours and from the fit."
+                f"{piece.name}: single readings were left out ({count}, "
+                f"{100 * count / piece.rows:.2g} %): they deviate far from their neighbours and "
+                "from the fit."
             )
         pieces.append(piece)
     return tuple(pieces), tuple(remarks)

@@ -4,8 +4,7 @@ Start at gain.py. A check is a function that returns a list of statements, empty
 ``check_...(recording, axis)`` for an axis with drive and displacement,
 ``check_...(recording, lab)`` for a recording, or ``check_...(recordings)`` for the recordings of a
 stage together.
-May import recordings, the laboratory and signal statistics, but not ``records.ingest``, which
-calls this package.
+May import recordings, the laboratory and signal statistics, but not the ingest that calls it.
 To add a check, add a file and its line in ``AXIS_CHECKS``, ``CHECKS`` or ``SET_CHECKS``;
 ``tests/records/test_checks.py`` runs them all over clean recordings.
 """
