@@ -39,6 +39,7 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
+from piezoid.diagnosis.null_distribution import ALPHA
 from piezoid.formatting import with_unit, words
 from piezoid.numerics.arrays import Array
 
@@ -51,7 +52,6 @@ ONE_LOOP_EXPERIMENT = (
 )
 BLOCKS = 20  # of the residual, for the standard error of its mean square
 ONE_SIDED_95 = 1.645
-ALPHA = 0.05  # of the rank among 52 healthy stages, whose smallest p-value is 1/53
 DOMINANT = 5.0  # ratio of the residual of one recording to the largest of all others
 
 

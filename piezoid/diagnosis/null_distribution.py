@@ -22,6 +22,8 @@ from collections.abc import Iterable
 from functools import cache
 from importlib.resources import files
 
+ALPHA = 0.05  # of the rank among 52 healthy stages, whose smallest p-value is 1/53
+
 
 def structure_score(gain: float, rms: float, noise: float) -> float:
     """Return the power that one coordinate explains, in units of the noise power.
@@ -64,6 +66,11 @@ def evidence_p_value(strength: float) -> float:
     The strength of a healthy stage without evidence is 0.
     """
     return rank_p_value(strength, _healthy("strengths"))
+
+
+def is_weak_evidence(strength: float) -> bool:
+    """Return whether more than one in twenty healthy stages shows evidence as strong."""
+    return evidence_p_value(strength) > ALPHA
 
 
 @cache

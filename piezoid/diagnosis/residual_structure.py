@@ -67,6 +67,18 @@ class ResidualStructure:
         """Whether the residual is more systematic than in any healthy stage."""
         return self.range_end is None and self.healthy_p_value <= smallest_structure_p_value()
 
+    @property
+    def block_power(self) -> Array:
+        """Return the residual power that the curve explains in each block, (blocks,)."""
+        fitted = self.score.fitted
+        power = (2.0 * self.residual - fitted) * fitted
+        return np.asarray(np.add.reduceat(power, self.view.null.edges))
+
+    @property
+    def mean_power(self) -> float:
+        """Return the residual power that the curve explains, averaged over the rows."""
+        return max(float(self.block_power.sum()) / len(self.score.fitted), 0.0)
+
     def is_beyond_range(self, k: int) -> NDArray[np.bool_]:
         """Tell which samples of a track lie beyond the range of the sensor."""
         if self.range_end is None:

@@ -26,6 +26,7 @@ from piezoid.diagnosis.initial_state_search import (
     with_shared_initial_state,
 )
 from piezoid.diagnosis.model_comparison import Confounded, compare_models
+from piezoid.diagnosis.null_distribution import is_weak_evidence
 from piezoid.diagnosis.refitted_view import with_effects
 from piezoid.diagnosis.residual_view import View, with_shared_reversals, with_tracks
 from piezoid.diagnosis.score_test import ScoreTest, score_test
@@ -49,6 +50,7 @@ class Outcome:
     confounded   effects that would explain as much instead of a selected effect, by its name
     score_tests  the last score test of each effect that was not selected
     dismissed    selected effects and significant structure that may not be named
+    weak         selected effects that are not named because their evidence is weak
     rejection    why the model class does not apply and no cause was searched; empty if it applies
     """
 
@@ -60,6 +62,7 @@ class Outcome:
     confounded: Confounded
     score_tests: Mapping[str, ScoreTest]
     dismissed: tuple[Candidate, ...] = ()
+    weak: tuple[Candidate, ...] = ()
     rejection: str = ""
 
     @property
@@ -112,16 +115,27 @@ def search_faults(view: View, rejection: str, executor: Executor = SERIAL) -> Ou
     )
 
 
-def without_causes(outcome: Outcome, names: Collection[str]) -> Outcome:
-    """Return the outcome of a search without some of its causes, which are dismissed."""
-    remaining = [cause for cause in outcome.causes if cause.effect.name not in names]
-    final = with_effects(outcome.clean, [cause.selected for cause in remaining])
-    named_effects = {cause.effect.name for cause in remaining}
+def without_weak_causes(outcome: Outcome) -> Outcome:
+    """Return the outcome without causes of weak evidence; the same one if there are none.
+
+    Structural effects stay: the healthy stages contain no evidence for an initial state, and
+    non-congruence has a test of its own.
+    """
+    weak = [
+        cause
+        for cause in outcome.causes
+        if cause.effect.structural is None and is_weak_evidence(cause.strength)
+    ]
+    if not weak:
+        return outcome
+    causes = tuple(cause for cause in outcome.causes if cause not in weak)
+    final = with_effects(outcome.clean, [cause.selected for cause in causes])
+    named_effects = {cause.effect.name for cause in causes}
     return replace(
         outcome,
         final=final,
-        causes=tuple(remaining),
-        dismissed=(*outcome.dismissed, *(c for c in outcome.causes if c.effect.name in names)),
+        causes=causes,
+        weak=tuple(weak),
         score_tests={
             **_test_dropped_effects(final, {*named_effects, *outcome.score_tests}),
             **outcome.score_tests,

@@ -22,10 +22,6 @@ from piezoid.diagnosis.segments import Track
 PLATEAU_WIDTH = 5.0  # noise standard deviations on either side of the plateau's median
 MIN_ROWS = 20  # on the plateau, of one recording
 MIN_EXCESS = 8.0  # noise standard deviations of the predicted displacement beyond the plateau
-MAX_EXCESS = 2.0  # half strokes: no stage moves beyond a plateau by more than its whole stroke
-# Half strokes by which a plateau may lie below the largest reading of all recordings: their zeros
-# may differ. A plateau in the middle of the range is not an end of it.
-MAX_BELOW_TOP = 0.2
 MIN_DRIVE_RANGE = 20.0  # of noise, in half ranges; at a turning point it is 2 * PLATEAU_WIDTH
 MAX_SHARE = 0.4  # of the rows
 
@@ -60,12 +56,8 @@ def find_sensor_range_end(view: View, effects: Sequence[SelectedEffect]) -> Sens
 def _end_on_side(
     view: View, effects: Sequence[SelectedEffect], side: int
 ) -> SensorRangeEnd | None:
-    tops = [float(np.max(side * track.response[track.rows])) for track in view.tracks]
     on_plateau = [
-        side * track.response > _plateau_start(track, side, view.noise)
-        if top > max(tops) - MAX_BELOW_TOP
-        else np.zeros(len(track.response), dtype=bool)
-        for track, top in zip(view.tracks, tops, strict=True)
+        side * track.response > _plateau_start(track, side, view.noise) for track in view.tracks
     ]
     rows = [is_on[track.rows] for is_on, track in zip(on_plateau, view.tracks, strict=True)]
     count = sum(int(is_on.sum()) for is_on in rows)
@@ -83,7 +75,7 @@ def _end_on_side(
             offset, level = _offset(fitted, k), float(np.median(track.response[is_on]))
             displacement = fitted.static[k] + offset
             excess = np.where(is_on, side * np.minimum(side * (level - displacement), 0.0), 0.0)
-            if MIN_EXCESS * view.noise < float(np.abs(excess).max()) < MAX_EXCESS:
+            if float(np.abs(excess).max()) > MIN_EXCESS * view.noise:
                 error = excess
                 levels.append(level - offset)
         errors.append(error)

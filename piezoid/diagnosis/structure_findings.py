@@ -115,12 +115,8 @@ def _rms_with_interval(structure: ResidualStructure) -> tuple[float, float, floa
     coordinate the curve and hysteresis cannot be separated: only the part that no hysteresis
     follows counts.
     """
-    fitted = structure.score.fitted
-    power = np.add.reduceat(
-        (2.0 * structure.residual - fitted) * fitted, structure.view.null.edges
-    )
+    fitted, power, mean = structure.score.fitted, structure.block_power, structure.mean_power
     rows, count = len(fitted), len(power)
-    mean = max(float(power.sum()) / rows, 0.0)
     margin = 1.96 * float(np.std(power, ddof=1)) * sqrt(count) / rows
     ratio = 1.0
     if structure.score.basis.per_unit > 0.0:

@@ -12,7 +12,6 @@ import pytest
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
 from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnosis, write_diagnosis
-from piezoid.diagnosis.sensor_range import find_sensor_range_end
 from piezoid.digests import unseal
 from piezoid.identification.fit import fit
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
@@ -20,7 +19,6 @@ from tests.identification.hysteresis.stages import decaying, recording
 from tests.identification.hysteresis.test_estimate import stage
 
 from .bench import causes, recorded, thinned
-from .play_stage import clean, view_with
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
@@ -117,13 +115,3 @@ def test_an_end_of_the_range_is_told_where_the_class_does_not_foretell_the_rest(
     found = diagnose(thinned(recordings, EVERY), lab=lab)
     assert causes(found) == (SOMETHING_ELSE,)
     assert structure_in(found).coordinate == "reading"
-
-
-@pytest.mark.parametrize(
-    ("kinds", "is_end"), [(("sweep", "walk", "waves"), True), (("walk",), False)]
-)
-def test_a_plateau_below_readings_of_other_recordings_is_no_end_of_the_range(kinds, is_end):
-    level_m = {kind: float(np.quantile(clean(kind)[2], 0.75)) for kind in kinds}
-    lowest_m = min(level_m.values())
-    view = view_with(**{kind: np.minimum(clean(kind)[2], lowest_m) for kind in kinds})
-    assert (find_sensor_range_end(view, ()) is not None) == is_end

@@ -1,28 +1,67 @@
-"""A cause with weak evidence is not named if the model predicts as well without it."""
+"""What the model of the stage does not need, or cannot miss, is not named."""
 
 from dataclasses import replace
 from importlib import import_module
 
+import numpy as np
 import pytest
+
+from piezoid.diagnosis import residual_structure, selection
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE
+from piezoid.diagnosis.sensor_range import SensorRangeEnd
 
 from .bench import thinned
 from .play_stage import clean, recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
+diagnose_module = import_module("piezoid.diagnosis.diagnose")
 
-@pytest.mark.parametrize("is_weak", [False, True])
-def test_a_cause_that_the_model_does_not_need_is_named_only_with_strong_evidence(
-    is_weak: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    module = import_module("piezoid.diagnosis.diagnose")
-    monkeypatch.setattr(module, "ALPHA", 0.0 if is_weak else 0.05)
-    monkeypatch.setattr(module, "CLEARLY_WORSE", 10.0)
-    gains = {"before": ("sweep", 1.0), "after": ("sweep", 1.02), "waves": ("waves", 1.02)}
+
+def diagnosed(**gains: float):
+    """Diagnose a sweep, the same sweep again, and waves, each with its own gain."""
+    kinds = {"before": "sweep", "after": "sweep", "waves": "waves"}
     recordings = [
-        replace(recording(kind, gain * clean(kind)[2]), name=name)
-        for name, (kind, gain) in gains.items()
+        replace(recording(kind, gains.get(name, 1.0) * clean(kind)[2]), name=name)
+        for name, kind in kinds.items()
     ]
-    diagnosis = module.diagnose(thinned(recordings, 3))
-    assert ("gain_change" in diagnosis.names) != is_weak
-    assert ("gain_change" in {absent.effect for absent in diagnosis.not_detected}) == is_weak
+    return diagnose_module.diagnose(thinned(recordings, 3))
+
+
+@pytest.mark.parametrize(
+    ("is_weak", "max_ratio", "is_named"),
+    [(False, 10.0, True), (True, 10.0, False), (True, 0.0, True)],
+    ids=["strong evidence", "the model does as well without", "the model needs it"],
+)
+def test_a_cause_of_weak_evidence_is_named_only_if_the_model_needs_it(
+    is_weak: bool, max_ratio: float, is_named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(selection, "is_weak_evidence", lambda _: is_weak)
+    monkeypatch.setattr(diagnose_module, "CLEARLY_WORSE", max_ratio)
+    diagnosis = diagnosed(after=1.02, waves=1.02)
+    assert ("gain_change" in diagnosis.names) == is_named
+    reasons = [a.reason for a in diagnosis.not_detected if a.effect == "gain_change"]
+    assert len(reasons) == (not is_named)
+    assert all("healthy stages show evidence as strong" in reason for reason in reasons)
+
+
+def test_an_end_of_the_range_that_the_model_does_not_miss_is_not_stated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The class of the search misses readings that the model follows."""
+    find_structure = residual_structure._sensor_range_structure
+
+    def find_wrong_end(view, _):
+        error = [np.zeros(len(track.response)) for track in view.tracks]
+        error[0][-500:] = -1.0
+        return SensorRangeEnd(error=tuple(error), level=0.5, side=1)
+
+    def missed_by_the_class(outcome):
+        structure = find_structure(outcome)
+        return replace(structure, residual=structure.residual + structure.score.fitted)
+
+    monkeypatch.setattr(residual_structure, "find_sensor_range_end", find_wrong_end)
+    monkeypatch.setattr(residual_structure, "_sensor_range_structure", missed_by_the_class)
+    monkeypatch.setattr(residual_structure, "MIN_NOISE_RATIO", 0.0)
+    monkeypatch.setattr(residual_structure, "MAX_SECOND_RATIO", 10.0)
+    assert SOMETHING_ELSE not in diagnosed().names
