@@ -342,3 +342,12 @@ def test_a_laboratory_has_its_own_instruments_pasts_and_zeros() -> None:
         assert one.run.history_V.max() <= first.rig.drive_max_V
         offsets.append(float(one.noise_free_m[-1] - other.noise_free_m[-1]))
     assert abs(offsets[0] - offsets[1]) > 1e-4 * plain.rig.stroke_m
+
+
+@every_law
+def test_a_minor_loop_closes_at_once_where_the_law_says_so(law: Truth) -> None:
+    gaps = []
+    for ceramic in drawn(law):
+        output = strain(ceramic, walk(-1.0, 0.2, -0.2, 0.2))
+        gaps.append(float(abs(output[-1] - output[59])))
+    assert max(gaps) < EXACT if law.name in WIPES_OUT else max(gaps) > 1e-3

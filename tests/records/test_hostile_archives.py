@@ -1,6 +1,8 @@
 """Packed files that would be large: refused in proportion, before memory or disk is gone."""
 
 import gzip
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -156,3 +158,11 @@ def test_datasets_without_number_are_not_compared_with_one_another(tmp_path: Pat
         for k in range(MAX_COLUMNS + 1):
             file[f"v{k}"] = 1.0
     assert f"more than {MAX_COLUMNS} datasets" in said(tmp_path / "many.h5")
+
+
+def test_a_matlab_element_is_measured_without_being_kept(tmp_path: Path) -> None:
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
+    packed = zlib.compress(bytes(FREE_SIZE // 8 + 1))
+    path = tmp_path / "bomb.mat"
+    path.write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
+    assert "bomb.mat: " in said(path)

@@ -35,7 +35,7 @@ def stairs(*at: tuple[int, float], ramp: int = 1) -> Array:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_one_slip_is_told_and_costs_the_fit_nothing(tmp_path: Path, law: str) -> None:
+def test_a_slip_is_found_at_its_sample_with_its_size(tmp_path: Path, law: str) -> None:
     clean = read(tmp_path, law, stairs())
     assert not jumps_of(clean)
     slipped = read(tmp_path, law, stairs((1000, 0.9)))

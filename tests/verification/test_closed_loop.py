@@ -17,9 +17,11 @@ from tests.verification.rig import (
     SENSOR,
     GAIN_m_per_V,
     RATE_Hz,
+    junction,
     lateral,
     lateral_parameters,
     operator,
+    stage,
 )
 
 ROUNDING_m = 1e-18
@@ -166,3 +168,12 @@ def test_measured_dynamics_answer_as_the_sections_they_are_made_of(rng):
     assert np.array_equal(measured.position, measured.measured)
     with pytest.raises(ValueError, match="dynamics replace mechanics"):
         lateral(measured=behind)
+
+
+def test_the_junctions_controller_holds_the_current_over_a_bump(rng):
+    file = stage("z")
+    bump = 2.0 * np.sin(np.pi * np.arange(8000) / 8000) ** 2
+    set_point = np.full(8000, 1e-9)
+    found = run_axis(junction(), file.axes[0], set_point, rng=rng, disturbance=bump)
+    assert np.std(np.log(found.position / 1e-9)) < 0.05
+    assert not (found.status & Status.RETRACTED).any()

@@ -29,8 +29,7 @@ from tests.verification.rig import RATE_Hz, stage
 DIGEST = "sha256:" + "0" * 64
 
 
-def test_the_plant_is_the_models_own_simulation():
-    """Both follow a slow drive with the same operator; only their hold differs."""
+def test_the_plant_has_the_noise_rest_poles_and_delay_of_the_model():
     model = fitted()["x"]
     plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
     assert plant.noise_rms == model.quality.noise_rms_m
