@@ -36,6 +36,9 @@ MAX_CLIPPED = 0.5  # of the samples: if more are clipped, the motion is not reco
 MIN_NOISE = 8.0  # standard deviations: one of 1e14 Gaussian readings
 # Change of the drive per repeated reading, over that behind it: 1 in a uniform motion, 0 in a hold
 MIN_DRIVEN = 0.25
+# Change of a reading to the one that is repeated, over the change per sample across the repeats:
+# median 1 for lost readings, 0.04 to 0.8 (mostly 0.2) for four converters with missing codes
+MIN_UNIFORM = 0.75
 MIN_NOISE_COARSE = 4.0  # the same if the converter step separates written values from readings
 MIN_DEVIATION = 2.0  # times the uncertainty of the neighbours' mean, and the motion by the drive
 MIN_SPIKE = 0.05  # of the range; the diagnosis estimates smaller spikes with a model
@@ -282,6 +285,10 @@ def _find_repeats(values: Array, invalid: Mask, noise: float, drive: Array | Non
         & (jump * change_behind > 0.0)
     )
     if np.count_nonzero(is_repeat) < MIN_REPEATS:
+        return repeats
+    # Missing codes of a converter also hold back the reading in front of a repeat.
+    change_per_sample = (readings[starts] - readings[starts - 1]) * (stops - starts) / jump
+    if np.median(change_per_sample[is_repeat]) < MIN_UNIFORM:
         return repeats
     # A reading whose noise spans few of its steps repeats by chance while the stage moves slowly:
     # two readings at one level are equal with p = q / (2 sqrt(pi) sigma), in steps of q.

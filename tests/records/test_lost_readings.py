@@ -193,3 +193,18 @@ def test_a_sensor_at_the_end_of_its_range_is_left_out_and_a_stage_at_its_end_is_
     (told,) = [p.text for p in found.statements if p.quantity == "saturated"]
     assert f"is clipped at {top:.6g} um while the drive moves" in told
     assert "left out as invalid" in told
+
+
+@pytest.mark.parametrize("samples_per_code", [0.7, 1.3, 2.6])
+def test_missing_codes_of_a_converter_are_no_lost_readings(
+    samples_per_code: float, rng: np.random.Generator
+) -> None:
+    """Every fourth code is missing: readings are held at these levels and jump behind them."""
+    rate_nm = 10.0
+    motion_nm = np.cumsum(np.repeat([rate_nm, -rate_nm] * 4, 2000))
+    code_nm = samples_per_code * rate_nm
+    code = np.floor(motion_nm / code_nm)
+    held_nm = np.where(code % 4 == 1, code * code_nm, motion_nm)
+    step_nm = 0.2
+    reading_nm = step_nm * np.round((held_nm + rng.standard_normal(len(code))) / step_nm)
+    assert find_invalid_readings(reading_nm, motion_nm) == ()
