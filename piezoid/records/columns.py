@@ -6,7 +6,7 @@ ambiguity.
 
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -158,7 +158,10 @@ def _headed_columns(table: RawTable) -> Meanings:
 
 
 def _declared_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meanings:
-    """Return the columns that lab.toml names, and a time column identified by its heading."""
+    """Return the columns that lab.toml names, and further columns identified by their headings.
+
+    These are a time, and drives of other axes than that of the entry: they may move this axis.
+    """
     meanings: dict[int, tuple[Column, Meaning]] = {}
     for key, name_or_number in entry.columns.items():
         column = table.find(name_or_number)
@@ -175,7 +178,27 @@ def _declared_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meani
         and (clocks := clocks_of(table))
     ):
         meanings.setdefault(clocks[0].number, (clocks[0], Meaning(role=Role.TIME)))
+    if entry.axis is not None:
+        declared_axes = {m.axis or entry.axis for _, m in meanings.values()}
+        for column in table.columns:
+            meaning = meaning_of(column.heading)
+            if _is_drive_of_other_axis(column, meaning, declared_axes):
+                meanings.setdefault(column.number, (column, meaning))
     return list(meanings.values())
+
+
+def _is_drive_of_other_axis(column: Column, meaning: Meaning, axes: Collection[str]) -> bool:
+    """Return whether name and unit state a drive of an axis that is not among ``axes``."""
+    unit = column.heading.unit
+    return (
+        meaning.quantity is Quantity.VOLTAGE
+        and meaning.by_name
+        and meaning.axis is not None
+        and meaning.axis not in axes
+        and unit is not None
+        and unit.dimension is Dimension.VOLTAGE
+        and bool(np.isfinite(column.values).any())
+    )
 
 
 def clocks_of(table: RawTable) -> list[Column]:

@@ -239,7 +239,7 @@ def _summarise_column(column: Column, assignment: Assignment | None) -> ColumnSu
             return _summarise(column, assigned.values, meaning, unit.symbol, unit.si_symbol)
     role = meaning_of(column.heading)
     if assignment is not None and role.role is not Role.UNREAD:
-        meaning = "not read: another column has this quantity and axis"
+        meaning = "not read: another column is used"
     elif role.quantity is not None:
         meaning = role.quantity.name.lower() + (f" of {role.axis}" if role.axis else "")
     else:

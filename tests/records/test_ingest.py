@@ -50,6 +50,32 @@ def test_a_second_drive_does_not_take_the_nameless_columns_with_it(tmp_path: Pat
     assert recording.find(Quantity.VOLTAGE, "y") is not None
 
 
+@pytest.mark.parametrize(
+    ("heading", "has_axis", "is_read"),
+    [
+        ("voltage_y [V]", True, True),
+        ("voltage_y [um]", True, False),  # no drive
+        ("monitor_y [V]", True, False),  # a drive by its unit only
+        ("voltage_x [V]", True, False),  # of the same axis as the declared drive
+        ("voltage_y [V]", False, False),  # the axis of the declared columns is not stated
+    ],
+)
+def test_drives_of_other_axes_are_read_beside_declared_columns(
+    tmp_path: Path, heading: str, has_axis: bool, is_read: bool
+) -> None:
+    path = table(
+        tmp_path, f"time [s],U [V],s [um],{heading}", TIME_s, VOLTAGE_V, RESPONSE, 0.1 * VOLTAGE_V
+    )
+    entry = RecordingEntry(
+        file=path.name,
+        axis="x" if has_axis else None,
+        columns={"voltage": "U [V]", "displacement": "s [um]"},
+    )
+    recording = collect([path], Lab(recordings=(entry,)))[0]
+    np.testing.assert_allclose(recording.voltage_V("x"), VOLTAGE_V, rtol=1e-8)
+    assert (recording.find(Quantity.VOLTAGE, "y") is not None) is is_read
+
+
 def test_nameless_columns_belong_to_the_one_axis_named(tmp_path: Path) -> None:
     path = table(tmp_path, "time [s],voltage [V],position_z [um]", TIME_s, VOLTAGE_V, RESPONSE)
     recording = collect([path])[0]
