@@ -110,11 +110,8 @@ def _why_not_named(test: ScoreTest, outcome: Outcome) -> str:
             f"a residue of {causes}" if causes else "structure that no hysteresis class explains"
         )
         return f": not named, because these recordings cannot separate it from {alternative}"
-    if any(cause.effect.name == effect.name for cause in outcome.weak):
-        return (
-            ": not named, because healthy stages show evidence as strong and the model predicts "
-            "about as well without it"
-        )
+    if any(cause.effect.name == effect.name for cause in outcome.doubtful):
+        return ": not named, because the model predicts left-out data about as well without it"
     if test.cv.gain < effect.minimum_gain or test.cv.z < MINIMUM_Z:
         return ""
     if not test.physical:

@@ -7,7 +7,7 @@ effect must be significant beside all others and not be small beside the structu
 and confounded effects that explain as much are reported with it.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from piezoid.diagnosis.candidate import (
@@ -26,7 +26,6 @@ from piezoid.diagnosis.initial_state_search import (
     with_shared_initial_state,
 )
 from piezoid.diagnosis.model_comparison import Confounded, compare_models
-from piezoid.diagnosis.null_distribution import is_weak_evidence
 from piezoid.diagnosis.refitted_view import with_effects
 from piezoid.diagnosis.residual_view import View, with_shared_reversals, with_tracks
 from piezoid.diagnosis.score_test import ScoreTest, score_test
@@ -50,7 +49,7 @@ class Outcome:
     confounded   effects that would explain as much instead of a selected effect, by its name
     score_tests  the last score test of each effect that was not selected
     dismissed    selected effects and significant structure that may not be named
-    weak         selected effects that are not named because their evidence is weak
+    doubtful     selected effects that are not named because the model does not need them
     rejection    why the model class does not apply and no cause was searched; empty if it applies
     """
 
@@ -62,7 +61,7 @@ class Outcome:
     confounded: Confounded
     score_tests: Mapping[str, ScoreTest]
     dismissed: tuple[Candidate, ...] = ()
-    weak: tuple[Candidate, ...] = ()
+    doubtful: tuple[Candidate, ...] = ()
     rejection: str = ""
 
     @property
@@ -115,27 +114,16 @@ def search_faults(view: View, rejection: str, executor: Executor = SERIAL) -> Ou
     )
 
 
-def without_weak_causes(outcome: Outcome) -> Outcome:
-    """Return the outcome without causes of weak evidence; the same one if there are none.
-
-    Structural effects stay: the healthy stages contain no evidence for an initial state, and
-    non-congruence has a test of its own.
-    """
-    weak = [
-        cause
-        for cause in outcome.causes
-        if cause.effect.structural is None and is_weak_evidence(cause.strength)
-    ]
-    if not weak:
-        return outcome
-    causes = tuple(cause for cause in outcome.causes if cause not in weak)
-    final = with_effects(outcome.clean, [cause.selected for cause in causes])
-    named_effects = {cause.effect.name for cause in causes}
+def without_causes(outcome: Outcome, causes: Sequence[Candidate]) -> Outcome:
+    """Return the outcome without causes that the model does not need."""
+    remaining = tuple(cause for cause in outcome.causes if cause not in causes)
+    final = with_effects(outcome.clean, [cause.selected for cause in remaining])
+    named_effects = {cause.effect.name for cause in remaining}
     return replace(
         outcome,
         final=final,
-        causes=causes,
-        weak=tuple(weak),
+        causes=remaining,
+        doubtful=tuple(causes),
         score_tests={
             **_test_dropped_effects(final, {*named_effects, *outcome.score_tests}),
             **outcome.score_tests,

@@ -35,7 +35,7 @@ UNPENALISED = ("zero", "number", "step")
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Errors in half ranges of the displacement.
+    """Errors of a fit, rms, in half ranges of the displacement unless stated.
 
     explained  in sample, corrected for the number of parameters of loop shape
     held_out   on left-out blocks; for a single loop equal to ``explained``

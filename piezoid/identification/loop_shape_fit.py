@@ -12,7 +12,7 @@ Gauss-Newton with the linear coefficients eliminated.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,25 @@ SHARES = tuple(0.5**k for k in range(6))  # of the change by a solve
 TOLERANCE = 1.1  # of a simulated error over the larger of the present and the predicted error
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Comparison:
+    """Estimate of loop shape, and its errors beside those without loop shape.
+
+    regression     at the estimate, with a step of the zero if there is one
+    divisor        of the prior variances
+    errors         with loop shape, in half ranges of the displacement
+    errors_before  without loop shape
+    """
+
+    estimate: Estimate
+    pieces: tuple[PieceRows, ...]
+    columns: Columns
+    regression: Regression
+    divisor: float
+    errors: Errors
+    errors_before: Errors
+
+
 def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
     """Return the axis with loop shape if that predicts left-out blocks better.
 
@@ -81,9 +100,28 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
     """
     if axis.loop_shape is not None:
         raise ValueError(f"axis {axis.axis} has loop shape already")
+    comparison = _compared(axis, recordings)
+    return axis if comparison is None else _accepted(axis, comparison)
+
+
+def errors_with_loop_shape_m(axis: AxisModel, recordings: Sequence[Recording]) -> Errors:
+    """Return the errors of an axis with loop shape, rms in m; infinite with too few rows.
+
+    The fit of the plays may be that of a model with further extensions: loop shape then represents
+    the difference.
+    """
+    comparison = _compared(axis, recordings)
+    if comparison is None:
+        return Errors(explained=np.inf, held_out=np.inf)
+    errors, scale_m = comparison.errors, abs(half_range_m(axis))
+    return Errors(explained=scale_m * errors.explained, held_out=scale_m * errors.held_out)
+
+
+def _compared(axis: AxisModel, recordings: Sequence[Recording]) -> _Comparison | None:
+    """Estimate loop shape and compare its errors; None if there are too few rows."""
     pieces = piece_rows(axis, recordings)
     if sum(len(piece.rows) for piece in pieces) < MIN_ROWS:
-        return axis
+        return None
     columns = columns_of(axis, pieces)
     estimate = first_estimate(axis, pieces, columns)
     regression = regression_of(estimate, pieces, columns)
@@ -110,7 +148,25 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
                 break
         regression = regression_of(estimate, pieces, columns)
     estimate, pieces, columns = best
-    return _accepted(axis, estimate, pieces, columns, errors_before)
+    regression = regression_of(estimate, pieces, columns, has_numbers=False)
+    errors, divisor = errors_of(estimate, regression)
+    with_step = with_best_step(estimate, regression)
+    if with_step is not None:
+        step_errors, step_divisor = errors_of(estimate, with_step)
+        noise = axis.quality.noise_rms_m / abs(half_range_m(axis))
+        reaches_noise = step_errors.explained < MAX_NOISE_RATIO * noise
+        if reaches_noise and step_errors.held_out < MAX_STEP_RATIO * errors.held_out:
+            regression, divisor, errors = with_step, step_divisor, step_errors
+            errors_before = errors_without_shape(axis, with_step)
+    return _Comparison(
+        estimate=estimate,
+        pieces=pieces,
+        columns=columns,
+        regression=regression,
+        divisor=divisor,
+        errors=errors,
+        errors_before=errors_before,
+    )
 
 
 def _solved(
@@ -202,30 +258,17 @@ def _rms(values: Array, use: NDArray[np.bool_]) -> float:
     return float(np.sqrt(np.mean(values[use] ** 2)))
 
 
-def _accepted(
-    axis: AxisModel,
-    estimate: Estimate,
-    pieces: Sequence[PieceRows],
-    columns: Columns,
-    errors_before: Errors,
-) -> AxisModel:
+def _accepted(axis: AxisModel, comparison: _Comparison) -> AxisModel:
     """Return the axis with loop shape, or without it if its errors are not clearly smaller."""
-    regression = regression_of(estimate, pieces, columns, has_numbers=False)
-    errors, divisor = errors_of(estimate, regression)
-    with_step = with_best_step(estimate, regression)
-    if with_step is not None:
-        step_errors, step_divisor = errors_of(estimate, with_step)
-        noise = axis.quality.noise_rms_m / abs(half_range_m(axis))
-        reaches_noise = step_errors.explained < MAX_NOISE_RATIO * noise
-        if reaches_noise and step_errors.held_out < MAX_STEP_RATIO * errors.held_out:
-            regression, divisor, errors = with_step, step_divisor, step_errors
-            errors_before = errors_without_shape(axis, with_step)
+    errors, errors_before = comparison.errors, comparison.errors_before
     if (
         errors.held_out > MAX_RATIO * errors_before.held_out
         or errors.explained > MAX_RATIO * errors_before.explained
     ):
         return replace(axis, loop_shape=None)
-    final = _converged(with_smaller_variance(estimate, divisor), pieces, columns, regression)
+    pieces, regression = comparison.pieces, comparison.regression
+    start = with_smaller_variance(comparison.estimate, comparison.divisor)
+    final = _converged(start, pieces, comparison.columns, regression)
     shape, scale_m = final.model.loop_shape, abs(half_range_m(axis))
     assert shape is not None
     fit_without_shape = FitWithoutShape(

@@ -6,9 +6,10 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from piezoid.diagnosis import residual_structure, selection
+from piezoid.diagnosis import residual_structure
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE
 from piezoid.diagnosis.sensor_range import SensorRangeEnd
+from piezoid.identification.loop_shape_blocks import Errors
 
 from .bench import thinned
 from .play_stage import clean, recording
@@ -29,20 +30,37 @@ def diagnosed(**gains: float):
 
 
 @pytest.mark.parametrize(
-    ("is_weak", "max_ratio", "is_named"),
-    [(False, 10.0, True), (True, 10.0, False), (True, 0.0, True)],
-    ids=["strong evidence", "the model does as well without", "the model needs it"],
+    ("is_weak", "max_ratio", "error_without_m", "is_named"),
+    [
+        (False, 10.0, np.inf, True),
+        (False, 10.0, 0.0, False),
+        (True, 10.0, np.inf, False),
+        (True, 0.0, np.inf, True),
+    ],
+    ids=[
+        "strong evidence",
+        "loop shape fits better without",
+        "weak evidence, the model does as well without",
+        "weak evidence, the model needs it",
+    ],
 )
-def test_a_cause_of_weak_evidence_is_named_only_if_the_model_needs_it(
-    is_weak: bool, max_ratio: float, is_named: bool, monkeypatch: pytest.MonkeyPatch
+def test_a_doubtful_cause_is_named_only_if_the_model_needs_it(
+    is_weak: bool,
+    max_ratio: float,
+    error_without_m: float,
+    is_named: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(selection, "is_weak_evidence", lambda _: is_weak)
+    errors_m = Errors(explained=error_without_m, held_out=error_without_m)
+    monkeypatch.setattr(diagnose_module, "is_weak_evidence", lambda _: is_weak)
+    monkeypatch.setattr(diagnose_module, "MIN_MISFIT", 0.0)
+    monkeypatch.setattr(diagnose_module, "errors_with_loop_shape_m", lambda *_: errors_m)
     monkeypatch.setattr(diagnose_module, "CLEARLY_WORSE", max_ratio)
     diagnosis = diagnosed(after=1.02, waves=1.02)
     assert ("gain_change" in diagnosis.names) == is_named
     reasons = [a.reason for a in diagnosis.not_detected if a.effect == "gain_change"]
     assert len(reasons) == (not is_named)
-    assert all("healthy stages show evidence as strong" in reason for reason in reasons)
+    assert all("the model predicts left-out data about as well" in reason for reason in reasons)
 
 
 def test_an_end_of_the_range_that_the_model_does_not_miss_is_not_stated(
