@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.plays_alone import fit_plays_alone
+from tests.plays_alone import fit_one_order, fit_plays_alone
 
 # Laws are tried on the same examples in every run, however slow the machine, and nothing is kept.
 settings.register_profile(
@@ -38,6 +38,11 @@ def pytest_runtest_setup() -> None:
 @pytest.fixture
 def plays_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     fit_plays_alone(monkeypatch)
+
+
+@pytest.fixture
+def one_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit_one_order(monkeypatch)
 
 
 @pytest.fixture

@@ -37,5 +37,5 @@ def unseen_drive() -> Array:
 
 @cache
 def fitted() -> tuple[piezoid.Recording, piezoid.ActuatorModel]:
-    sweep = recorded(decaying(), 1, "sweep")
+    sweep = recorded(decaying(per_unit=20), 1, "sweep")
     return sweep, piezoid.fit(sweep)

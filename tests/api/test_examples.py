@@ -18,7 +18,7 @@ from matplotlib import pyplot
 import piezoid
 import piezoid_datasets
 from tests.api.examples import own_data
-from tests.plays_alone import fit_plays_alone
+from tests.plays_alone import fit_one_order, fit_plays_alone
 
 mpl.use("Agg")
 
@@ -59,6 +59,7 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         fit_plays_alone(patch)
+        fit_one_order(patch)
         exec(textwrap.dedent("\n".join(head)), kept)
         for name in FIRST:
             assert _run(name, kept) == 0
@@ -84,7 +85,7 @@ def test_every_public_function_and_method_has_an_example() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("plays_alone")
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_the_examples_of_all_docstrings_run(
     names: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

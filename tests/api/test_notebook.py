@@ -9,7 +9,7 @@ import pytest
 
 import piezoid_datasets
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone", "one_order")]
 
 NOTEBOOK = Path(__file__).with_name("notebook.py")
 MOST_LINES, ROWS = 25, 2500

@@ -40,14 +40,14 @@ def test_a_fit_in_chunks_writes_model_and_report_and_says_what_it_leaves_out(
     assert quality.held_out_rms_percent < 0.25
 
 
-@pytest.mark.usefixtures("plays_alone")
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_recordings_that_need_no_thinning_are_fitted_as_from_memory(files: list[Path]) -> None:
     check = files[1]
     chunked = fit(read_thinned([check], chunk_rows=1024))
     assert write_model(chunked) == write_model(fit(read(check)))
 
 
-@pytest.mark.usefixtures("plays_alone")
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_a_thinned_recording_gives_the_known_stage(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:

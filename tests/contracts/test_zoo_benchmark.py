@@ -100,7 +100,7 @@ def test_a_run_that_was_cut_short_goes_on_where_it_was(tmp_path: Path) -> None:
     assert read(tmp_path / "none.jsonl") == {}
 
 
-@pytest.mark.usefixtures("plays_alone")
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_a_stage_is_judged_from_its_files() -> None:
     every = (stage("takacs", "single", k, 11) for k in range(len(HIDDEN)))
     found = judged(next(one for one in every if "outliers" in one.hidden), _short)

@@ -9,7 +9,7 @@ from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.records.lab import Lab
 from tests.identification.joint.stage import NOISE_m, disturbed, known_model, recordings_of
 
-pytestmark = pytest.mark.usefixtures("plays_alone")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 
 def test_a_model_in_which_nothing_is_wrong_states_its_own_error() -> None:

@@ -11,7 +11,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.collection import collect
 from tests.laws import LAWS, RATE_Hz, write
 
-pytestmark = pytest.mark.usefixtures("plays_alone")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 MOVE, HOLD = 600, 6000
 SHARE = 0.015  # of the step, each decade
@@ -27,9 +27,8 @@ def held(law: str, moved: Array, *, seed: int = 3) -> tuple[Array, Array]:
     back = np.linspace(0.0, 1.0, MOVE)
     give = np.zeros(HOLD)
     for _ in range(60):  # the integrator of the loop
-        still = np.concatenate([approach, approach[-1] + give])
-        error = LAWS[law](still)[MOVE:] - LAWS[law](still)[MOVE - 1] + moved
-        give = give - error
+        position = LAWS[law](np.concatenate([approach, approach[-1] + give]))
+        give = give - (position[MOVE:] - position[MOVE - 1] + moved)
     field = np.concatenate([approach, approach[-1] + give])
     retract = field[-1] + back * (1.0 - field[-1])
     field = np.concatenate([field, retract])

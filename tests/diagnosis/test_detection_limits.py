@@ -9,7 +9,7 @@ from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import causes, recorded
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone", "one_order")]
 
 DRIFT_m = 1e-8  # at the end, of 46 um
 

@@ -21,7 +21,7 @@ from .bench import effects_of, recorded, thinned, view_of_recordings
 from .play_stage import recording
 from .played import with_another_axis
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone", "one_order")]
 
 
 def cut_off_percent(campaign: Campaign) -> float:

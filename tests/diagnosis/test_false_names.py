@@ -29,7 +29,7 @@ from tests.reports.known_stage import axis_model
 from .play_stage import NOISE_m, STROKE_m, drive, recording
 from .play_stage import moved as plays
 
-pytestmark = pytest.mark.usefixtures("plays_alone")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 HOLD, RAMP = 40, 6  # samples
 LEVELS = 120

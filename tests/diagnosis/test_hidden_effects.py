@@ -28,7 +28,7 @@ from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 from tests.diagnosis.bench import causes, effects_of
 from tests.laws import LAWS
-from tests.plays_alone import fit_plays_alone
+from tests.plays_alone import fit_one_order, fit_plays_alone
 
 from .played import WIDTH, moved, recorded_as, with_another_axis
 
@@ -166,14 +166,15 @@ STAGES: Mapping[str, Callable[[], tuple[Recording, ...]]] = {
 }
 
 
-# Of each kind, in place, in time, slow and late, one is extended together with loop shape.
-WITH_LOOP_SHAPE = ("sensor_periodic_error", "gain_change", "creep", "delay")
+# Extended together with loop shape; for a periodic error: test_loop_shape.py.
+WITH_LOOP_SHAPE = ("gain_change", "creep", "delay")
 
 
 @cache
 def known(name: str) -> tuple[Diagnosis, AxisModel]:
     """Return the diagnosis of a stage, and the model that it extended."""
     with pytest.MonkeyPatch.context() as patch:
+        fit_one_order(patch)
         if name not in WITH_LOOP_SHAPE:
             fit_plays_alone(patch)
         diagnosis = diagnose(STAGES[name]())
@@ -199,6 +200,7 @@ def test_a_hidden_effect_is_named_alone_with_its_interval_and_its_gain(name: str
         assert part_of(name)
 
 
+@pytest.mark.usefixtures("one_order")
 @pytest.mark.parametrize(("law", "drives"), [("dahl", SPEEDS), ("duhem", ONE_SPEED)])
 def test_a_healthy_stage_is_accused_of_nothing_and_has_a_bound_on_everything(
     law: str, drives: Mapping[str, Array], monkeypatch: pytest.MonkeyPatch
@@ -218,7 +220,7 @@ def test_a_healthy_stage_is_accused_of_nothing_and_has_a_bound_on_everything(
             assert 0.0 < absent.upper_bound_m <= absent.detection_limit_m
 
 
-@pytest.mark.usefixtures("plays_alone")
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_a_diagnosis_is_the_same_whatever_the_number_of_threads_and_survives_its_file() -> None:
     messages: set[str] = set()
     alone = known("cross_coupling")[0]
@@ -306,7 +308,7 @@ def test_a_supply_that_ends_far_below_the_command_is_found_with_its_past() -> No
     assert found.final.rms_m < 1.5 * found.noise_floor_rms_m
 
 
-@pytest.mark.usefixtures("plays_alone")
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_an_amplifier_many_times_too_slow_is_found_and_is_no_butterfly() -> None:
     """The fastest recording goes against its drive; slow ones say that the ceramic does not."""
     limit_V_per_s = 12.5
@@ -318,7 +320,7 @@ def test_an_amplifier_many_times_too_slow_is_found_and_is_no_butterfly() -> None
     assert finding.size.ci95[0] < limit_V_per_s < finding.size.ci95[1]
 
 
-@pytest.mark.usefixtures("plays_alone")
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_without_what_is_known_of_its_past_a_stage_was_cycled_over_its_range() -> None:
     recordings = recorded(ONE_SPEED, sensitive, law="sum of plays")
     without, recording = fit(recordings).axes["x"], recordings[0]

@@ -9,7 +9,7 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.effects import EFFECTS
 from tests.laws import LAWS, recorded, triangles
 
-pytestmark = pytest.mark.usefixtures("plays_alone")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 
 @pytest.mark.parametrize("law", ["preisach", "dahl"])

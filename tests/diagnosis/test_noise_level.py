@@ -19,7 +19,7 @@ from tests.journeys.test_batch import write_night
 
 from .bench import causes, recorded
 
-pytestmark = pytest.mark.usefixtures("plays_alone")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 LOUD_m = 60e-9  # beyond the sensor's own noise
 Level = Callable[[Recording], Array]  # (recording) -> (samples,) parts of LOUD_m

@@ -12,7 +12,7 @@ from piezoid.records.recording import Recording
 from tests.diagnosis.bench import causes
 from tests.laws import LAWS, RATE_Hz, triangles, write
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_order")]
 
 LAG_s = 0.01
 GREW_percent = 5.0

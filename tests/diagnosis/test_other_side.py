@@ -16,7 +16,7 @@ from piezoid.records.lab import Lab
 from .bench import effects_of, thinned, view_of_recordings
 from .play_stage import NOISE_m, STROKE_m, clean, drive, moved, recording
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone", "one_order")]
 
 KINDS = ("sweep", "walk", "waves")
 ORDER = ("sweep", "sweep", "waves")

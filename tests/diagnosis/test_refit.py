@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 import piezoid.diagnosis.effects as effects
 from piezoid.diagnosis.effect import EffectEstimate
-from piezoid.diagnosis.refit import refit_model
+from piezoid.diagnosis.refit import ModelErrors, refit_model
 from piezoid.identification.extensions import CreepLadder, Delay, GainChange, SlewLimit
 from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.identification.model import Lag
@@ -33,6 +34,11 @@ def _refitted(recordings: Sequence[Recording], found: Sequence[EffectEstimate], 
     return refit_model(recordings, found, **{**known, **asked})
 
 
+@cache
+def _errors_with_all_effects() -> ModelErrors:
+    return _refitted(recordings_of(*TRUE), FOUND)
+
+
 def test_every_effect_but_faults_of_the_data_has_its_place_in_the_model() -> None:
     homeless = {
         effect.name
@@ -43,8 +49,7 @@ def test_every_effect_but_faults_of_the_data_has_its_place_in_the_model() -> Non
 
 
 def test_each_finding_is_worth_what_the_error_rises_by_without_it() -> None:
-    recordings = recordings_of(*TRUE)
-    numbers = _refitted(recordings, FOUND)
+    numbers = _errors_with_all_effects()
     assert numbers.final_m < 1.5 * NOISE_m
     for error_m in numbers.without_m.values():
         assert 1.3 * numbers.final_m < error_m < numbers.baseline_m
@@ -53,12 +58,11 @@ def test_each_finding_is_worth_what_the_error_rises_by_without_it() -> None:
 
 
 def test_the_one_lag_ships_where_the_runtime_looks_for_it() -> None:
-    recordings = recordings_of(*TRUE)
-    model = _refitted(recordings, FOUND).model
+    model = _errors_with_all_effects().model
     assert model.lag.kind == "delay"
     assert model.lag.time_s == pytest.approx(5e-4, rel=0.05)
     assert not any(isinstance(e, Delay) for e in model.extensions)
-    for recording in recordings:
+    for recording in recordings_of(*TRUE):
         error_m = simulate_recording(model, recording) - recording.displacement_m()
         assert np.std(error_m) < 1.5 * NOISE_m
 

@@ -50,6 +50,7 @@ def structure_in(diagnosis: Diagnosis) -> Finding:
     return next(finding for finding in diagnosis.findings if finding.effect == SOMETHING_ELSE)
 
 
+@pytest.mark.usefixtures("one_order")
 @pytest.mark.parametrize("hidden", HIDDEN)
 def test_what_is_in_no_catalogue_is_said_to_be_something_else_with_its_coordinate(hidden):
     diagnosis = with_hidden(hidden)
@@ -65,11 +66,13 @@ def test_what_is_in_no_catalogue_is_said_to_be_something_else_with_its_coordinat
     assert diagnosis.unexplained.rms_m > diagnosis.noise_floor_rms_m
 
 
+@pytest.mark.usefixtures("one_order")
 def test_the_final_error_is_smaller_than_that_of_the_model_without_the_structure():
     diagnosis = with_hidden("every_nth")
     assert diagnosis.final.rms_m < diagnosis.baseline.rms_m
 
 
+@pytest.mark.usefixtures("one_order")
 def test_a_reading_that_ends_is_told_with_its_level():
     campaign = draw_campaign(401, truth="bouc_wen", plans=PLANS, uncatalogued={"range_end": 4.0})
     recordings, lab = recorded(campaign)
@@ -82,6 +85,7 @@ def test_a_reading_that_ends_is_told_with_its_level():
     assert said_um == pytest.approx(level_um, rel=1e-2)
 
 
+@pytest.mark.usefixtures("one_order")
 def test_something_else_survives_its_file_and_its_picture_shows_where_the_reading_is_wrong():
     dented = with_hidden("dent")
     written = write_diagnosis(dented)
@@ -108,6 +112,7 @@ def test_what_the_simulation_follows_is_not_taken_off_its_recordings():
     assert found.model.quality.rms_m < 1.1 * model.quality.rms_m
 
 
+@pytest.mark.usefixtures("one_order")
 def test_an_end_of_the_range_is_told_where_the_class_does_not_foretell_the_rest():
     """The readings beyond it are left out, so that no foretelling of them is asked for."""
     campaign = draw_campaign(407, truth="duhem", plans=PLANS, uncatalogued={"range_end": 16.0})

@@ -21,7 +21,7 @@ from piezoid.records.recording import Recording
 from .bench import causes, view_of_recordings
 from .played import NOISE, cycled, forgotten, recordings_after, with_another_axis, wobbling
 
-pytestmark = pytest.mark.usefixtures("plays_alone")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 DRIFT = 10.0 * NOISE * np.sqrt(3.0)  # of the stroke, at either end: ten times the noise, rms
 

@@ -25,6 +25,7 @@ def lagged(moved_m: Array) -> Array:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_order")
 @pytest.mark.parametrize("beside", ["dropouts", "lag"])
 def test_a_loss_of_sensitivity_is_named_beside_dropouts_or_a_lag(
     beside: Literal["dropouts", "lag"],

@@ -14,7 +14,7 @@ from piezoid.identification.loop_shape_blocks import Errors
 from .bench import thinned
 from .play_stage import clean, recording
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone", "one_order")]
 
 diagnose_module = import_module("piezoid.diagnosis.diagnose")
 

@@ -11,6 +11,8 @@ import pytest
 
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.fit import fit
+from piezoid.identification.hysteresis.estimate import estimate_axis
+from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import write_model
 from piezoid.numerics.arrays import Array
@@ -79,7 +81,7 @@ def two_recordings(*names: str) -> list[Recording]:
 
 @cache
 def fitted_to_both(*names: str) -> AxisModel:
-    return fit(two_recordings(*names))["x"]
+    return estimate_axis(two_recordings(*names), "x", Rig())
 
 
 @pytest.mark.parametrize("names", [("one.csv", "two.csv"), ("b.csv", "a.csv")])
@@ -91,7 +93,7 @@ def test_a_fit_is_no_worse_on_its_own_rows_than_on_rows_left_out(names: tuple[st
 
 def test_the_order_of_the_recordings_does_not_matter() -> None:
     first = fitted_to_both("one.csv", "two.csv")
-    second = fit(two_recordings("one.csv", "two.csv")[::-1])["x"]
+    second = estimate_axis(two_recordings("one.csv", "two.csv")[::-1], "x", Rig())
     assert [start.recording for start in second.starts] == ["two.csv", "one.csv"]
     np.testing.assert_allclose(
         shape_of(first), shape_of(second), atol=ROUNDING * np.ptp(shape_of(first))

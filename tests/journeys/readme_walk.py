@@ -35,7 +35,7 @@ def checkout_in(folder: Path) -> None:
     (folder / ".venv").symlink_to(sys.prefix)
     (folder / "datasets").mkdir()
     for recording in sorted((ROOT / "datasets").glob("x_*.csv")):
-        (folder / "datasets" / recording.name).write_text(_short(recording))
+        (folder / "datasets" / recording.name).write_text(shortened(recording))
 
 
 def walk(folder: Path, lines: Iterator[str]) -> int:
@@ -60,7 +60,7 @@ def walk(folder: Path, lines: Iterator[str]) -> int:
         if status:
             break
         for made in place.glob("made/recordings/*.csv"):
-            made.write_text(_short(made))
+            made.write_text(shortened(made))
     shell.stdin.close()
     shell.wait()
     return status
@@ -71,7 +71,8 @@ def _show(text: str) -> None:
     sys.stdout.flush()
 
 
-def _short(recording: Path) -> str:
+def shortened(recording: Path) -> str:
+    """Return the heading and the first rows of a recording."""
     lines = recording.read_text(encoding="utf-8").splitlines(keepends=True)
     return "".join(lines[: ROWS + 1])
 

@@ -42,7 +42,7 @@ def write_in_counts(path: Path, law: str, *, drive: str, scale: float) -> Path:
     return path
 
 
-@pytest.mark.usefixtures("plays_alone")
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_a_stage_in_counts_is_told_in_counts_everywhere(tmp_path: Path) -> None:
     """Displacement and drive; where the drive is in volts: the test below."""
     place = tmp_path / "sweep.csv"
@@ -71,7 +71,7 @@ def test_a_stage_in_counts_is_told_in_counts_everywhere(tmp_path: Path) -> None:
         assert not VOLTS.search(plain), plain[max(VOLTS.search(plain).start() - 60, 0) :][:120]
 
 
-@pytest.mark.usefixtures("plays_alone")
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_counts_and_metres_of_one_stage_give_the_same_model(tmp_path: Path) -> None:
     sweep = write_in_counts(tmp_path / "sweep.csv", "duhem", drive="voltage [V]", scale=1.0)
     (tmp_path / "lab.toml").write_text(
@@ -96,7 +96,7 @@ def test_counts_and_metres_of_one_stage_give_the_same_model(tmp_path: Path) -> N
     assert piezoid.plot(known).get_ylabel() == "displacement of x (µm)"
 
 
-@pytest.mark.usefixtures("plays_alone")
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_nothing_in_counts_is_played_or_shipped(tmp_path: Path) -> None:
     sweep = write_in_counts(tmp_path / "sweep.csv", "plays", drive="drive [counts]", scale=3276.8)
     stage = tmp_path / "stage"

@@ -12,7 +12,7 @@ import piezoid
 from piezoid.errors import ExcitationError
 from piezoid_cli.main import app
 from tests.journeys.coupled_stage import AXES, GAIN_M_PER_V, LAB, MODE_HZ, campaign, sweep, written
-from tests.plays_alone import fit_plays_alone
+from tests.plays_alone import fit_one_order, fit_plays_alone
 
 pytestmark = pytest.mark.slow
 
@@ -28,6 +28,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     given = (*map(str, files), "--lab", str(folder / "lab.toml"), "--out", str(folder / "out"))
     with pytest.MonkeyPatch.context() as patch:
         fit_plays_alone(patch)
+        fit_one_order(patch)
         done = CliRunner().invoke(app, ["fit", *given])
     assert done.exit_code == 0, (done.output, done.exception)
     return folder, " ".join(done.output.split())

@@ -15,6 +15,7 @@ from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
 from piezoid.identification.store import read_model, write_model
 from piezoid_cli.main import app
+from tests.plays_alone import fit_one_order, fit_plays_alone
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, stage_model
 
@@ -46,7 +47,10 @@ def sweeps(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def ran(verb: str, folder: Path, *files: str, out: str) -> Result:
     given = [file if file[0] == "-" else str(folder / file) for file in files]
     rest = ["--lab", str(folder / "lab.toml"), "--out", str(folder / out)]
-    return CliRunner(env={"COLUMNS": "200"}).invoke(app, [verb, *given, *rest])
+    with pytest.MonkeyPatch.context() as patch:
+        fit_plays_alone(patch)
+        fit_one_order(patch)
+        return CliRunner(env={"COLUMNS": "200"}).invoke(app, [verb, *given, *rest])
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,8 @@ from tests.foreign_objects import KINDS, look, plant
 from tests.reports.known_diagnosis import diagnosed
 from tests.reports.known_stage import axis_model, stage_model
 
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
+
 DRIVE = [min(k % 80, 80 - k % 80) / 4 for k in range(320)]
 ROWS = "".join(f"{k / 100},{u},{2 * u + 0.03 * u * u}\n" for k, u in enumerate(DRIVE))
 STAGE = {

@@ -17,7 +17,7 @@ from piezoid.operators.linear import cascade, first_order, resonance, sample
 from piezoid.operators.play import play_columns
 from piezoid.runtime.controller import Controller
 from piezoid_cli.main import app
-from tests.plays_alone import fit_plays_alone
+from tests.plays_alone import fit_one_order, fit_plays_alone
 from tests.records.responses import matrix, noisy, response, write_csv, write_matlab
 
 pytestmark = pytest.mark.slow
@@ -90,6 +90,7 @@ def fitted(folder: Path) -> None:
     files = [str(folder / name) for name in ("sweep.csv", "response.csv", "lab.toml")]
     with pytest.MonkeyPatch.context() as patch:
         fit_plays_alone(patch)
+        fit_one_order(patch)
         asked = ["fit", *files[:2], "--lab", files[2], "--out", str(folder / "stage")]
         done = CliRunner().invoke(app, asked)
     assert done.exit_code == 0, done.output
@@ -118,7 +119,7 @@ def test_the_report_draws_the_response_and_draws_it_again(folder: Path) -> None:
     assert (folder / "stage" / "report.html").read_text() == page
 
 
-@pytest.mark.usefixtures("fitted", "plays_alone")
+@pytest.mark.usefixtures("fitted", "plays_alone", "one_order")
 def test_a_notebook_takes_the_response_as_the_command_line_does(folder: Path) -> None:
     lab = folder / "lab.toml"
     held = read(folder / "sweep.csv", folder / "response.csv", lab=lab)
@@ -132,7 +133,7 @@ def test_a_notebook_takes_the_response_as_the_command_line_does(folder: Path) ->
     assert "gain as measured, response.csv" in report(model, held, lab=lab)
 
 
-@pytest.mark.usefixtures("fitted", "plays_alone")
+@pytest.mark.usefixtures("fitted", "plays_alone", "one_order")
 def test_the_loop_is_fast_and_stable_on_the_stage_itself(folder: Path) -> None:
     lab = folder / "lab.toml"
     alone = fit(read(folder / "sweep.csv", lab=lab), lab=lab)

@@ -19,7 +19,7 @@ from piezoid.verification.plant import lateral_plant
 from piezoid_reports.effect_comparison import compare_effects
 from piezoid_reports.traces import rms, traces_of
 from tests.diagnosis.bench import effects_of
-from tests.plays_alone import fit_plays_alone
+from tests.plays_alone import fit_one_order, fit_plays_alone
 from tests.reports.anatomy import Anatomy
 
 pytestmark = pytest.mark.slow
@@ -162,6 +162,7 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Known]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(effects, "EFFECTS", (*effects.EFFECTS, module.EFFECT))
         fit_plays_alone(patch)
+        fit_one_order(patch)
         stage = piezoid.simulate(3, drives=("sweep", "staircase"), truth="bouc_wen")
         recordings = tuple(leaking(one) for one in stage.recordings)
         model = piezoid.fit(recordings, lab=stage.lab)

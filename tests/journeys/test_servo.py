@@ -18,7 +18,7 @@ from piezoid_datasets.virtual_lab.servo import servo_stage, triangles
 from piezoid_datasets.virtual_lab.stage import Stage
 from piezoid_datasets.virtual_lab.truths.preisach import draw_preisach
 from piezoid_datasets.virtual_lab.write import csv_text, lab_toml
-from tests.plays_alone import fit_plays_alone
+from tests.plays_alone import fit_one_order, fit_plays_alone
 
 APP = typer.Typer()
 APP.command()(fit)
@@ -39,6 +39,7 @@ def servo(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, dict[str,
     arguments = (folder / "triangles.csv", "--lab", folder / "lab.toml", "--out", folder / "out")
     with pytest.MonkeyPatch.context() as patch:
         fit_plays_alone(patch)
+        fit_one_order(patch)
         result = CliRunner(env={"COLUMNS": "400"}).invoke(APP, [str(a) for a in arguments])
     model: dict[str, Any] = json.loads((folder / "out" / "model.json").read_bytes())
     return result.exit_code, result.output, model["axes"]["x"]

@@ -9,7 +9,7 @@ import piezoid_datasets
 from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
 from piezoid_cli.main import app
 
-pytestmark = pytest.mark.usefixtures("plays_alone")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 
 def test_a_sweep_a_thousand_times_slower_is_fitted_and_diagnosed(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from piezoid_cli.main import app
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.write import write_campaign
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone", "one_order")]
 
 
 def test_a_tone_of_no_grid_is_told_first_with_its_frequency_and_drawn(tmp_path: Path) -> None:

@@ -87,6 +87,7 @@ def test_a_drive_at_rest_shows_a_jump_as_well(tmp_path: Path) -> None:
     assert told.value == pytest.approx(0.25e-6, rel=0.15)
 
 
+@pytest.mark.usefixtures("plays_alone")
 @pytest.mark.parametrize("law", ["preisach", "dahl"])
 def test_a_fit_holds_its_error_and_says_what_was_odd(tmp_path: Path, law: str) -> None:
     clean = read(tmp_path, law, stairs())

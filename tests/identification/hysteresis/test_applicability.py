@@ -42,7 +42,7 @@ def test_hysteresis_behind_the_same_lag_is_not_called_lag() -> None:
 
 
 def test_a_butterfly_loop_is_refused() -> None:
-    drive = np.tile(decaying(2, per_unit=40)[:-1], 6)
+    drive = np.tile(decaying(2, per_unit=20)[:-1], 6)
     plays = play_sum(drive, np.array([0.0, 1.0, 2.0]), np.array([1.0, 0.5, 0.3]), np.zeros(3))
     model = fit([recording(drive, noisy(1e-7 * plays**2 + 1e-8 * plays))])["x"]
     assert not model.verdict.applies
@@ -50,7 +50,7 @@ def test_a_butterfly_loop_is_refused() -> None:
 
 
 def test_a_loop_that_opens_the_wrong_way_is_refused() -> None:
-    drive = np.tile(decaying(2, per_unit=40)[:-1], 6)
+    drive = np.tile(decaying(2, per_unit=20)[:-1], 6)
     leading = play_sum(drive, np.array([0.0, 1.0]), np.array([1.3, -0.3]), np.zeros(2))
     model = fit([recording(drive, noisy(1e-6 * leading))])["x"]
     assert not model.verdict.applies
@@ -64,9 +64,9 @@ def test_loops_that_open_the_wrong_way_in_one_of_three_recordings_are_its_own_fa
     """Its readings come early, as behind a slip of the clock."""
     recordings = []
     for k in range(3):
-        drive = (1.0 - 0.1 * k) * np.tile(decaying(2, per_unit=40)[:-1], 6)
+        drive = (1.0 - 0.1 * k) * np.tile(decaying(2, per_unit=20)[:-1], 6)
         plays = play_sum(drive, np.array([0.0, 1.0, 2.0]), np.array([1.0, 0.2, 0.1]), np.zeros(3))
-        early = np.roll(plays, -20 if k < leading else 0)
+        early = np.roll(plays, -10 if k < leading else 0)
         recordings.append(recording(drive, noisy(1e-6 * early), f"r{k}"))
     model = fit(recordings)["x"]
     assert ("wrong way" in model.verdict.reason) is is_refused
@@ -102,8 +102,8 @@ def test_ordinary_hysteresis_passes_every_check() -> None:
 
 
 def test_a_reading_of_something_else_is_not_called_lag() -> None:
-    drive = np.tile(decaying(2, per_unit=40)[:-1], 6)
-    elsewhere = np.sin(2.0 * np.pi * 0.37 / 80.0 * np.arange(len(drive)))
+    drive = np.tile(decaying(2, per_unit=20)[:-1], 6)
+    elsewhere = np.sin(2.0 * np.pi * 0.37 / 40.0 * np.arange(len(drive)))
     verdict = fit([recording(drive, noisy(1e-6 * elsewhere))])["x"].verdict
     assert not verdict.applies
     assert "phase lag" not in verdict.reason
@@ -132,7 +132,7 @@ def test_a_sensor_that_does_not_follow_its_drive_is_said_to_and_no_shape_is_blam
 
 
 def test_what_is_shaped_otherwise_still_follows_its_drive() -> None:
-    drive = np.tile(decaying(2, per_unit=40)[:-1], 6)
+    drive = np.tile(decaying(2, per_unit=20)[:-1], 6)
     plays = play_sum(drive, np.array([0.0, 1.0, 2.0]), np.array([1.0, 0.5, 0.3]), np.zeros(3))
     late = first_order_lag(1e-6 * plays, 0.05, RATE_Hz)
     for response in (1e-7 * plays**2, late):

@@ -45,7 +45,7 @@ def stage(drive: Array, rng: np.random.Generator, lag_s: float = 0.004) -> Array
 @cache
 def fitted() -> AxisModel:
     rng = np.random.default_rng(4)
-    drives = {"decaying.csv": decaying(), "wandering.csv": wandering(rng)}
+    drives = {"decaying.csv": decaying(per_unit=30), "wandering.csv": wandering(rng)[::2]}
     recordings = [recording(u, stage(u, rng), name) for name, u in drives.items()]
     return fit(recordings)["x"]
 
@@ -94,7 +94,7 @@ def test_certificate_is_not_smaller_than_the_error_to_the_truth() -> None:
 
 def test_a_sensor_that_falls_as_the_drive_rises_only_changes_the_polarity() -> None:
     rng = np.random.default_rng(7)
-    u = decaying(15)
+    u = decaying(15, per_unit=30)
     y = stage(u, rng)
     rising, falling = fit([recording(u, y)])["x"], fit([recording(u, -y)])["x"]
     assert (rising.polarity, falling.polarity) == (1, -1)
@@ -114,7 +114,7 @@ def test_a_sensor_that_falls_as_the_drive_rises_only_changes_the_polarity() -> N
 
 def test_a_transient_from_before_the_record_is_left_out_and_said() -> None:
     rng = np.random.default_rng(9)
-    u = np.tile(decaying(2, per_unit=40)[:-1], 12)
+    u = np.tile(decaying(2, per_unit=20)[:-1], 12)
     y = stage(u, rng)
     y[:30] -= 8e-6 * np.exp(-np.arange(30) / 6)
     model = fit([recording(u, y)])["x"]

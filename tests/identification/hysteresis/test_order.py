@@ -1,6 +1,7 @@
 """Which of several shapes is taken, and when a trial may end early."""
 
 import math
+from functools import cache
 
 import pytest
 
@@ -22,6 +23,7 @@ def pieces(count: int) -> tuple[Piece, ...]:
     return pieces_of(made, "x", scales_of(made, "x"), Rig())
 
 
+@cache
 def whole(count: int) -> Trial:
     """Try the shape on every fold."""
     found = fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=math.inf)

@@ -11,11 +11,12 @@ from piezoid.identification.hysteresis.order_selection import folds_of, is_untes
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.model import AxisModel
 from tests.identification.hysteresis.stages import decaying, play_sum, recording
-from tests.laws import LAWS, swept_um, triangles
+from tests.laws import swept_um, triangles
 
 NOISE_m = 45e-9
 LOOP_THRESHOLD = np.linspace(0.0, 1.0, 6)
 LOOP_WEIGHT = np.array([12.0, 0.12, 0.12, 0.12, 0.12, 0.12]) * 1e-6
+DISTINCT_LAWS = ("preisach", "dahl", "plays")  # wiping out, saturating friction, of the class
 
 
 @cache
@@ -48,7 +49,7 @@ def test_slopes_of_a_thin_loop_are_those_of_the_stage() -> None:
     assert 11e-6 < least < most < 14e-6  # m/V; true are 12 and 12.6
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", DISTINCT_LAWS)
 def test_weights_are_a_positive_density_within_what_drive_and_data_allow(law: str) -> None:
     model = law_fitted(law)
     mean = model.quality.range_m / np.ptp(model.voltage_V)
@@ -60,7 +61,7 @@ def test_weights_are_a_positive_density_within_what_drive_and_data_allow(law: st
     assert (model.hysteresis.dead_zones.slope > 0.0).all()
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", DISTINCT_LAWS)
 def test_the_choice_is_as_good_as_the_best_of_all_that_was_tried(law: str) -> None:
     quality = law_fitted(law).quality
     least_m = min(order.held_out_rms_m for order in quality.orders)

@@ -1,6 +1,7 @@
 """The parts of the fit, each held to what it promises."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ def stage(drive: Array, seed: int, noise_m: float = 2e-8) -> Array:
     return clean + np.random.default_rng(seed).normal(0, noise_m, len(drive))
 
 
+@cache
 def fitted(seed: int = 0, noise_m: float = 2e-8) -> tuple[HysteresisFit, Scales]:
     drive = np.concatenate([decaying(24, per_unit=20)] * 2)
     one = recording(drive, stage(drive, seed, noise_m))
@@ -56,7 +58,7 @@ def test_intervals_have_the_size_of_the_scatter_over_new_noise() -> None:
         return np.array([loop_width_m(vector, found.task.coordinates, scales)])
 
     estimates, half_widths = [], []
-    for seed in range(10):
+    for seed in range(6):
         found, scales = fitted(seed)
         spread = jackknife(found.minimum.theta, found.task)
         estimates.append(width(found.minimum.theta, found, scales)[0])

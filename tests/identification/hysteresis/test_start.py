@@ -44,7 +44,7 @@ def test_weights_on_the_right_thresholds_are_found_exactly() -> None:
 
 
 def test_the_lag_of_the_quick_model_is_the_lag_of_the_data() -> None:
-    drive = decaying()
+    drive = decaying(15, per_unit=30)
     for lag_s in (0.0, 0.011):
         late = first_order_lag(made(drive), max(lag_s, 1e-6), RATE_Hz)
         one = recording(drive, late)

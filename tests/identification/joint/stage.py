@@ -12,7 +12,7 @@ from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Channel, Quantity, Recording
-from tests.reports.known_stage import HYSTERESIS, axis_model
+from tests.reports.known_stage import axis_model
 
 RATES_Hz = {"slow.csv": 200.0, "fast.csv": 2000.0}
 NOISE_m = 3e-9
@@ -69,7 +69,3 @@ def drive_V(time_s: Array) -> Array:
     triangle = 4.0 * np.abs(cycles - np.floor(cycles + 0.5)) - 1.0
     height = 5.0 * (1.0 - 0.7 * time_s / time_s[-1])
     return np.asarray(5.0 + height * triangle * (1.0 - 0.1 * np.cos(2 * np.pi * 0.37 * cycles)))
-
-
-def span_m() -> float:
-    return float(HYSTERESIS.run(np.array([0.0, 10.0]), MEMORY_V)[0][-1])

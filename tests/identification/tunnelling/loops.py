@@ -1,6 +1,8 @@
 """Closed-loop records of virtual junctions, as a laboratory would hand them over."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -10,6 +12,47 @@ from piezoid_datasets.virtual_lab.junction import Junction, multisine, simulate_
 
 PERIOD_SAMPLES = 2000
 LINES = [line for line in range(1, 400, 2) if (10 * line) % 50 and (10 * line) % 60]
+BARRIERS = tuple(
+    Junction(barrier_eV=barrier_eV, drive_range_V=1.0)
+    for barrier_eV in np.linspace(1.0, 5.0, 20).tolist()
+)
+NOISELESS_JUNCTION = Junction(flicker_m=0.0, vibration_m=0.0, mains_gap_m=0.0, mains_current_A=0.0)
+SLOW_SENSOR = Junction(latency_s=40e-6, sensor_pole_Hz=5000.0)
+FAST_SENSOR = replace(SLOW_SENSOR, sensor_pole_Hz=18e3)
+ATTENUATED_DRIVE = Junction(drive_range_V=1.0)
+STRONGLY_ATTENUATED_DRIVE = Junction(drive_range_V=0.1)
+DRIFTING_JUNCTION = Junction(drift_m_per_s=60e-12, wander_m_per_root_s=5e-12)
+HUMMING_JUNCTION = Junction(mains_Hz=60.0, mains_gap_m=6e-12)
+HUMLESS_JUNCTION = Junction(mains_gap_m=0.0, mains_current_A=0.0)
+VIBRATING_JUNCTION = Junction(vibration_m=8e-12, wander_m_per_root_s=0.0)
+JUNCTIONS = (
+    *(*BARRIERS, Junction(), NOISELESS_JUNCTION, SLOW_SENSOR, FAST_SENSOR, ATTENUATED_DRIVE),
+    *(
+        STRONGLY_ATTENUATED_DRIVE,
+        DRIFTING_JUNCTION,
+        HUMMING_JUNCTION,
+        HUMLESS_JUNCTION,
+        VIBRATING_JUNCTION,
+    ),
+)
+
+
+@cache
+def _long_records() -> Mapping[Junction, LoopRecord]:
+    """Simulate all junctions at once, which takes as long as one of them."""
+    records = loop_records(JUNCTIONS, periods=41, seed=1)
+    return dict(zip(JUNCTIONS, records, strict=True))
+
+
+def record_of(junction: Junction, periods: int = 41) -> LoopRecord:
+    """Return the first periods of the record of one of the junctions."""
+    record, samples = _long_records()[junction], PERIOD_SAMPLES * periods
+    return replace(
+        record,
+        reference=record.reference[:samples],
+        drive_V=record.drive_V[:samples],
+        current_A=record.current_A[:samples],
+    )
 
 
 def loop_records(

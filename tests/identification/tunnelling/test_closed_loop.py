@@ -17,17 +17,24 @@ from piezoid.identification.tunnelling.loop_model import mean_of, spread_family
 from piezoid.identification.tunnelling.loop_spectra import LoopSpectra, spectra_of_dither
 from piezoid.operators.linear import ContinuousSystem, sample
 from piezoid_datasets.virtual_lab.junction import Junction, multisine, simulate_junctions
-from tests.identification.tunnelling.loops import LINES, PERIOD_SAMPLES, identified, loop_records
+from tests.identification.tunnelling.loops import (
+    ATTENUATED_DRIVE,
+    BARRIERS,
+    FAST_SENSOR,
+    LINES,
+    NOISELESS_JUNCTION,
+    PERIOD_SAMPLES,
+    SLOW_SENSOR,
+    identified,
+    loop_records,
+    record_of,
+)
 
 
 def test_barriers_within_five_percent_and_intervals_that_hold() -> None:
     """Twenty records of four seconds; the benchmark does fifty of eight."""
-    barriers_eV = np.linspace(1.0, 5.0, 20)
-    junctions = [Junction(barrier_eV=barrier, drive_range_V=1.0) for barrier in barriers_eV]
-    records = loop_records(junctions, periods=41, seed=1)
-    fits = [
-        identified(record, junction) for record, junction in zip(records, junctions, strict=True)
-    ]
+    barriers_eV = np.array([junction.barrier_eV for junction in BARRIERS])
+    fits = [identified(record_of(junction), junction) for junction in BARRIERS]
     error = np.array([fit.barrier_eV for fit in fits]) / barriers_eV - 1.0
     held = [
         fit.barrier_interval_eV[0] < truth < fit.barrier_interval_eV[1]
@@ -42,8 +49,7 @@ def test_barriers_within_five_percent_and_intervals_that_hold() -> None:
 
 
 def test_delay_and_sensor_pole_are_found_with_their_intervals() -> None:
-    junction = Junction(latency_s=40e-6, sensor_pole_Hz=5000.0)
-    fit = identified(loop_records([junction], periods=41, seed=3)[0], junction)
+    fit = identified(record_of(SLOW_SENSOR), SLOW_SENSOR)
     assert fit.delay_interval_s[0] < 40e-6 < fit.delay_interval_s[1]
     assert fit.sensor_pole_interval_Hz[0] < 5000.0 < fit.sensor_pole_interval_Hz[1]
     assert fit.plant.delay_s == pytest.approx(40e-6, abs=5e-6)
@@ -51,7 +57,7 @@ def test_delay_and_sensor_pole_are_found_with_their_intervals() -> None:
 
 def test_a_pole_faster_than_a_hold_shows_is_bounded_from_below_only() -> None:
     """It looks like a delay; neither it nor the family around it may run away."""
-    junction = Junction(latency_s=40e-6, sensor_pole_Hz=30e3)
+    junction = replace(SLOW_SENSOR, sensor_pole_Hz=30e3)
     fit = identified(loop_records([junction], periods=11, seed=3)[0], junction)
     assert fit.sensor_pole_interval_Hz[0] > 4e3
     assert fit.sensor_pole_interval_Hz[1] == np.inf
@@ -63,8 +69,7 @@ def test_a_pole_faster_than_a_hold_shows_is_bounded_from_below_only() -> None:
 
 
 def test_a_pole_no_record_can_tell_leaves_the_family_where_poles_are_sought() -> None:
-    junction = Junction()
-    fit = identified(loop_records([junction], periods=11, seed=3)[0], junction)
+    fit = identified(record_of(Junction(), 11), Junction())
     known = fit.covariance.copy()
     known[1, :] *= 1e4
     known[:, 1] *= 1e4
@@ -76,18 +81,15 @@ def test_a_pole_no_record_can_tell_leaves_the_family_where_poles_are_sought() ->
 
 
 def test_a_quiet_junction_is_known_to_a_per_mille() -> None:
-    quiet = Junction(flicker_m=0.0, vibration_m=0.0, mains_gap_m=0.0, mains_current_A=0.0)
-    fit = identified(loop_records([quiet], periods=21, seed=5)[0], quiet)
-    truth = quiet.decay_per_m * quiet.drive_gain_m_per_V
+    fit = identified(record_of(NOISELESS_JUNCTION, 21), NOISELESS_JUNCTION)
+    truth = NOISELESS_JUNCTION.decay_per_m * NOISELESS_JUNCTION.drive_gain_m_per_V
     assert fit.plant.gain_nepers_per_V == pytest.approx(truth, rel=5e-3)
     assert fit.confidence is Confidence.HIGH
 
 
 def test_the_naive_error_does_not_fall_with_a_longer_record() -> None:
-    junction = Junction(drive_range_V=1.0)
     short, long = (
-        identified(loop_records([junction], periods=periods, seed=7)[0], junction)
-        for periods in (11, 41)
+        identified(record_of(ATTENUATED_DRIVE, periods), ATTENUATED_DRIVE) for periods in (11, 41)
     )
     assert abs(short.naive_error) > 0.15
     assert abs(long.naive_error) > 0.15
@@ -96,19 +98,18 @@ def test_the_naive_error_does_not_fall_with_a_longer_record() -> None:
 
 
 def test_a_dither_without_a_period_serves_as_instrument_too() -> None:
-    junction = Junction(drive_range_V=1.0)
-    record = loop_records([junction], periods=41, seed=9, periodic=False)[0]
-    fit = identified(record, junction)
-    truth = junction.decay_per_m * junction.drive_gain_m_per_V
+    record = loop_records([ATTENUATED_DRIVE], periods=21, seed=9, periodic=False)[0]
+    fit = identified(record, ATTENUATED_DRIVE)
+    truth = ATTENUATED_DRIVE.decay_per_m * ATTENUATED_DRIVE.drive_gain_m_per_V
     assert fit.gain_interval[0] < truth < fit.gain_interval[1]
     assert fit.plant.gain_nepers_per_V == pytest.approx(truth, rel=0.06)
 
 
 def test_a_dither_added_to_the_drive_serves_as_instrument_too() -> None:
     """Three picometres of tip, recorded in volts."""
-    junction = Junction(drive_range_V=1.0)
+    junction = ATTENUATED_DRIVE
     dither_V = multisine(
-        PERIOD_SAMPLES, 41, lines=LINES, rms=3e-12 / 18e-9, rng=np.random.default_rng(41)
+        PERIOD_SAMPLES, 21, lines=LINES, rms=3e-12 / 18e-9, rng=np.random.default_rng(41)
     )
     (record,) = simulate_junctions(
         [junction], reference_nepers=np.zeros_like(dither_V), drive_dither_V=dither_V, seeds=[42]
@@ -144,7 +145,7 @@ def test_lines_on_the_mains_are_left_out() -> None:
 
 
 def test_the_slowest_line_of_a_dither_is_used_however_slow() -> None:
-    record = loop_records([Junction()], periods=10, seed=13)[0]
+    record = record_of(Junction(), 10)
     slow = _changed(record, sampling_rate_Hz=2.0)
     found_Hz = spectra_of_dither(slow, highest_Hz=0.9).frequency_Hz
     np.testing.assert_allclose(found_Hz, np.array(LINES) * 2.0 / PERIOD_SAMPLES)
@@ -152,7 +153,7 @@ def test_the_slowest_line_of_a_dither_is_used_however_slow() -> None:
 
 def test_the_unit_of_the_dither_does_not_matter() -> None:
     junction = Junction()
-    record = loop_records([junction], periods=12, seed=15)[0]
+    record = record_of(junction, 12)
     scaled = _changed(record, reference=1e-3 * record.reference)
     one, other = (identified(r, junction).plant.gain_nepers_per_V for r in (record, scaled))
     assert one == pytest.approx(other, rel=1e-6)
@@ -160,33 +161,33 @@ def test_the_unit_of_the_dither_does_not_matter() -> None:
 
 def test_negative_currents_give_the_same_plant() -> None:
     junction = Junction()
-    record = loop_records([junction], periods=12, seed=15)[0]
+    record = record_of(junction, 12)
     mirrored = _changed(record, current_A=-record.current_A, set_point_A=-record.set_point_A)
     one, other = (identified(r, junction).plant for r in (record, mirrored))
     assert one == other
 
 
 def test_a_record_without_dither_is_refused() -> None:
-    record = loop_records([Junction()], periods=10, seed=17)[0]
+    record = record_of(Junction(), 10)
     still = _changed(record, reference=np.zeros(record.samples))
     with pytest.raises(ExcitationError, match="does not move"):
         identified(still, Junction())
 
 
 def test_too_few_periods_are_refused() -> None:
-    record = loop_records([Junction()], periods=5, seed=17)[0]
+    record = record_of(Junction(), 5)
     with pytest.raises(ExcitationError, match="4 whole periods"):
         identified(record, Junction())
 
 
 def test_a_set_point_of_the_wrong_sign_is_refused() -> None:
-    record = loop_records([Junction()], periods=5, seed=17)[0]
+    record = record_of(Junction(), 5)
     with pytest.raises(ExcitationError, match="10000 of 10000 currents"):
         _changed(record, set_point_A=-1e-9)
 
 
 def test_an_uncertain_extension_widens_the_barrier_only() -> None:
-    record = loop_records([Junction()], periods=12, seed=19)[0]
+    record = record_of(Junction(), 12)
     sure = identified(record, Junction())
     unsure = identify_closed_loop(
         record,
@@ -207,13 +208,11 @@ def test_the_delays_interval_holds_poles_that_a_data_sheet_states_a_little_off(
     tolerance: float,
 ) -> None:
     """Eight per cent too slow or too fast, both of them: two microseconds or more of delay."""
-    junction = Junction(latency_s=40e-6, sensor_pole_Hz=5000.0)
-    record = loop_records([junction], periods=21, seed=3)[0]
     fit = identify_closed_loop(
-        record,
-        amplifier_pole_Hz=tolerance * junction.amplifier_pole_Hz,
-        sensor_pole_Hz=tolerance * junction.sensor_pole_Hz,
-        drive_gain_m_per_V=junction.drive_gain_m_per_V,
+        record_of(SLOW_SENSOR, 21),
+        amplifier_pole_Hz=tolerance * SLOW_SENSOR.amplifier_pole_Hz,
+        sensor_pole_Hz=tolerance * SLOW_SENSOR.sensor_pole_Hz,
+        drive_gain_m_per_V=SLOW_SENSOR.drive_gain_m_per_V,
     )
     assert fit.delay_interval_s[0] < 40e-6 < fit.delay_interval_s[1]
     assert np.ptp(fit.delay_interval_s) < 20e-6
@@ -221,13 +220,11 @@ def test_the_delays_interval_holds_poles_that_a_data_sheet_states_a_little_off(
 
 
 def test_a_declared_pole_beyond_the_hold_leaves_the_delay_what_it_is() -> None:
-    junction = Junction(latency_s=40e-6, sensor_pole_Hz=18e3)
-    record = loop_records([junction], periods=21, seed=3)[0]
     fit = identify_closed_loop(
-        record,
-        amplifier_pole_Hz=junction.amplifier_pole_Hz,
-        sensor_pole_Hz=junction.sensor_pole_Hz,
-        drive_gain_m_per_V=junction.drive_gain_m_per_V,
+        record_of(FAST_SENSOR, 21),
+        amplifier_pole_Hz=FAST_SENSOR.amplifier_pole_Hz,
+        sensor_pole_Hz=FAST_SENSOR.sensor_pole_Hz,
+        drive_gain_m_per_V=FAST_SENSOR.drive_gain_m_per_V,
     )
     assert fit.delay_interval_s[0] < 40e-6 < fit.delay_interval_s[1]
     assert fit.plant.delay_s == pytest.approx(40e-6, abs=4e-6)
@@ -235,7 +232,7 @@ def test_a_declared_pole_beyond_the_hold_leaves_the_delay_what_it_is() -> None:
 
 def test_what_all_records_have_alike_does_not_average() -> None:
     """Two records that share half of their variance know their mean less well than two alone."""
-    fit = identified(loop_records([Junction()], periods=11, seed=3)[0], Junction())
+    fit = identified(record_of(Junction(), 11), Junction())
     alike = replace(fit, common=0.5 * fit.covariance)
     halves = [mean_of([held] * 2)[1] for held in (replace(fit, common=0.0 * fit.common), alike)]
     np.testing.assert_allclose((halves[1] / halves[0]) ** 2, 1.5)
@@ -243,8 +240,7 @@ def test_what_all_records_have_alike_does_not_average() -> None:
 
 def test_an_offset_of_the_current_is_taken_off_or_held_by_the_interval() -> None:
     """Fifty picoamperes beside a nanoampere: five per cent of the gain, ten of the barrier."""
-    junction = Junction(drive_range_V=1.0)
-    record = loop_records([junction], periods=41, seed=9)[0]
+    junction, record = ATTENUATED_DRIVE, record_of(ATTENUATED_DRIVE)
     moved = replace(record, current_A=record.current_A + 50e-12)
     fits = [
         identify_closed_loop(
@@ -267,11 +263,8 @@ def test_an_offset_of_the_current_is_taken_off_or_held_by_the_interval() -> None
 
 def test_blocks_that_cut_a_dither_take_nothing_off_the_gain() -> None:
     """A slow junction of one second: blocks of 512 samples alone lose 0.23 % of the gain."""
-    quiet = Junction(
-        flicker_m=0.0,
-        vibration_m=0.0,
-        mains_gap_m=0.0,
-        mains_current_A=0.0,
+    quiet = replace(
+        NOISELESS_JUNCTION,
         wander_m_per_root_s=0.0,
         sensor_pole_Hz=2000.0,
         amplifier_pole_Hz=2000.0,

@@ -17,7 +17,15 @@ from piezoid.identification.tunnelling.loop_noise import (
 )
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid_datasets.virtual_lab.junction import Junction
-from tests.identification.tunnelling.loops import identified, loop_records
+from tests.identification.tunnelling.loops import (
+    DRIFTING_JUNCTION,
+    HUMLESS_JUNCTION,
+    HUMMING_JUNCTION,
+    STRONGLY_ATTENUATED_DRIVE,
+    VIBRATING_JUNCTION,
+    identified,
+    record_of,
+)
 
 CHAIN = CurrentChain(bandwidth_Hz=7000.0, feedback_ohm=1e9, adc_step_A=10.0 / 2**15 * 1e-9)
 
@@ -34,35 +42,34 @@ RIG = LoopRig(
 )
 
 
-def measured(junction: Junction, *, seed: int, periods: int = 21) -> LoopNoise:
-    record = loop_records([junction], periods=periods, seed=seed)[0]
+def measured(junction: Junction, periods: int = 21) -> LoopNoise:
+    record = record_of(junction, periods)
     noise = measure_loop_noise(record, identified(record, junction).plant, RIG)
     assert noise is not None
     return noise
 
 
 def test_the_drift_rate_lies_in_its_interval() -> None:
-    noise = measured(Junction(drift_m_per_s=60e-12, wander_m_per_root_s=5e-12), seed=21)
+    noise = measured(DRIFTING_JUNCTION)
     low, high = noise.drift_interval_m_per_s
     assert low < 60e-12 < high
     assert noise.drift_m_per_s == pytest.approx(60e-12, abs=10e-12)
 
 
 def test_the_hum_is_found_at_its_frequency_and_size() -> None:
-    noise = measured(Junction(mains_Hz=60.0, mains_gap_m=6e-12), seed=23)
+    noise = measured(HUMMING_JUNCTION)
     assert noise.mains[0].frequency_Hz == pytest.approx(60.0, abs=0.3)
     assert noise.mains[0].amplitude_m == pytest.approx(6e-12, rel=0.15, abs=0.0)
 
 
 def test_without_hum_no_line_is_claimed() -> None:
-    noise = measured(Junction(mains_gap_m=0.0, mains_current_A=0.0), seed=25)
+    noise = measured(HUMLESS_JUNCTION)
     assert noise.mains == ()
 
 
 def test_the_vibration_stands_in_the_spectrum() -> None:
-    junction = Junction(vibration_m=8e-12, wander_m_per_root_s=0.0)
-    record = loop_records([junction], periods=21, seed=27)[0]
-    fit = identified(record, junction)
+    record = record_of(VIBRATING_JUNCTION, 21)
+    fit = identified(record, VIBRATING_JUNCTION)
     motion_m = gap_motion(record, fit.plant, fit.decay_per_m)
     frequency_Hz, density = power_density(motion_m, record.sampling_rate_Hz)
     around = (frequency_Hz > 70.0) & (frequency_Hz < 1000.0)
@@ -108,7 +115,7 @@ def test_the_gap_is_what_the_electronics_of_the_current_leave_of_the_unrest(
 
 def test_the_limiting_electronics_change_with_an_attenuator() -> None:
     whole, attenuated = (
-        measured(Junction(drive_range_V=volts), seed=29, periods=12) for volts in (10.0, 0.1)
+        measured(junction, periods=12) for junction in (Junction(), STRONGLY_ATTENUATED_DRIVE)
     )
     assert whole.limiting_electronics == "drive_step"
     assert attenuated.limiting_electronics == "shot"
@@ -129,7 +136,7 @@ def test_a_sine_keeps_its_power_in_the_density() -> None:
 
 
 def test_the_budget_is_for_the_declared_bandwidth_or_for_the_pole_below_half_the_rate() -> None:
-    record = loop_records([Junction()], periods=6, seed=31)[0]
+    record = record_of(Junction(), 6)
     for declared_Hz, pole_Hz, expected_Hz in ((7e3, 3e3, 7e3), (None, 3e3, 3e3), (None, 3e4, 1e4)):
         plant = JunctionPlant(
             gain_nepers_per_V=400.0,
@@ -144,7 +151,7 @@ def test_the_budget_is_for_the_declared_bandwidth_or_for_the_pole_below_half_the
 
 
 def test_a_record_too_short_for_mains_lines_has_no_budget() -> None:
-    record = loop_records([Junction()], periods=9, seed=31)[0]
+    record = record_of(Junction(), 9)
     plant = identified(record, Junction()).plant
     samples = int(0.49 * record.sampling_rate_Hz)
     short = replace(

@@ -19,7 +19,7 @@ from piezoid.record_json import from_json, to_json
 from piezoid.records.lab import read_lab
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab.junction import Junction
-from tests.identification.tunnelling.loops import identified, loop_records
+from tests.identification.tunnelling.loops import identified, loop_records, record_of
 from tests.identification.tunnelling.sweeps import sweep
 from tests.reports.known_stage import recording as stage_recording
 
@@ -51,7 +51,7 @@ def fits() -> list[ClosedLoopFit]:
     """Eight junctions of one rig with barriers around 4 eV, spread by 10 %."""
     barriers_eV = 4.0 * np.exp(0.1 * np.random.default_rng(33).standard_normal(8))
     junctions = [Junction(barrier_eV=barrier) for barrier in barriers_eV]
-    records = loop_records(junctions, periods=21, seed=35)
+    records = loop_records(junctions, periods=11, seed=35)
     return [identified(r, j) for r, j in zip(records, junctions, strict=True)]
 
 
@@ -96,7 +96,7 @@ def test_one_record_spreads_by_its_own_uncertainty(fits: list[ClosedLoopFit]) ->
 
 def test_equal_junctions_have_no_spread_beyond_their_uncertainty() -> None:
     equal = Junction()
-    same = [identified(r, equal) for r in loop_records([equal] * 6, periods=21, seed=37)]
+    same = [identified(r, equal) for r in loop_records([equal] * 6, periods=11, seed=37)]
     uncertainty = np.sqrt(np.mean([fit.covariance[0, 0] for fit in same]))
     assert half_gain_spread(spread_family(same)) < 4.0 * uncertainty
 
@@ -127,7 +127,7 @@ def test_an_empty_model_is_refused() -> None:
 def test_one_loop_among_other_recordings_is_enough_for_a_plant(tmp_path: Path) -> None:
     (tmp_path / "lab.toml").write_text(LAB)
     lab, junction, sweep_of_x = read_lab(tmp_path / "lab.toml"), Junction(), stage_recording()
-    (record,) = loop_records([junction], periods=9, seed=39)
+    record = record_of(junction, 9)
     loop = Recording(
         name="loop.csv",
         digest="sha256:made",

@@ -8,7 +8,7 @@ import pytest
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.weighted_fit import CurrentNoise
 from piezoid_datasets.virtual_lab.junction import Junction
-from tests.identification.tunnelling.loops import identified, loop_records
+from tests.identification.tunnelling.loops import identified, record_of
 
 
 def test_noise_is_that_of_the_size_of_a_current_whichever_way_it_flows() -> None:
@@ -20,7 +20,7 @@ def test_noise_is_that_of_the_size_of_a_current_whichever_way_it_flows() -> None
 
 
 def test_a_current_that_falls_as_the_drive_rises_is_refused() -> None:
-    record = loop_records([Junction()], periods=10, seed=3)[0]
+    record = record_of(Junction(), 10)
     turned = replace(record, drive_V=-record.drive_V)
     with pytest.raises(ExcitationError, match="the current falls as the drive rises"):
         identified(turned, Junction())
