@@ -56,9 +56,11 @@ def report(
         names_and_digests += [(r.name, r.digest) for r in recorded.responses]
         for name, digest in names_and_digests:
             if model.sources.get(name) != digest:
+                difference = "is not one of the recordings of this model"
+                if name in model.sources:
+                    difference = "has other contents than the recording of that name in this model"
                 raise RecordingError(
-                    f"{name} is not one of the recordings of this model "
-                    f"({', '.join(model.sources) or 'none'})",
+                    f"{name} {difference} ({', '.join(model.sources) or 'none'})",
                     needed="the recordings of the fit, unchanged",
                     remedy="Name those recordings, or fit again with this one.",
                 )

@@ -106,11 +106,14 @@ def design_stage(
     design = design_of(outcomes, model_digest=model_digest, lab=lab, coupled=model.coupled)
     if (lab or Lab()).digest == (model.lab or ""):
         return design
-    now = "There is no lab.toml any more" if lab is None else f"{lab.place} is not that of the fit"
+    difference = (
+        "There is no lab.toml" if lab is None else f"{lab.place} differs from that of the fit"
+    )
     remark = (
-        f"{now}: converters, limits and guards are what it says now, poles, gains and, without "
-        "--rate, the sampling rate what the fit took from it. Fit again where [amplifier], "
-        "[actuator], [sensor] or sampling_rate_Hz changed."
+        f"{difference}: converters, limits and guards are now those of "
+        f"{'an empty one' if lab is None else 'this file'}; poles, gains and, without --rate, the "
+        "sampling rate are those of the fit. If [amplifier], [actuator], [sensor] or "
+        "sampling_rate_Hz changed, fit again."
     )
     return replace(design, remarks=(*design.remarks, remark))
 

@@ -118,9 +118,11 @@ range: test with `-ffp-contract=off`.
   the voltage moves by `stuck_voltage_V`. The model then continues alone, with the last estimate of
   the disturbance. After `blind_samples` unusable readings the output latches until `pz_reset`.
 - X, Y: a reading at the end of the sensor's range is used, and moves the output to the end of its
-  range; a reading beyond the displacement limits counts as the limit. A constant one is then
-  stuck, and the output latches at that end. With noise, or from a reversed sensor, it never
-  latches. Detect these and a broken cable yourself.
+  range; a reading beyond the displacement limits counts as the limit. If it is constant, it is
+  detected as stuck, and the output latches at that end. A noisy reading beyond the limits, a
+  reversed sensor and a broken cable are not detected: your firmware must do that.
+- X, Y: at a voltage limit the output is clipped, with the bit `VOLTAGE_LIMITED`. The observer uses
+  the clipped voltage, so the loop does not wind up.
 - Z retracts from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or at the ceiling,
   the end of its range (`MEASUREMENT_LIMITED`), and after `bad_samples` from one that is reversed
   (`WRONG_SIGN`) or NaN. It latches at `retract_voltage_V` after `trip_limit` retracts in a row or
@@ -138,9 +140,11 @@ guaranteed error of `report.html` holds while `status` is 0 and the transient af
 Fit or design and export again after a change of the recordings or of lab.toml. In firmware: copy
 the structure, change it, set `copy.checksum = pz_checksum(&copy)`, stop the interrupt, call
 `pz_start` with the copy, and pass the same copy to every later `pz_step`; it must stay in RAM.
-While no limit acts, margins stay with narrower `voltage_minimum_V`, `voltage_maximum_V` (Z:
-`retract_voltage_V` within them), `reference_minimum_m`, `reference_maximum_m`, and smaller
-`voltage_step_V`, `reference_step_m` (0: any). Any other change voids margins, bounds and proofs.
+You may narrow `voltage_minimum_V`, `voltage_maximum_V` (Z: `retract_voltage_V` within them),
+`reference_minimum_m` and `reference_maximum_m`, and reduce `voltage_step_V` and `reference_step_m`
+(0: any) without a new design: the margins remain valid while no limit acts. Any other change voids
+margins, bounds and proofs. Do not edit gains: state the bandwidth or the modulus margin in
+design.toml, then run `piezoid design --spec` and `piezoid export`.
 {decoupled}
 ## 7. Provenance
 

@@ -218,7 +218,7 @@ class Lab:
                 continue
             without_entry = [p.name for p in paths if not self.entries_of(p)]
             similar = get_close_matches(path.name, without_entry, n=1)
-            hint = f"; is {similar[0]!r} meant, which has no entry?" if similar else ""
+            hint = f"; {similar[0]!r} has a similar name and no entry" if similar else ""
             raise lab_error(
                 f"{self.place}: [[recording]] {entry.file!r} is about a file that is neither in "
                 f"the folder of {self.place} nor among those to be read{hint}",

@@ -19,7 +19,7 @@ from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.signals import with_added
 from piezoid.records.recording import Recording
 
-REASON = "the simulation has dead zones and follows asymmetry; nothing of it can be missing"
+REASON = "the dead zones of the model already represent asymmetry"
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -37,7 +37,7 @@ EFFECT = Effect(
     control="A symmetric inverse has a larger error on one side; the dead zones of the model "
     "represent the asymmetry exactly.",
     shows=OVER_DRIVE,
-    tangent="the model has dead zones and follows it, so that nothing of it can be missing",
+    tangent="the dead zones of the model already represent it",
     confounded=("non_congruence",),
     untestable=lambda _: REASON,
     inject=inject,
