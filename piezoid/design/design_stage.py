@@ -110,9 +110,9 @@ def design_stage(
         "There is no lab.toml" if lab is None else f"{lab.place} differs from that of the fit"
     )
     remark = (
-        f"{difference}: converters, limits and guards are now those of "
-        f"{'an empty one' if lab is None else 'this file'}; poles, gains and, without --rate, the "
-        "sampling rate are those of the fit. If [amplifier], [actuator], [sensor] or "
+        f"{difference}: converters, limits and guards are now "
+        f"{'the defaults' if lab is None else 'those of this file'}; poles, gains and, without "
+        "--rate, the sampling rate are those of the fit. If [amplifier], [actuator], [sensor] or "
         "sampling_rate_Hz changed, fit again."
     )
     return replace(design, remarks=(*design.remarks, remark))
