@@ -75,8 +75,8 @@ def test_a_rate_that_lab_toml_states_after_the_fit_is_not_passed_for_the_one_des
     design = design_from_json((stage / "design.json").read_bytes())
     assert design.axis("x").sampling_rate_Hz == 20e3
     said = " ".join(shown.split())
-    assert "without --rate, the sampling rate what the fit took from it" in said
-    assert "or sampling_rate_Hz changed" in said
+    assert "lab.toml differs from that of the fit" in said
+    assert "fit again" in said
 
 
 def test_what_is_asked_is_asked_of_its_axis(stage: Path, tmp_path: Path) -> None:

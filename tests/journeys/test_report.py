@@ -69,7 +69,7 @@ def test_any_other_file_is_refused_and_the_old_page_stays(stage: Path, sweep: Pa
     sweep.write_text(sweep.read_text().replace("0.0000", "0.0001", 1))
     status, said = run(stage, sweep, "--force")
     assert status != 0
-    assert "not one of the recordings" in said
+    assert "sweep.csv has other contents" in said
     assert (stage / "report.html").read_text() == "old"
 
 

@@ -254,7 +254,7 @@ def test_an_entry_about_a_file_that_is_nowhere_is_named(tmp_path: Path) -> None:
     text(lines())(tmp_path / "sweep.csv")
     (tmp_path / "lab.toml").write_text('[[recording]]\nfile = "swep.csv"\n')
     lab = read_lab(tmp_path / "lab.toml")
-    with pytest.raises(LabFileError, match=r"'swep.csv' is about a file.*is 'sweep.csv' meant"):
+    with pytest.raises(LabFileError, match=r"'swep.csv'.*'sweep.csv' has a similar name"):
         collect([tmp_path / "sweep.csv"], lab)
     (tmp_path / "swep.csv").write_text("it is there, and not asked for today")
     assert collect([tmp_path / "sweep.csv"], lab).recordings
