@@ -185,8 +185,10 @@ def refit_model(
         progress("refitting without the unnamed structure")
         data = _FitData(recordings=with_structure, samples=structure_rows, ringing=ringing)
         without[SOMETHING_ELSE] = data.fit(final.model, fitted_extensions, structure, alternatives)
-    # a refit without drift would lose a baseline that wanders
-    drifts = drifting_zeros(model.starts, model.quality.rms_m, model.quality.range_m)
+    # a refit with constant zeros would lose a drift, and is then the worse fit
+    quality = model.quality
+    drifts = drifting_zeros(model.starts, quality.rms_m, quality.range_m)
+    drifts = drifts and final.rms_m > quality.rms_m
     ships_refit = starts or (not drifts and (model.verdict.applies or estimates))
     return ModelErrors(
         baseline_m=baseline.held_out_rms_m,

@@ -13,7 +13,7 @@ from operator import add
 
 import numpy as np
 
-from piezoid.identification.loop_shape_columns import FOLDS
+from piezoid.identification.loop_shape_columns import FOLDS, PieceRows
 from piezoid.identification.loop_shape_estimate import Estimate
 from piezoid.identification.loop_shape_regression import Regression
 from piezoid.identification.model import AxisModel
@@ -21,6 +21,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
 
 STEP_INSTANTS = 60  # of a piece, at which a step of the zero is tried
+FULL_SPAN = 0.99  # of the range of a drive: above the noise of a measured drive
 # Divisors of the prior variances in the last solve. Residuals of a class that is slightly wrong
 # are correlated, and stronger regularisation predicts better: of the divisors whose error on
 # left-out blocks is close to the minimum, the largest is selected. Fitted to the sweep of the
@@ -138,12 +139,18 @@ def _held_out_error(
     return float(np.sqrt(squares / max(count, 1)))
 
 
-def with_best_step(estimate: Estimate, regression: Regression) -> Regression | None:
+def with_best_step(
+    estimate: Estimate, pieces: Sequence[PieceRows], regression: Regression
+) -> Regression | None:
     """Return the regression with the step of the zero that reduces its error most.
 
     Without a step, a wide class would represent a jump of the zero by hysteresis that does not
     exist. The reduction by a step H, with all coefficients solved again, is
     (r'H)^2 / H'(I - X P^-1 X') H, with r the residual and P the posterior precision.
+
+    No step is tried before the drive has covered its range and travelled as far once more: until
+    then a step represents an initial state. On two stages it was at the first maximum of the
+    drive, and the model without it had errors of 24 and 36 nm instead of 17.
     """
     total = total_of(regression.moments())
     ridge = ridge_of(estimate, regression, total)
@@ -154,9 +161,14 @@ def with_best_step(estimate: Estimate, regression: Regression) -> Regression | N
     prediction = regression.design @ (regression.change @ ridge.mean(total))
     residual = np.where(estimate.use, regression.target - prediction, 0.0)
     best_step, best_gain = None, 0.0
-    for first, stop in pairwise(np.cumsum([0, *estimate.rows])):
+    for piece, (first, stop) in zip(pieces, pairwise(np.cumsum([0, *estimate.rows])), strict=True):
+        drive_V = piece.voltage_V
+        span_V = np.maximum.accumulate(drive_V) - np.minimum.accumulate(drive_V)
+        travel_V = np.cumsum(np.abs(np.diff(drive_V, prepend=drive_V[0])))
+        covered = int(np.searchsorted(span_V, FULL_SPAN * span_V[-1]))
+        is_settled = (travel_V >= travel_V[covered] + span_V[-1])[piece.rows]
         instants = np.linspace(first, stop, STEP_INSTANTS + 2)[1:-1].astype(int)
-        for row in np.unique(instants):
+        for row in np.unique(instants[is_settled[instants - first]]):
             step = np.zeros(len(residual))
             step[row:stop] = estimate.use[row:stop]
             h = scale * (regression.change.T @ (step[row:stop] @ regression.design[row:stop]))

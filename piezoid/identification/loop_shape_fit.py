@@ -150,7 +150,7 @@ def _compared(axis: AxisModel, recordings: Sequence[Recording]) -> _Comparison |
     estimate, pieces, columns = best
     regression = regression_of(estimate, pieces, columns, has_numbers=False)
     errors, divisor = errors_of(estimate, regression)
-    with_step = with_best_step(estimate, regression)
+    with_step = with_best_step(estimate, pieces, regression)
     if with_step is not None:
         step_errors, step_divisor = errors_of(estimate, with_step)
         noise = axis.quality.noise_rms_m / abs(half_range_m(axis))
