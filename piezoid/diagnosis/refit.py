@@ -188,8 +188,8 @@ def refit_model(
     # a refit with constant zeros would lose a drift, and is then the worse fit
     quality = model.quality
     drifts = drifting_zeros(model.starts, quality.rms_m, quality.range_m)
-    drifts = drifts and final.rms_m > quality.rms_m
-    ships_refit = starts or (not drifts and (model.verdict.applies or estimates))
+    loses_drift = bool(drifts) and final.rms_m > quality.rms_m
+    ships_refit = starts or (not loses_drift and (model.verdict.applies or estimates))
     return ModelErrors(
         baseline_m=baseline.held_out_rms_m,
         final_m=final.held_out_rms_m,
