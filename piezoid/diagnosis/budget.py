@@ -11,6 +11,9 @@ The budget is a chain of errors, each contained in the one before:
     wide class   error of the widest class of hysteresis  loop_shape     = explained^2 - wide^2
     noise        of the sensor                            unexplained    = wide^2 - noise^2
 
+A sensor's converter with steps D adds an error D / sqrt(12), which no model removes. Its part above
+the noise is taken from ``unexplained``.
+
 The gain of the model is divided among the effects in proportion to the rise of the error without
 each of them. An error that is larger than the error before it in the chain counts as equal to it.
 """
@@ -43,6 +46,7 @@ from piezoid.diagnosis.null_distribution import ALPHA
 from piezoid.formatting import with_unit, words
 from piezoid.numerics.arrays import Array
 
+QUANTISATION = "quantisation"
 RESONANCE = "resonance"  # an unresolved mode widens loops as another loop shape does
 # Along one loop a wide class can follow all of these effects: for plays with a lag of 20 ms it
 # explained 46 of 59 nm, and beside a drift of plays 61 nm of loop shape that the stage has not.
@@ -68,6 +72,7 @@ class RemainingErrors:
                   subtracted from the readings before ``wide_m`` was computed
     is_compared   whether the model class applies, so that it can be compared with the widest class
     recordings_m  error of the model in sample by recording; empty if it was not computed
+    converter_m   error of the steps of the sensor's converter, rms
     """
 
     explained_m: float
@@ -77,6 +82,7 @@ class RemainingErrors:
     structure_m: float = 0.0
     is_compared: bool = True
     recordings_m: Mapping[str, float] = field(default_factory=dict)
+    converter_m: float = 0.0
 
 
 def corrected(rows: int, parameters: int) -> float:
@@ -122,6 +128,10 @@ def with_budget(
         explained -= remaining[SOMETHING_ELSE]
     wide = float(np.clip(errors.wide_m**2, noise, explained))
     remaining["unexplained"] = wide - noise
+    if errors.converter_m > 0.0:
+        above_noise = max(errors.converter_m**2 - noise, 0.0)
+        remaining[QUANTISATION] = min(above_noise, remaining["unexplained"])
+        remaining["unexplained"] -= remaining[QUANTISATION]
     in_sequence = {}  # gains of parts that were added to the model one after another
     if errors.before_m is None:
         remaining[LOOP_SHAPE] = explained - wide
@@ -260,6 +270,8 @@ def _remaining_part(
     sizes = f"{with_unit(rms_m, 'm')} rms; sensor noise {with_unit(noise_m, 'm')}"
     texts = {
         LOOP_SHAPE: f"Loop shape that the model class cannot represent ({sizes}).",
+        QUANTISATION: "Steps of the sensor's converter, which no model removes "
+        f"({with_unit(errors.converter_m, 'm')} rms), above the noise.",
         "extrapolation": _extrapolation_text(diagnosis.final.rms_m, rms_m, errors.recordings_m),
         SOMETHING_ELSE: "Systematic residual that no effect explains; the model does not contain "
         f"it ({sizes}).",

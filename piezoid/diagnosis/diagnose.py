@@ -12,7 +12,7 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.budget import RemainingErrors, corrected, with_budget
+from piezoid.diagnosis.budget import QUANTISATION, RemainingErrors, corrected, with_budget
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
 from piezoid.diagnosis.constant_drive import diagnose_at_rest
@@ -29,7 +29,13 @@ from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.identified_modes import split_by_mode, with_modes
 from piezoid.diagnosis.ingest_faults import with_ingest_faults
 from piezoid.diagnosis.null_distribution import is_weak_evidence
-from piezoid.diagnosis.refit import CLEARLY_WORSE, ModelErrors, attribute_errors, repair_recordings
+from piezoid.diagnosis.refit import (
+    CLEARLY_WORSE,
+    ModelErrors,
+    attribute_errors,
+    repair_recordings,
+    repaired_faults,
+)
 from piezoid.diagnosis.residual_structure import (
     SearchResult,
     add_structure,
@@ -409,7 +415,16 @@ def _remaining_errors(
         structure_m=sqrt(max(with_structure_m**2 - errors.final_m**2, 0.0)),
         is_compared=not outcome.rejection,
         recordings_m=_errors_by_recording(final, recordings),
+        converter_m=_converter_error_m(outcome),
     )
+
+
+def _converter_error_m(outcome: Outcome) -> float:
+    """Return the rms error of the steps of the readings; steps of a drive are repaired."""
+    fault = outcome.faults.get(QUANTISATION)
+    if fault is None or QUANTISATION in repaired_faults(outcome):
+        return 0.0
+    return 1e-9 * fault.value / sqrt(12.0)
 
 
 def _errors_by_recording(model: AxisModel, recordings: Sequence[Recording]) -> dict[str, float]:

@@ -33,6 +33,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 
 MAINS, AMPLIFIER_LIMIT = "mains_interference", "amplifier_saturation"
+QUANTISATION, READING = "quantisation", "reading"
 MAINS_COORDINATES = ("frequency", "line_phase")
 MIN_NOISE_RATIO = 1.1  # residual/noise; below it a limit of the amplifier explains a plateau
 MAX_P_VALUE = 0.02  # of one coordinate, by surrogates: the second of 99
@@ -214,6 +215,8 @@ def _first_significant(
         is_line = score.coordinate in MAINS_COORDINATES
         if has_mains and is_line and mains_frequency_Hz(score.basis.per_unit):
             continue  # interference with other harmonics or a faster phase change than modelled
+        if QUANTISATION in outcome.faults and score.coordinate == READING:
+            continue  # the error of a converter is a sawtooth of the reading
         healthy_p_value = structure_p_value(score.gain, residual.null.rms, residual.view.noise)
         if score.p_value <= MAX_P_VALUE and healthy_p_value <= MAX_HEALTHY_P_VALUE:
             return _structure_along(residual, score, healthy_p_value)
@@ -266,7 +269,7 @@ def _sensor_range_structure(outcome: Outcome) -> ResidualStructure | None:
         return None
     return ResidualStructure(
         score=CoordinateScore(
-            basis=replace(displacement_basis(view), coordinate="reading"),
+            basis=replace(displacement_basis(view), coordinate=READING),
             gain=gain,
             p_value=p_value,
             coefficients=np.zeros(0),

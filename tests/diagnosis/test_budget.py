@@ -88,3 +88,25 @@ def test_structure_that_the_model_lacks_is_part_of_the_final_error() -> None:
     assert parts["creep"].rms_m == pytest.approx(4e-8)
     assert parts["loop_shape"].rms_m == pytest.approx(np.sqrt(1.25) * 1e-8)
     assert power(found) == pytest.approx(found.baseline.rms_m**2)
+
+
+@pytest.mark.slow
+def test_the_error_of_coarse_readings_is_part_of_the_budget_and_nothing_else() -> None:
+    loops, _ = of_bouc_wen()
+    step_m = 60e-6 * NOISE_um
+    coarse = from_arrays(
+        time_s=np.arange(loops.samples) / loops.sampling_rate_Hz,
+        voltage_V=loops.voltage_V(),
+        displacement_m=step_m * np.round(loops.displacement_m() / step_m),
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        fit_one_order(patch)
+        diagnosis = diagnose([coarse])
+    assert "quantisation" in diagnosis.names
+    assert "something_else" not in diagnosis.names
+    part = next(part for part in diagnosis.budget if part.part == "quantisation")
+    assert not part.is_explained
+    assert np.hypot(part.rms_m, diagnosis.noise_floor_rms_m) == pytest.approx(
+        step_m / np.sqrt(12.0), rel=0.2
+    )
+    assert power(diagnosis) == pytest.approx(diagnosis.baseline.rms_m**2, rel=1e-9)
