@@ -11,8 +11,8 @@ The budget is a chain of errors, each contained in the one before:
     wide class   error of the widest class of hysteresis  loop_shape     = explained^2 - wide^2
     noise        of the sensor                            unexplained    = wide^2 - noise^2
 
-A sensor's converter with steps D adds an error D / sqrt(12), which no model removes. Its part above
-the noise is taken from ``unexplained``.
+A sensor's converter with steps D adds an error D / sqrt(12), which no model removes. Its part
+above the noise is taken from ``unexplained``.
 
 The gain of the model is divided among the effects in proportion to the rise of the error without
 each of them. An error that is larger than the error before it in the chain counts as equal to it.

@@ -69,7 +69,7 @@ def test_a_ceramic_that_was_never_driven_so_far_is_poled_once_and_was_not_demagn
 
 
 def test_a_model_with_an_initial_state_is_no_worse_than_the_simulation_without_it() -> None:
-    # The effect has a quarter of its usual size; the error of the model was 4.4 times the noise.
+    # A quarter of the usual size; the error of the model was 4.4 times the noise.
     place = NAMES.index("preisach") * PER_LAW + list(KINDS).index("quarter") * PER_KIND
     campaign = drawn(stage("preisach", "quarter", 0, 48522301 - place))
     recordings, lab = recorded(campaign)
