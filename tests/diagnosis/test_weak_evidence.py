@@ -39,7 +39,7 @@ def diagnosed(**gains: float):
     ],
     ids=[
         "strong evidence",
-        "loop shape fits better without",
+        "loop shape fits as well without",
         "weak evidence, the model does as well without",
         "weak evidence, the model needs it",
     ],
@@ -53,7 +53,6 @@ def test_a_doubtful_cause_is_named_only_if_the_model_needs_it(
 ) -> None:
     errors_m = Errors(explained=error_without_m, held_out=error_without_m)
     monkeypatch.setattr(diagnose_module, "is_weak_evidence", lambda _: is_weak)
-    monkeypatch.setattr(diagnose_module, "MIN_MISFIT", 0.0)
     monkeypatch.setattr(diagnose_module, "errors_with_loop_shape_m", lambda *_: errors_m)
     monkeypatch.setattr(diagnose_module, "CLEARLY_WORSE", max_ratio)
     diagnosis = diagnosed(after=1.02, waves=1.02)
