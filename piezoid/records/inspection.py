@@ -13,14 +13,18 @@ from piezoid.records.checks import check_set
 from piezoid.records.checks.columns import check_columns
 from piezoid.records.column_roles import Role, meaning_of
 from piezoid.records.columns import Assignment, assign_columns
+from piezoid.records.frequency_response import ResponseSummary, summary_of
 from piezoid.records.ingest import Part, ingest_table, parts_of, with_checks
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import is_approach_curve, read_table
 from piezoid.records.recording import Quantity, Recording
-from piezoid.records.response_columns import is_response, part_of, response_columns
+from piezoid.records.response_columns import (
+    is_response,
+    part_of,
+    response_columns,
+    unit_in_heading,
+)
 from piezoid.records.response_ingest import ingest_response
-from piezoid.records.response_summary import ResponseSummary, summary_of
-from piezoid.records.response_units import unit_in_heading
 from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.records.sample_statistics import (
     clipped_samples,

@@ -19,16 +19,14 @@ from piezoid.records.frequency_response import (
 )
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.response_columns import (
+    AMPLITUDES,
     COMPLEX,
+    Kind,
     Pair,
     ResponseColumns,
+    ResponseUnit,
     ambiguous_response,
     response_columns,
-)
-from piezoid.records.response_units import (
-    AMPLITUDES,
-    Kind,
-    ResponseUnit,
     response_unit,
     unit_in_heading,
 )

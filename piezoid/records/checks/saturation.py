@@ -9,7 +9,6 @@ branch:
 Unlike a clipped reading, such a displacement may be true: it is reported and fitted.
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -29,19 +28,6 @@ MAX_DRIVE_STEP = 0.25  # of the missing drive: behind a step of the drive the st
 MIN_CORRELATION = 0.8  # of drive and displacement; butterfly loops are excluded
 
 
-@dataclass(frozen=True, kw_only=True)
-class SaturatedTurn:
-    """Upper turning point before which the displacement stopped.
-
-    stop_V, turn_V  drive at which the displacement stopped, and at the turning point
-    level           displacement at the turning point
-    """
-
-    stop_V: float
-    turn_V: float
-    level: float
-
-
 def check_saturation(recording: Recording, axis: str) -> list[Statement]:
     """Report each end of the drive with at least ``MIN_TURNS`` saturated turns at one level."""
     drive_V, displacement_m = recording.voltage_V(axis), recording.displacement_m(axis)
@@ -58,8 +44,8 @@ def check_saturation(recording: Recording, axis: str) -> list[Statement]:
         turns = saturated_turns(sign * drive_V, rising_m, is_valid)
         if len(turns) < MIN_TURNS:
             continue
-        stop_V = sign * float(np.median([turn.stop_V for turn in turns]))
-        end_V = sign * max(turn.turn_V for turn in turns)
+        stops_V, turns_V = zip(*turns, strict=True)
+        stop_V, end_V = sign * float(np.median(stops_V)), sign * max(turns_V)
         text = (
             f"Displacement constant {side} {stop_V:.4g} V in {len(turns)} cycles (the "
             f"drive reaches {end_V:.4g} V): end of the range of amplifier, sensor or stage. Stay "
@@ -71,11 +57,16 @@ def check_saturation(recording: Recording, axis: str) -> list[Statement]:
 
 def saturated_turns(
     drive_V: Array, displacement: Array, is_valid: NDArray[np.bool_]
-) -> list[SaturatedTurn]:
-    """Find the upper turning points at which the displacement stopped before the drive did."""
+) -> list[tuple[float, float]]:
+    """Find the upper turning points at which the displacement stopped before the drive did.
+
+    Returns:
+        The drive at which the displacement stopped, and at the turning point, of each.
+    """
     noise = max(noise_rms(displacement), step_size(displacement))
     min_missing = max(MIN_MISSING_NOISE * noise, MIN_MISSING_SHARE * float(np.ptp(displacement)))
-    turns = []
+    turns: list[tuple[float, float]] = []
+    levels: list[float] = []  # displacement at each of these turns
     edges = (0, *reversals_of(drive_V, max(noise_of(drive_V), 0.02 * float(np.ptp(drive_V)))))
     for start, end in pairwise(edges):
         is_rising = drive_V[end] > drive_V[start] and end - start >= 10
@@ -91,8 +82,7 @@ def saturated_turns(
             continue
         gain = (level - displacement[start]) / max(float(drive_V[stop] - drive_V[start]), 1e-12)
         if gain * missing_V > min_missing:
-            turns.append(
-                SaturatedTurn(stop_V=float(drive_V[stop]), turn_V=float(drive_V[end]), level=level)
-            )
-    highest = max((turn.level for turn in turns), default=0.0)
-    return [turn for turn in turns if turn.level > highest - min_missing]
+            turns.append((float(drive_V[stop]), float(drive_V[end])))
+            levels.append(level)
+    lowest = max(levels, default=0.0) - min_missing
+    return [turn for turn, level in zip(turns, levels, strict=True) if level > lowest]

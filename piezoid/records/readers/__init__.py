@@ -20,10 +20,9 @@ from piezoid.records.readers import (
     matlab,
     nanonis,
     numpy_files,
+    oscilloscopes,
     parquet,
-    rigol,
     tdms,
-    tektronix,
     text_table,
 )
 from piezoid.records.readers.reader import Reader, library_errors
@@ -46,9 +45,9 @@ READERS: tuple[Reader, ...] = (
     tdms.READER,
     lvm.READER,
     nanonis.READER,
-    rigol.READER,
-    tektronix.READER,
-    tektronix.ABOVE,
+    oscilloscopes.RIGOL,
+    oscilloscopes.TEKTRONIX,
+    oscilloscopes.TEKTRONIX_ABOVE,
     gcs_array.READER,
     text_table.READER,
 )

@@ -5,7 +5,10 @@ import re
 from collections import Counter
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from piezoid.errors import LabFileError, UnreadableFileError
+from piezoid.numerics.arrays import Array
 from piezoid.records.column_roles import Role, meaning_of
 from piezoid.records.readers.source import TextFormat, check_columns, unreadable
 from piezoid.records.readers.text_numbers import Layout, cells_of, number_of, refuse_prefix, split
@@ -270,17 +273,21 @@ def _with_headings(
     return TableStart(layout=layout, row=first, labels=labels, units=units, above=preamble)
 
 
-def headings_beside_row_numbers(start: TableStart) -> tuple[str, ...] | None:
-    """Return the headings of a line with one name less than the rows have fields, or None.
+def with_headings_beside_row_numbers(start: TableStart, first_column: Array) -> TableStart:
+    """Return the start with headings if only a column of row numbers has none.
 
-    Programs write row numbers without a heading; the caller checks whether the first column
-    contains row numbers.
+    Programs write row numbers without a heading: the line of headings then has one name less than
+    the rows have fields.
     """
     if any(start.labels) or not start.above or start.layout.fields < 3:
-        return None
+        return start
     layout = replace(start.layout, fields=start.layout.fields - 1)
     cells = _heading_fields(start.above[-1], layout)
-    return None if cells is None or not all(cells) else ("", *cells)
+    if cells is None or not all(cells):
+        return start
+    if first_column[0] not in (0, 1) or not (np.diff(first_column) == 1).all():
+        return start
+    return replace(start, labels=("", *cells), above=start.above[:-1])
 
 
 def _heading_fields(line: str, layout: Layout, is_open: bool = False) -> tuple[str, ...] | None:

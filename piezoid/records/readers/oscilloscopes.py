@@ -1,8 +1,4 @@
-"""Tektronix oscilloscope CSV with its settings next to the samples.
-
-Every row is ``key, value, (blank), time, volts, (blank)`` for each saved channel; the settings end
-after some twenty rows, the samples continue.
-"""
+"""CSV of oscilloscopes: Tektronix with its settings beside or above the samples, and Rigol."""
 
 import re
 from dataclasses import replace
@@ -13,19 +9,19 @@ from piezoid.records.readers import text_table
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
 from piezoid.records.readers.text_numbers import Layout, number_of, split
-from piezoid.records.table import RawTable
+from piezoid.records.readers.text_table import table_under
+from piezoid.records.table import RawTable, rate_of
 from piezoid.statement import finding
 
 _SETTING_LINES = 60
 
 
-def recognises(source: Source) -> bool:
-    """Recognise the format by the settings next to the first samples."""
-    return re.match(rb'"?Record Length"?,[^\n]*,[^\n]*,[^\n]*,', source.head) is not None
+def read_tektronix(source: Source) -> RawTable:
+    """Read all channels, which must have the same clock.
 
-
-def read(source: Source) -> RawTable:
-    """Read all channels, which must have the same clock."""
+    Every row is ``key, value, (blank), time, volts, (blank)`` for each saved channel; the settings
+    end after some twenty rows, the samples continue.
+    """
     rows = [split(line, ",") for line in text_of(source).rstrip().split("\n")]
     starts = [k for k, cell in enumerate(rows[0]) if cell == "Record Length"]
     fields: list[int] = []  # of the time and the value of each channel
@@ -55,7 +51,7 @@ def read(source: Source) -> RawTable:
         ]
     body = "\n".join(",".join(row[k] if k < len(row) else "" for k in fields) for row in rows)
     layout = Layout(separator=",", decimal=".", fields=len(fields))
-    table = text_table.table_under(source, headings, body, layout, 1)
+    table = table_under(source, headings, body, layout, 1)
     columns = [replace(column, number=fields[column.number - 1] + 1) for column in table.columns]
     for k in range(2, len(columns), 2):
         if not np.array_equal(columns[k].values, columns[0].values, equal_nan=True):
@@ -88,13 +84,7 @@ def _settings(rows: list[list[str]], start: int) -> dict[str, str]:
     }
 
 
-def recognises_above(source: Source) -> bool:
-    """Recognise the later format, with settings above the samples, by unit lines and heading."""
-    lines = (rb"^Horizontal Units,", rb"^Vertical Units,", rb"^TIME,")
-    return all(re.search(line, source.head, re.MULTILINE) for line in lines)
-
-
-def read_above(source: Source) -> RawTable:
+def read_tektronix_above(source: Source) -> RawTable:
     """Read the later format: a text table with its units in the settings above it."""
     table = text_table.read(source)
     units = [
@@ -108,12 +98,78 @@ def read_above(source: Source) -> RawTable:
     return replace(table, columns=columns)
 
 
-ABOVE = Reader(
+def is_rigol(source: Source) -> bool:
+    """Recognise a file of Rigol by its first line, which starts with X and names channels."""
+    line = source.head.split(b"\n", 1)[0].decode("latin-1")
+    cells = [cell.upper() for cell in split(line, ",")]
+    return len(cells) > 1 and cells[0] == "X" and cells[1].replace(" ", "").startswith("CH")
+
+
+def read_rigol(source: Source) -> RawTable:
+    """Read both layouts of Rigol. The X of these instruments is a time in seconds.
+
+    With a start and an increment the second line holds ``Sequence``, the unit of each channel,
+    then the two numbers in seconds; the rows count from 0.
+    """
+    lines = text_of(source).rstrip().split("\n")
+    labels = [label for label in split(lines[0], ",") if label]
+    units = split(lines[1], ",") if len(lines) > 1 else []
+    has_units = bool(units) and number_of(units[0], ".") is None
+    skipped = 2 if has_units else 1
+    if len(lines) <= skipped:
+        raise unreadable(
+            source.name,
+            "no rows below its headings",
+            needed="rows of numbers",
+            remedy="Save the waveform again.",
+            line=skipped,
+        )
+    channels = [label for label in labels if label not in ("Start", "Increment")]
+    unit_of = dict(enumerate(units if has_units else []))
+    headings = [
+        ("time (X)", "s"),
+        *((label, unit_of.get(k, "")) for k, label in enumerate(channels[1:], start=1)),
+    ]
+    fields = max(len(channels), len(split(lines[skipped], ",")))
+    layout = Layout(separator=",", decimal=".", fields=fields)
+    table = table_under(source, headings, "\n".join(lines[skipped:]), layout, skipped + 1)
+    if not has_units or "Increment" not in labels:
+        return table
+    index = labels.index("Increment")
+    increment_s = number_of(units[index], ".") if index < len(units) else None
+    if increment_s is None or not increment_s > 0:
+        raise unreadable(
+            source.name,
+            f"line 2 gives no positive time increment: {','.join(units)!r}",
+            needed="an increment in seconds",
+            remedy="Save the waveform again.",
+            line=2,
+        )
+    return replace(
+        table,
+        columns=table.columns[1:],
+        sampling_rate_Hz=rate_of(increment_s),
+    )
+
+
+TEKTRONIX = Reader(
+    name="Tektronix oscilloscope",
+    usual_suffixes=(".csv",),
+    # The settings stand beside the first samples.
+    recognises=lambda source: bool(
+        re.match(rb'"?Record Length"?,[^\n]*,[^\n]*,[^\n]*,', source.head)
+    ),
+    read=read_tektronix,
+)
+TEKTRONIX_ABOVE = Reader(
     name="Tektronix oscilloscope, settings above",
     usual_suffixes=(".csv",),
-    recognises=recognises_above,
-    read=read_above,
+    recognises=lambda source: all(
+        re.search(line, source.head, re.MULTILINE)
+        for line in (rb"^Horizontal Units,", rb"^Vertical Units,", rb"^TIME,")
+    ),
+    read=read_tektronix_above,
 )
-READER = Reader(
-    name="Tektronix oscilloscope", usual_suffixes=(".csv",), recognises=recognises, read=read
+RIGOL = Reader(
+    name="Rigol oscilloscope", usual_suffixes=(".csv",), recognises=is_rigol, read=read_rigol
 )
