@@ -7,7 +7,6 @@ lasts: crossings of one level of the drive in one direction differ from cycle to
 between them. A jump that returns on the way down (a dead spot, a converter) fails the second test.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -87,13 +86,27 @@ def split_at_baseline_steps(recording: Recording) -> Recording:
             for step in steps[:MAX_PLACES]
         ]
         further = f" and {len(steps) - MAX_PLACES} more" if len(steps) > MAX_PLACES else ""
+        # Lost fringes have multiples of one size.
+        sizes_m = np.array([abs(step.size) for step in steps])
+        cause = "slips of the stage or its mount, or a sensor that loses its zero"
+        if len(steps) == 1:
+            cause = (
+                "a slip of the stage or its mount, or a lost zero of the sensor (one step only)"
+            )
+        smallest = (float(sizes_m.min()), "an interferometer or a counter")
+        for unit_m, sensor in (*FRINGES, smallest) if len(steps) > 1 else ():
+            multiples = sizes_m / unit_m
+            error = np.abs(multiples - np.maximum(np.round(multiples), 1.0))
+            if np.all(error < FRINGE_TOLERANCE):
+                cause = f"{sensor} loses multiples of {with_unit(unit_m, 'm')}"
+                break
         times = "once" if len(steps) == 1 else f"{len(steps)} times"
         text = (
             f"The zero of the displacement steps {times} while the drive does not: "
-            f"{', '.join(descriptions)}{further}. Likely cause: {_likely_cause(steps)}. The spans "
+            f"{', '.join(descriptions)}{further}. Likely cause: {cause}. The spans "
             "between are fitted with separate zeros."
         )
-        largest_m = max(abs(step.size) for step in steps)
+        largest_m = float(sizes_m.max())
         statements.append(finding("zero_jump", text, axis=axis, value=largest_m, unit="m"))
     return replace(
         recording,
@@ -263,16 +276,3 @@ def _repeated_readings(
         np.array(second_samples, dtype=np.intp),
         np.array(difference),
     )
-
-
-def _likely_cause(steps: Sequence[BaselineStep]) -> str:
-    """Return the likely cause of steps; lost fringes have multiples of one size."""
-    sizes = np.array([abs(step.size) for step in steps])
-    if len(sizes) == 1:
-        return "a slip of the stage or its mount, or a lost zero of the sensor (one step only)"
-    for unit_m, sensor in (*FRINGES, (float(sizes.min()), "an interferometer or a counter")):
-        multiples = sizes / unit_m
-        error = np.abs(multiples - np.maximum(np.round(multiples), 1.0))
-        if np.all(error < FRINGE_TOLERANCE):
-            return f"{sensor} loses multiples of {with_unit(unit_m, 'm')}"
-    return "slips of the stage or its mount, or a sensor that loses its zero"

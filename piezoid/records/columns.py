@@ -6,9 +6,8 @@ ambiguity.
 
 import itertools
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -29,7 +28,6 @@ _BITS, _TICKS_s = (16, 24, 32), (1e-3, 1e-6)
 _MAX_MISS = 2.5  # intervals between a stamp at an overflow and the end of the counter
 
 Meanings = list[tuple[Column, Meaning]]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +74,24 @@ def assign_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignme
     the file does not have.
     """
     check_entry_names(lab, entry)
-    meanings = _declared_columns(table, lab, entry) if entry.columns else _headed_columns(table)
+    if entry.columns:
+        meanings = _declared_columns(table, lab, entry)
+    else:
+        meanings = [
+            (column, meaning)
+            for column in table.columns
+            if np.isfinite(column.values).any()
+            and (meaning := meaning_of(column.heading)).role is not Role.UNREAD
+        ]
+        # A column that is a drive or response only by its unit is ignored if another column is one
+        # by its name: in ``voltage [V], position [um], Monitor [V]`` the monitor is not a drive.
+        by_name = {(m.quantity, m.axis) for _, m in meanings if m.by_name}
+        by_name |= {(quantity, None) for quantity, _ in by_name}
+        meanings = [
+            (column, m)
+            for column, m in meanings
+            if m.role is not Role.CHANNEL or m.by_name or (m.quantity, m.axis) not in by_name
+        ]
     clocks = [column for column, meaning in meanings if meaning.role is Role.TIME]
     channels = _assign_axes(
         table, entry, [(c, meaning) for c, meaning in meanings if meaning.role is Role.CHANNEL]
@@ -135,28 +150,6 @@ def _unwrap_counter(
     return time
 
 
-def _headed_columns(table: RawTable) -> Meanings:
-    """Return the columns with numbers and their meaning by name and unit.
-
-    A column that is a drive or response only by its unit is ignored if another column is one by
-    its name: in ``voltage [V], position [um], Monitor [V]`` the monitor is not a drive.
-    """
-    meanings = [
-        (column, meaning)
-        for column in table.columns
-        if np.isfinite(column.values).any()
-        and (meaning := meaning_of(column.heading)).role is not Role.UNREAD
-    ]
-    by_name = {(m.quantity, m.axis) for _, m in meanings if m.by_name}
-    quantities = {quantity for quantity, _ in by_name}
-
-    def is_superseded(m: Meaning) -> bool:
-        by_unit = m.role is Role.CHANNEL and not m.by_name and m.quantity in quantities
-        return by_unit and (m.axis is None or (m.quantity, m.axis) in by_name)
-
-    return [(column, m) for column, m in meanings if not is_superseded(m)]
-
-
 def _declared_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meanings:
     """Return the columns that lab.toml names, and further columns identified by their headings.
 
@@ -181,24 +174,17 @@ def _declared_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meani
     if entry.axis is not None:
         declared_axes = {m.axis or entry.axis for _, m in meanings.values()}
         for column in table.columns:
-            meaning = meaning_of(column.heading)
-            if _is_drive_of_other_axis(column, meaning, declared_axes):
+            meaning, unit = meaning_of(column.heading), column.heading.unit
+            if (
+                meaning.quantity is Quantity.VOLTAGE
+                and meaning.by_name
+                and meaning.axis not in (None, *declared_axes)
+                and unit is not None
+                and unit.dimension is Dimension.VOLTAGE
+                and np.isfinite(column.values).any()
+            ):
                 meanings.setdefault(column.number, (column, meaning))
     return list(meanings.values())
-
-
-def _is_drive_of_other_axis(column: Column, meaning: Meaning, axes: Collection[str]) -> bool:
-    """Return whether name and unit state a drive of an axis that is not among ``axes``."""
-    unit = column.heading.unit
-    return (
-        meaning.quantity is Quantity.VOLTAGE
-        and meaning.by_name
-        and meaning.axis is not None
-        and meaning.axis not in axes
-        and unit is not None
-        and unit.dimension is Dimension.VOLTAGE
-        and bool(np.isfinite(column.values).any())
-    )
 
 
 def clocks_of(table: RawTable) -> list[Column]:
@@ -288,7 +274,8 @@ def _convert_column(
     unit of another quantity, or in volts of a sensor of unknown gain.
     """
     name = "time" if quantity is None else quantity.name.lower()
-    symbol = _declaration_for(entry.units, name, axis)
+    # An entry declares a column by its name with or without the axis.
+    symbol = entry.units.get(f"{name}_{axis}", entry.units.get(name))
     unit = column.heading.unit if symbol is None else unit_of(symbol)
     if quantity is Quantity.REFERENCE:
         unit = unit or Unit(symbol="", dimension=Dimension.OTHER)  # only its shape is used
@@ -299,7 +286,7 @@ def _convert_column(
     if unit is None:
         raise ambiguous_columns(table, f"{column.place} is a {name} without a unit")
     values = column.values * unit.factor + unit.offset
-    scale = _declaration_for(entry.scale, name, axis)
+    scale = entry.scale.get(f"{name}_{axis}", entry.scale.get(name))
     if unit.is_counted and quantity is not Quantity.REFERENCE and scale is None:
         statements.append(_counts_statement(table, lab, column, quantity, axis))
     elif quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
@@ -311,7 +298,7 @@ def _convert_column(
         )
     else:
         _check_dimension(table, column, quantity, axis, unit, is_scaled=scale is not None)
-    offset = _declaration_for(entry.offset, name, axis)
+    offset = entry.offset.get(f"{name}_{axis}", entry.offset.get(name))
     if scale is not None or offset is not None:
         values = values * (1.0 if scale is None else scale) + (offset or 0.0)
         if unit.is_counted and quantity in DIMENSION_OF:
@@ -342,11 +329,6 @@ def _check_dimension(
     elif unit.dimension is not (Dimension.TIME if quantity is None else DIMENSION_OF[quantity]):
         name = "time" if quantity is None else quantity.name.lower()
         raise ambiguous_columns(table, f"{column.place} is a {name} by name but in {unit.symbol}")
-
-
-def _declaration_for(by_name: Mapping[str, T], name: str, axis: str) -> T | None:
-    """Return the declaration of an entry for a column, by its name with or without the axis."""
-    return by_name.get(f"{name}_{axis}", by_name.get(name))
 
 
 def sensor_gain_V_per_m(lab: Lab, axis: str, volts: str, *, needed: str) -> float:

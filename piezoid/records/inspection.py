@@ -28,7 +28,6 @@ from piezoid.records.response_ingest import ingest_response
 from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.records.sample_statistics import (
     clipped_samples,
-    is_dead,
     is_noise_hidden,
     noise_rms,
     step_size,
@@ -270,7 +269,7 @@ def _summarise(
         maximum=None if is_empty else float(numbers.max()),
         noise_rms=None if is_noise_unknown else noise_rms(numbers),
         step=0.0 if is_empty else step_size(numbers),
-        is_dead=not is_empty and is_dead(numbers),
+        is_dead=not is_empty and bool(np.ptp(numbers) == 0),
         clipped=0.0 if is_empty else float(is_clipped.mean()),
         missing=int(np.count_nonzero(~np.isfinite(column.values))),
     )

@@ -254,25 +254,24 @@ def part_of(column: Column) -> str | None:
 
 
 def _parts_by_heading(table: RawTable) -> list[Part]:
+    """Return the columns whose headings name a part, with the output and the drive if named."""
     parts: list[Part] = []
     for column in table.columns:
-        part = part_of(column)
-        if part is not None:
-            pair = None if part == "frequency" else _pair_in(column.label)
-            parts.append((part, pair, column))
+        part, pair = part_of(column), None
+        stem = re.sub(r"\[.*?\]|\(.*?\)", " ", _base_name(column.label))
+        if part is None:
+            continue
+        if part == "frequency":
+            pass
+        elif match := _AXIS_NUMBERS.search(column.label):
+            i, j = (int(number) - 1 for number in match.groups() if number is not None)
+            pair = (_LETTERS[i], _LETTERS[j]) if max(i, j) < len(_LETTERS) else None
+        elif match := _AXIS_PAIR.search(stem):
+            pair = match[1], match[2]
+        elif match := _AXIS.search(stem):
+            pair = match[1], match[1]
+        parts.append((part, pair, column))
     return parts
-
-
-def _pair_in(label: str) -> Pair | None:
-    """Return the output and the drive that a heading names, or None."""
-    if match := _AXIS_NUMBERS.search(label):
-        i, j = (int(number) - 1 for number in match.groups() if number is not None)
-        return (_LETTERS[i], _LETTERS[j]) if max(i, j) < len(_LETTERS) else None
-    stem = re.sub(r"\[.*?\]|\(.*?\)", " ", _base_name(label))
-    if match := _AXIS_PAIR.search(stem):
-        return match[1], match[2]
-    match = _AXIS.search(stem)
-    return None if match is None else (match[1], match[1])
 
 
 def _parts_by_entry(table: RawTable, lab: Lab, entry: RecordingEntry) -> list[Part]:

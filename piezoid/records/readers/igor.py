@@ -44,7 +44,14 @@ def read(source: Source) -> RawTable:
             "together as delimited text.",
         )
     check_columns(source.name, values.shape[1])
-    arrays = dict(zip(_column_names(wave, values.shape[1]), values.T, strict=True))
+    # A first, surplus label is that of the whole dimension.
+    count = values.shape[1]
+    labels = [_text(label) for label in (wave["labels"][1] if wave["labels"] else [])]
+    names = numbered = [f"column {k + 1}" for k in range(count)]
+    if len(labels) >= count:
+        names = [label or number for label, number in zip(labels[-count:], numbered, strict=True)]
+    names = names if len(set(names)) == count else numbered
+    arrays = dict(zip(names, values.T, strict=True))
     header = wave["wave_header"]
     units = dict.fromkeys(arrays, _text(header["dataUnits"]))
     # The rate is that of the row dimension, or the one in the note of a microscope.
@@ -54,16 +61,6 @@ def read(source: Source) -> RawTable:
     elif noted := _POINTS_PER_SECOND.search(_text(wave["note"]).replace("\r", "\n")):
         rate_Hz = rate_of(1.0 / max(float(noted[1]), 1e-30))
     return table_of(source, arrays, units=units, sampling_rate_Hz=rate_Hz)
-
-
-def _column_names(wave: Any, count: int) -> list[str]:
-    """Return the labels of the columns; a first, surplus label is that of the whole dimension."""
-    labels = [_text(label) for label in (wave["labels"][1] if wave["labels"] else [])]
-    numbered = [f"column {k + 1}" for k in range(count)]
-    if len(labels) < count:
-        return numbered
-    names = [label or number for label, number in zip(labels[-count:], numbered, strict=True)]
-    return names if len(set(names)) == count else numbered
 
 
 def _text(field: Any) -> str:

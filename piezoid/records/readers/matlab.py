@@ -53,7 +53,8 @@ def read(source: Source) -> RawTable:
         variables = dict(_flatten("", read_mat(str(source.path)), opaque))
     else:
         with source.open() as stream:
-            checked_datasets(source, stream)
+            datasets = checked_datasets(stream)
+            check_growth(source, 8 * sum(dataset.size for dataset in datasets.values()))
             opaque = _objects_of_hdf5(stream)
         # The order of variables in HDF5 is arbitrary.
         variables = dict(sorted(_flatten("", read_mat(str(source.path)), opaque)))
@@ -78,32 +79,25 @@ def _check_sizes(source: Source) -> None:
     """Refuse variables of implausible size, also in structures."""
     from scipy.io import whosmat
 
-    # SciPy fails for objects, which have no size; _decompressed_sizes includes their elements.
+    # SciPy fails for objects, which have no size; their elements are counted below.
     with suppress(TypeError):
         variables = whosmat(str(source.path))
         check_growth(source, 8 * sum(int(np.prod(s, dtype=object)) for _, s, _ in variables))
     total = 0
     with source.open() as stream:
-        for size in _decompressed_sizes(stream):
-            total += size
-            # Numbers are stored in the smallest possible type, and read as doubles.
-            check_growth(source, 8 * total)
-
-
-def _decompressed_sizes(stream: BinaryIO) -> Iterator[int]:
-    """Yield the decompressed size of each piece of the file's elements."""
-    order = ">" if stream.read(HEADER_SIZE)[126:128] == b"MI" else "<"
-    while len(tag := stream.read(8)) == 8:
-        kind, size = struct.unpack(f"{order}II", tag)
-        inflate = zlib.decompressobj()
-        while size > 0 and (content := stream.read(min(size, PIECE_SIZE))):
-            size -= len(content)
-            if kind != COMPRESSED:
-                yield len(content)
-                continue
-            while content and not inflate.eof:
-                yield len(inflate.decompress(content, PIECE_SIZE))
-                content = inflate.unconsumed_tail
+        order = ">" if stream.read(HEADER_SIZE)[126:128] == b"MI" else "<"
+        while len(tag := stream.read(8)) == 8:
+            kind, size = struct.unpack(f"{order}II", tag)
+            inflate = zlib.decompressobj()
+            while size > 0 and (content := stream.read(min(size, PIECE_SIZE))):
+                size -= len(content)
+                total += 0 if kind == COMPRESSED else len(content)
+                while kind == COMPRESSED and content and not inflate.eof:
+                    total += len(inflate.decompress(content, PIECE_SIZE))
+                    content = inflate.unconsumed_tail
+                    check_growth(source, 8 * total)
+                # Numbers are stored in the smallest possible type, and read as doubles.
+                check_growth(source, 8 * total)
 
 
 def _objects_of_hdf5(stream: BinaryIO) -> dict[str, str]:
@@ -131,19 +125,18 @@ def _flatten(
             continue
         name = f"{prefix}.{key}" if prefix else str(key)
         if isinstance(value, Mapping) and set(value) >= OBJECT_FIELDS:
-            object_name, kind = (_first_text(value[field]) for field in ("s0", "s2"))
-            opaque[object_name or name] = kind
+            texts = []
+            for content in (value["s0"], value["s2"]):
+                is_sequence = isinstance(content, list | tuple | np.ndarray) and len(content)
+                text = content[0] if is_sequence else content
+                texts.append(
+                    text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
+                )
+            opaque[texts[0] or name] = texts[1]
         elif isinstance(value, Mapping):
             yield from _flatten(name, value, opaque)
         else:
             yield name, value if isinstance(value, np.ndarray) else np.asarray(value)
-
-
-def _first_text(field: object) -> str:
-    """Return the text in a field of an object."""
-    is_sequence = isinstance(field, list | tuple | np.ndarray) and len(field)
-    text = field[0] if is_sequence else field  # type: ignore[index]
-    return text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
 
 
 READER = Reader(

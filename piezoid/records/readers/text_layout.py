@@ -4,10 +4,11 @@ import json
 import re
 from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import numpy as np
 
-from piezoid.errors import LabFileError, UnreadableFileError
+from piezoid.errors import LabFileError
 from piezoid.numerics.arrays import Array
 from piezoid.records.column_roles import Role, meaning_of
 from piezoid.records.readers.source import TextFormat, check_columns, unreadable
@@ -25,6 +26,7 @@ _THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 _SPLIT_NUMBER = re.compile(r"[+-]?\d{1,9},\d{3,9}(?=,)")
 _BELOW_THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}")
 _BRACKETS = frozenset("[](){}")
+UNIT_BRACKETS = "[]() "  # around a unit in a row of units
 _HEXADECIMAL = re.compile(r"\b0[xX][0-9a-fA-F]{1,16}\b")
 _COMMENT = re.compile(r"^\s*(?:#|%|//)+\s?")
 # No opening bracket inside: a line of opening brackets would take quadratic time.
@@ -60,7 +62,10 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
     else the first one in the list (a tab always separates, a blank often does not).
     """
     declared = declared or TextFormat()
-    lines, count = _head_lines(lines), len(lines)
+    # At most MAX_TRIED_TEXT characters in possible rows.
+    sizes = accumulate(len(line) if len(line) <= MAX_LINE else 0 for line in lines)
+    tried = max(sum(size <= MAX_TRIED_TEXT for size in sizes), 1)
+    lines, count = lines[:tried], len(lines)
     if declared.heading_row is not None and declared.heading_row >= len(lines):
         raise LabFileError(
             f"lab.toml: heading_row of {name} is {declared.heading_row}, the headings of this "
@@ -72,7 +77,19 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
     best = _find_best_start(lines, 1.0, declared) or _find_best_start(lines, 0.5, declared)
     if best is None:
         check_columns(name, max((_column_count(x) for x in lines if len(x) > MAX_LINE), default=0))
-        raise _no_table(lines, count, name, declared)
+        entries = ", ".join(f"{key} = {value!r}" for key, value in declared.entries.items())
+        stated = f" with {entries} of lab.toml" if entries else ""
+        numbers = (match[0] for line in lines if (match := _HEXADECIMAL.search(line)))
+        hint = next((f", and {number!r} is a hexadecimal number" for number in numbers), "")
+        raise unreadable(
+            name,
+            f"its first {count} lines hold no row of numbers{stated}; line 1 is "
+            f"{lines[0][:60]!r}{hint}",
+            needed="a table of numbers separated by tabs, semicolons, bars, commas or blanks",
+            remedy="Export the recording as CSV, in decimal numbers, without units or words in "
+            "the cells.",
+            line=1,
+        )
     for row, line in enumerate(lines[: best.row], start=1):
         # A row of numbers above the table may contain a prefix in a cell.
         cells = cells_of(line, best.layout) if len(line) <= MAX_LINE else []
@@ -87,24 +104,6 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
     if not declared.decimal:
         _refuse_possible_thousands(lines, best, name)
     return best
-
-
-def _no_table(
-    lines: list[str], count: int, name: str, declared: TextFormat
-) -> UnreadableFileError:
-    entries = ", ".join(f"{key} = {value!r}" for key, value in declared.entries.items())
-    stated = f" with {entries} of lab.toml" if entries else ""
-    numbers = (match[0] for line in lines if (match := _HEXADECIMAL.search(line)))
-    hint = next((f", and {number!r} is a hexadecimal number" for number in numbers), "")
-    return unreadable(
-        name,
-        f"its first {count} lines hold no row of numbers{stated}; line 1 is "
-        f"{lines[0][:60]!r}{hint}",
-        needed="a table of numbers separated by tabs, semicolons, bars, commas or blanks",
-        remedy="Export the recording as CSV, in decimal numbers, without units or words in "
-        "the cells.",
-        line=1,
-    )
 
 
 def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name: str) -> None:
@@ -124,7 +123,10 @@ def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name
         return
     if heading_count == layout.fields:
         return
-    if heading_count == layout.fields - 1 and _has_row_numbers(lines[start.row :], layout):
+    rows = [line for line in lines[start.row :] if line.strip() and not _COMMENT.match(line)]
+    first_cells = [cells_of(line, layout)[0] for line in rows[:3]]
+    counts = [[str(first + k) for k in range(len(first_cells))] for first in (0, 1)]
+    if heading_count == layout.fields - 1 and first_cells in counts:
         return  # a column of row numbers without a heading
     explanation, entry = "", 'decimal = "."'
     if heading_count < layout.fields and layout.separator == ",":
@@ -150,13 +152,6 @@ def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name
     )
 
 
-def _has_row_numbers(lines: list[str], layout: Layout) -> bool:
-    """Return whether the first cells of the rows are 0, 1, 2, ... or 1, 2, 3, ..."""
-    rows = [line for line in lines if line.strip() and not _COMMENT.match(line)]
-    cells = [cells_of(line, layout)[0] for line in rows[:3]]
-    return any(cells == [str(first + k) for k in range(len(cells))] for first in (0, 1))
-
-
 def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -> None:
     """Refuse numbers in which a comma may mark thousands or decimals.
 
@@ -180,16 +175,6 @@ def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -
                 remedy="Write into lab.toml which character marks decimals:\n\n[[recording]]\n"
                 f'file = {json.dumps(name)}\ndecimal = "."\n',
             )
-
-
-def _head_lines(lines: list[str]) -> list[str]:
-    """Return the first lines with at most ``MAX_TRIED_TEXT`` characters in possible rows."""
-    size = 0
-    for row, line in enumerate(lines):
-        size += len(line) if len(line) <= MAX_LINE else 0
-        if row and size > MAX_TRIED_TEXT:
-            return lines[:row]
-    return lines
 
 
 def _column_count(line: str) -> int:
@@ -344,7 +329,14 @@ def drop_repeated_headings(
     rows = 0
     labels = [(heading.stem.lower(), heading.unit) for heading in map(heading_of, start.labels)]
     for number, content in enumerate(text.split("\n"), start=line):
-        cells = _repeated_heading(content, start)
+        # A heading has as many words as there are columns, and no number.
+        cells: tuple[str, ...] = ()
+        if len(content) <= MAX_LINE and re.search(r"[^\W\d_]", content):
+            cells = _heading_fields(content.lstrip("\ufeff"), start.layout) or ()
+        if not any(cells) or any(
+            number_of(cell, start.layout.decimal) is not None for cell in cells if cell
+        ):
+            cells = ()
         headings = [heading_of(cell) for cell in cells]
         if cells and cells == start.units:
             continue
@@ -371,22 +363,7 @@ def drop_repeated_headings(
     )
 
 
-def _repeated_heading(line: str, start: TableStart) -> tuple[str, ...]:
-    """Return the cells of a line of as many words as columns, else an empty tuple."""
-    if len(line) > MAX_LINE or not re.search(r"[^\W\d_]", line):
-        return ()
-    cells = _heading_fields(line.lstrip("\ufeff"), start.layout) or ()
-    filled = [cell for cell in cells if cell]
-    is_heading = filled and all(number_of(cell, start.layout.decimal) is None for cell in filled)
-    return cells if is_heading else ()
-
-
 def _is_unit_row(cells: tuple[str, ...]) -> bool:
-    units = [unit_cell(cell) for cell in cells]
+    units = [cell.strip(UNIT_BRACKETS) for cell in cells]
     is_unit = [unit_of(unit) is not None for unit in units if unit]
     return bool(is_unit) and all(is_unit)
-
-
-def unit_cell(cell: str) -> str:
-    """Return a cell of a row of units without its brackets."""
-    return cell.strip("[]() ")

@@ -25,16 +25,15 @@ from piezoid.records.readers.source import (
 )
 from piezoid.records.readers.text_layout import (
     HEAD_LINES,
+    UNIT_BRACKETS,
     TableStart,
     drop_repeated_headings,
     find_table,
-    unit_cell,
     with_headings_beside_row_numbers,
 )
 from piezoid.records.readers.text_numbers import (
     Layout,
     NumberTable,
-    lines_are_rows,
     parse_numbers,
     without_comments,
 )
@@ -127,7 +126,16 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         packed = io.BufferedReader(_BoundedGzip(source, raw)) if source.is_gzip else raw
         # ``text_of`` decodes in the same way, except for errors behind the file's beginning.
         stream = io.TextIOWrapper(packed, encoding=encoding_of(source.head), errors="replace")
-        start = _start_in_stream(stream, source)
+        lines: list[str] = []
+        while len(lines) < HEAD_LINES and sum(map(len, lines)) < MAX_HEAD:
+            head_line = stream.readline(MAX_LINE)
+            if not head_line:
+                break
+            lines.append(head_line.removesuffix("\n"))
+        start = find_table(lines, source.name, source.text)
+        stream.seek(0)
+        for _ in range(start.row):
+            stream.readline()
         textual: frozenset[int] | None = None
         line, first_row = start.row + 1, 0
         for text in _line_chunks(stream, rows, source):
@@ -184,16 +192,17 @@ def _table(
         Column(
             number=k + 1,
             label=start.labels[k],
-            declared_unit="s" if k in block.stamped else unit_cell(start.units[k]),
+            declared_unit="s" if k in block.stamped else start.units[k].strip(UNIT_BRACKETS),
             values=values,
         )
         for k, values in enumerate(block.columns)
         if k not in block.textual
     )
+    has_other_lines = "\n\n" in body.rstrip("\n") or bool(without_comments(body, line)[1])
     return RawTable(
         columns=columns,
         # With other lines between the rows the line of a row is unknown.
-        first_line=line if lines_are_rows(body) and not segment_starts else 0,
+        first_line=0 if has_other_lines or segment_starts else line,
         segment_starts=segment_starts,
         metadata=metadata_of(start.above),
     )
@@ -267,21 +276,6 @@ class _BoundedGzip(gzip.GzipFile):
         content = super().read(size)
         check_growth(self._source, self.tell(), in_memory=False)
         return content
-
-
-def _start_in_stream(stream: io.TextIOWrapper, source: Source) -> TableStart:
-    """Find the table, and position the stream at its first row."""
-    lines: list[str] = []
-    while len(lines) < HEAD_LINES and sum(map(len, lines)) < MAX_HEAD:
-        line = stream.readline(MAX_LINE)
-        if not line:
-            break
-        lines.append(line.removesuffix("\n"))
-    start = find_table(lines, source.name, source.text)
-    stream.seek(0)
-    for _ in range(start.row):
-        stream.readline()
-    return start
 
 
 def _line_chunks(stream: io.TextIOWrapper, rows: int, source: Source) -> Iterator[str]:
