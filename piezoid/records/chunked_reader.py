@@ -14,13 +14,12 @@ instead; the remaining ones are pieces with separate initial states.
 import itertools
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 
 from piezoid.errors import LabFileError, RecordingError
 from piezoid.numerics.arrays import Array
@@ -203,43 +202,40 @@ class _ThinnedFile:
             elif kind not in _WHOLE_FILE:
                 text = f"{statement.text}; similarly in {times} of {self._chunks} chunks"
                 statements.append(replace(statement, text=text))
-        return [
-            self._thinned_recording(self._first, axis, thinning, statements)
-            for axis, thinning in sorted(self._thinnings.items())
-        ]
-
-    @staticmethod
-    def _thinned_recording(
-        first: Recording, axis: str, thinning: "Thinning", statements: Sequence[Statement]
-    ) -> Recording:
-        """Return the thinned rows as a recording with the names of the file's first chunk."""
-        rows, starts, stride, share = thinning.result()
-        channels = [first.find(q, axis) for q in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)]
-        rate_Hz = first.sampling_rate_Hz / stride
-        if stride > 1 or share < 1.0:
-            text = (
-                f"read in chunks: {rows.shape[1]} samples at {rate_Hz:.6g} Hz of axis {axis} "
-                f"represent the file, which was sampled at {first.sampling_rate_Hz:.6g} Hz"
-            )
-            if share < 1.0:
-                text += (
-                    f"; they cover {100 * share:.0f} % of it, in {len(starts)} segments, because "
-                    "its drive turns too often for fewer samples"
+        recordings, file_Hz = [], self._first.sampling_rate_Hz
+        for axis, thinning in sorted(self._thinnings.items()):
+            rows, starts, stride, share = thinning.result()
+            rate_Hz, thinned = file_Hz / stride, []
+            if stride > 1 or share < 1.0:
+                text = (
+                    f"read in chunks: {rows.shape[1]} samples at {rate_Hz:.6g} Hz of axis {axis} "
+                    f"represent the file, which was sampled at {file_Hz:.6g} Hz"
                 )
-            statements = (*statements, finding("thinned", text, place=first.name))
-        return Recording(
-            name=first.name,
-            digest=first.digest,
-            axis=axis,
-            sampling_rate_Hz=rate_Hz,
-            channels=tuple(
-                replace(channel, values=values)
-                for channel, values in zip(channels, rows, strict=True)
-                if channel is not None
-            ),
-            breaks=starts[1:],
-            statements=tuple(statements),
-        )
+                if share < 1.0:
+                    text += (
+                        f"; they cover {100 * share:.0f} % of it, in {len(starts)} segments, "
+                        "because its drive turns too often for fewer samples"
+                    )
+                thinned = [finding("thinned", text, place=self._first.name)]
+            channels = (
+                self._first.find(q, axis) for q in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
+            )
+            recordings.append(
+                replace(
+                    self._first,
+                    axis=axis,
+                    sampling_rate_Hz=rate_Hz,
+                    channels=tuple(
+                        replace(channel, values=values)
+                        for channel, values in zip(channels, rows, strict=True)
+                        if channel is not None
+                    ),
+                    breaks=starts[1:],
+                    bridged=(),
+                    statements=(*statements, *thinned),
+                )
+            )
+        return recordings
 
     def _rate_change_error(self, before_Hz: float, after_Hz: float, sample: int) -> RecordingError:
         return RecordingError(
@@ -250,19 +246,9 @@ class _ThinnedFile:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Block:
-    """Rows of a fixed number of samples of the file.
-
-    number             index of the block in the file
-    rows               (2, samples) V and m
-    before_V, after_V  drive of the samples next to the block, NaN at the ends of a piece
-    """
-
-    number: int
-    rows: Array
-    before_V: float
-    after_V: float
+# Index of a block in the file; its drive and displacement, (2, rows) V and m; the drive of the
+# samples next to the block, NaN at the ends of a piece.
+_Block = tuple[int, Array, float, float]
 
 
 class Thinning:
@@ -301,12 +287,12 @@ class Thinning:
             the number of samples of the file per row; the share of the file that the rows cover.
         """
         self._end_piece()
-        lengths = [block.rows.shape[1] for block in self._blocks]
+        lengths = [rows.shape[1] for _, rows, _, _ in self._blocks]
         stops = np.cumsum(lengths)
-        numbers = [block.number for block in self._blocks]
+        numbers = [number for number, _, _, _ in self._blocks]
         is_joined = [later == earlier + 1 for earlier, later in itertools.pairwise(numbers)]
         starts = [0, *stops[:-1][~np.array(is_joined, dtype=bool)].tolist()]
-        rows = np.hstack([block.rows for block in self._blocks]) if lengths else self._pending
+        rows = np.hstack([block[1] for block in self._blocks]) if lengths else self._pending
         stride = 1 << self._level
         share = 1.0 if self._skip == 0 else rows.shape[1] * stride / self._samples
         return rows, tuple(starts), stride, share
@@ -321,56 +307,48 @@ class Thinning:
     def _add_block(self, samples: Array, after_V: float) -> None:
         if self._noise_V is None:
             self._noise_V = white_noise_rms(samples[0, :_NOISE_ROWS])
-        block = _Block(number=self._number, rows=samples, before_V=self._before_V, after_V=after_V)
+        block = self._number, samples, self._before_V, after_V
         for _ in range(self._level):
             block = self._halve(block)
-        if self._is_kept(block.number) and block.rows.size:
+        if self._is_kept(block) and block[1].size:
             self._blocks.append(block)
-            self._rows += block.rows.shape[1]
+            self._rows += block[1].shape[1]
         self._before_V = float(samples[0, -1])
         self._number += 1
         while self._rows > self._max_rows:
             can_halve = self._skip == 0 and self._block >> self._level > 1
             if can_halve:
                 # The fastest tenth of the branches of the drive must keep enough rows.
-                drive_V = np.concatenate([block.rows[0] for block in self._blocks])
+                drive_V = np.concatenate([rows[0] for _, rows, _, _ in self._blocks])
                 smallest_V = max(noise_of(drive_V), _SMALLEST_TURN * float(np.ptp(drive_V)))
                 turns = reversals_of(drive_V, smallest_V)
                 lengths = np.diff([0, *turns, len(drive_V)])
                 can_halve = np.quantile(lengths, _BRANCH_QUANTILE) >= 2 * MIN_BRANCH_ROWS
             if can_halve:
                 halved = map(self._halve, self._blocks)
-                self._blocks = [block for block in halved if block.rows.size]
+                self._blocks = [block for block in halved if block[1].size]
                 self._level += 1
             else:
                 self._skip += 1
-                self._blocks = [block for block in self._blocks if self._is_kept(block.number)]
-            self._rows = sum(block.rows.shape[1] for block in self._blocks)
+                self._blocks = [block for block in self._blocks if self._is_kept(block)]
+            self._rows = sum(rows.shape[1] for _, rows, _, _ in self._blocks)
 
-    def _is_kept(self, number: int) -> bool:
-        return (number >> self._level) % (1 << self._skip) == 0
+    def _is_kept(self, block: _Block) -> bool:
+        return (block[0] >> self._level) % (1 << self._skip) == 0
 
     def _halve(self, block: _Block) -> _Block:
         """Keep the first of every two rows, or the second if the drive turns there."""
-        rows = block.rows
+        number, rows, before_V, after_V = block
         pairs = rows[:, : rows.shape[1] // 2 * 2].reshape(2, -1, 2)
         margin_V = _NOISE_BAND * (self._noise_V or 0.0)
-        is_second = _is_maximum(pairs[0], block.before_V, block.after_V, margin_V) | _is_maximum(
-            -pairs[0], -block.before_V, -block.after_V, margin_V
-        )
+        is_second = np.zeros(pairs.shape[1], dtype=bool)
+        for sign in (1.0, -1.0):
+            # A maximum of the drive, or of its negative, in the second row of a pair.
+            drive_V = sign * pairs[0]
+            highest_V = drive_V.max(axis=1)
+            previous_V = np.concatenate([[sign * before_V], highest_V[:-1]])
+            following_V = np.concatenate([highest_V[1:], [sign * after_V]])
+            is_highest = (highest_V > previous_V) & (highest_V > following_V)
+            is_second |= is_highest & (drive_V[:, 1] > drive_V[:, 0] + margin_V)
         choice = is_second.astype(int)[None, :, None]
-        return replace(block, rows=np.take_along_axis(pairs, choice, axis=2)[:, :, 0])
-
-
-def _is_maximum(
-    drive_V: Array, before_V: float, after_V: float, margin_V: float
-) -> NDArray[np.bool_]:
-    """Return which pairs have a maximum of the drive in their second value.
-
-    before_V, after_V  neighbours of the first and last pair; NaN: no maximum in that pair
-    """
-    high_V = drive_V.max(axis=1)
-    previous = np.concatenate([[before_V], high_V[:-1]])
-    following = np.concatenate([high_V[1:], [after_V]])
-    is_highest = (high_V > previous) & (high_V > following)
-    return np.asarray(is_highest & (drive_V[:, 1] > drive_V[:, 0] + margin_V))
+        return number, np.take_along_axis(pairs, choice, axis=2)[:, :, 0], before_V, after_V

@@ -181,24 +181,26 @@ def _clock_with_faults(time_s: Array, resolution_s: float, name: str, row_name: 
     repeated = _repeated_stamps(steps, interval_s, resolution_s)
     backward = np.flatnonzero(steps < -max_excess_s) + 1
     set_back = np.round(np.minimum(1.0 - steps[backward - 1] / interval_s, MAX_LOST)).astype(int)
-    faults = (
-        ("gap", "time is missing", gaps, int(missing.sum())),
-        ("duplicate_time", "the time stamp is repeated", repeated, len(repeated)),
-        ("time_reversed", "the clock steps back", backward, int(set_back.sum())),
-    )
-    counts = [samples for _, _, _, samples in faults]
-    _refuse_unaccounted_time(time_s, interval_s, counts, name, row_name)
     single = int(np.sum(missing == 1))
     bridged = f"; {single} of single samples, bridged by interpolation" if single else ""
-    statements = []
-    for quantity, sentence, rows, samples in faults:
-        if len(rows):
-            text = f"{sentence} at {_places(rows, time_s, row_name)}"
-            text += bridged if quantity == "gap" else ""
-            place = row_name(int(rows[0]))
-            statements.append(
-                finding(quantity, text, place=place, value=float(samples), unit="samples")
-            )
+    counts = int(missing.sum()), len(repeated), int(set_back.sum())
+    _refuse_unaccounted_time(time_s, interval_s, counts, name, row_name)
+    faults = (
+        ("gap", "time is missing", gaps, bridged),
+        ("duplicate_time", "the time stamp is repeated", repeated, ""),
+        ("time_reversed", "the clock steps back", backward, ""),
+    )
+    statements = [
+        finding(
+            quantity,
+            f"{sentence} at {_places(rows, time_s, row_name)}{addition}",
+            place=row_name(int(rows[0])),
+            value=float(samples),
+            unit="samples",
+        )
+        for (quantity, sentence, rows, addition), samples in zip(faults, counts, strict=True)
+        if len(rows)
+    ]
     # The variance of a step is that of two independent stamps.
     errors_s = (steps - interval_s)[np.abs(steps - interval_s) < max_excess_s]
     jitter_s = float(np.sqrt(np.mean(errors_s**2) / 2)) if len(errors_s) else 0.0
@@ -293,16 +295,14 @@ def _find_gaps(time_s: Array, interval_s: float, max_excess_s: float) -> tuple[S
 
 def _repeated_stamps(steps: Array, interval_s: float, resolution_s: float) -> Stamps:
     """Return the samples with the stamp of the previous one, unless rounding explains them."""
-    is_equal = np.abs(steps) <= 1e-9 * interval_s
-    if resolution_s <= 0.5 * interval_s:
-        return np.flatnonzero(is_equal) + 1
+    is_repeated = np.abs(steps) <= 1e-9 * interval_s
     # A clock faster than its print repeats so many stamps.
-    by_rounding = len(steps) * max(0.0, 1.0 - interval_s / resolution_s)
-    if np.count_nonzero(is_equal) > 2 * by_rounding + 2:
-        return np.flatnonzero(is_equal) + 1
-    max_run = int(np.ceil(resolution_s / interval_s + 1e-6))
-    runs = [np.arange(a, b) + 1 for a, b in runs_of(is_equal) if b - a > max_run]
-    return np.concatenate(runs) if runs else np.zeros(0, dtype=int)
+    by_rounding = len(steps) * max(0.0, 1.0 - interval_s / resolution_s) if resolution_s else 0.0
+    if resolution_s > 0.5 * interval_s and np.count_nonzero(is_repeated) <= 2 * by_rounding + 2:
+        max_run = int(np.ceil(resolution_s / interval_s + 1e-6))
+        for start, stop in runs_of(is_repeated):
+            is_repeated[start:stop] &= stop - start > max_run
+    return np.flatnonzero(is_repeated) + 1
 
 
 def _clock_error(name: str, observed: str, needed: str) -> RecordingError:

@@ -6,14 +6,13 @@ ambiguity.
 
 import itertools
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piezoid.errors import LabFileError, UnitError
 from piezoid.numerics.arrays import Array
-from piezoid.records.column_roles import DIMENSION_OF, Meaning, Role, meaning_of
+from piezoid.records.column_roles import DIMENSION_OF, Meaning, meaning_of
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.recording import Quantity
 from piezoid.records.table import Column, RawTable
@@ -80,8 +79,7 @@ def assign_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignme
         meanings = [
             (column, meaning)
             for column in table.columns
-            if np.isfinite(column.values).any()
-            and (meaning := meaning_of(column.heading)).role is not Role.UNREAD
+            if np.isfinite(column.values).any() and (meaning := meaning_of(column.heading)).is_read
         ]
         # A column that is a drive or response only by its unit is ignored if another column is one
         # by its name: in ``voltage [V], position [um], Monitor [V]`` the monitor is not a drive.
@@ -90,14 +88,13 @@ def assign_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignme
         meanings = [
             (column, m)
             for column, m in meanings
-            if m.role is not Role.CHANNEL or m.by_name or (m.quantity, m.axis) not in by_name
+            if m.is_time or m.by_name or (m.quantity, m.axis) not in by_name
         ]
-    clocks = [column for column, meaning in meanings if meaning.role is Role.TIME]
-    channels = _assign_axes(
-        table, entry, [(c, meaning) for c, meaning in meanings if meaning.role is Role.CHANNEL]
-    )
+    clocks = [column for column, meaning in meanings if meaning.is_time]
+    channels = _assign_axes(table, entry, [(c, m) for c, m in meanings if m.quantity])
     if len(clocks) > 1:
-        raise ambiguous_columns(table, f"{_locations(clocks)} are both a time")
+        locations = " and ".join(column.place for column in clocks)
+        raise ambiguous_columns(table, f"{locations} are both a time")
     if not channels:
         raise ambiguous_columns(table, "no column is a drive voltage or a displacement")
     statements: list[Statement] = []
@@ -162,15 +159,16 @@ def _declared_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meani
             raise missing_column(table, lab, key, name_or_number)
         name, _, axis = key.partition("_")
         quantity = QUANTITIES.get(name)
-        role = Role.TIME if quantity is None else Role.CHANNEL
-        meaning = Meaning(role=role, quantity=quantity, axis=axis or None, by_name=True)
+        meaning = Meaning(
+            is_time=quantity is None, quantity=quantity, axis=axis or None, by_name=True
+        )
         meanings[column.number] = (column, meaning)
     if (
         "time" not in entry.columns
         and entry.sampling_rate_Hz is None
         and (clocks := clocks_of(table))
     ):
-        meanings.setdefault(clocks[0].number, (clocks[0], Meaning(role=Role.TIME)))
+        meanings.setdefault(clocks[0].number, (clocks[0], Meaning(is_time=True)))
     if entry.axis is not None:
         declared_axes = {m.axis or entry.axis for _, m in meanings.values()}
         for column in table.columns:
@@ -189,7 +187,7 @@ def _declared_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meani
 
 def clocks_of(table: RawTable) -> list[Column]:
     """Return the columns whose headings name a time."""
-    return [c for c in table.columns if meaning_of(c.heading).role is Role.TIME]
+    return [c for c in table.columns if meaning_of(c.heading).is_time]
 
 
 def missing_column(table: RawTable, lab: Lab, key: str, name_or_number: str | int) -> LabFileError:
@@ -230,9 +228,8 @@ def _assign_axes(
     has_response = any(quantity is Quantity.DISPLACEMENT for _, quantity, _ in parts)
     in_volts = [c for c, m in channels if m.quantity is Quantity.VOLTAGE and not m.by_name]
     if in_volts and not has_response:
-        raise ambiguous_columns(
-            table, f"{_locations(in_volts)} in volts may be a drive or a sensor's output"
-        )
+        locations = " and ".join(column.place for column in in_volts)
+        raise ambiguous_columns(table, f"{locations} in volts may be a drive or a sensor's output")
     # A column without an axis belongs to that of the entry, to the only axis of the file, or to x.
     named_axes = sorted({a for _, q, a in parts if a is not None and q in _LOOP_QUANTITIES})
     unnamed = [q for _, q, a in parts if a is None and q in _LOOP_QUANTITIES]
@@ -251,9 +248,10 @@ def _assign_axes(
     for column, quantity, axis in parts:
         key = (quantity, axis or default)
         if key in columns:
-            pair = _locations([columns[key], column])
             raise ambiguous_columns(
-                table, f"{pair} both claim to be the {quantity.name.lower()} of {key[1]}"
+                table,
+                f"{columns[key].place} and {column.place} both claim to be the "
+                f"{quantity.name.lower()} of {key[1]}",
             )
         columns[key] = column
     return [(column, quantity, axis) for (quantity, axis), column in columns.items()]
@@ -286,6 +284,10 @@ def _convert_column(
     if unit is None:
         raise ambiguous_columns(table, f"{column.place} is a {name} without a unit")
     values = column.values * unit.factor + unit.offset
+    expected = Dimension.TIME if quantity is None else DIMENSION_OF.get(quantity)
+    is_displacement_of_drive = (
+        quantity is Quantity.VOLTAGE and unit.dimension is Dimension.LENGTH and not unit.is_counted
+    )
     scale = entry.scale.get(f"{name}_{axis}", entry.scale.get(name))
     if unit.is_counted and quantity is not Quantity.REFERENCE and scale is None:
         statements.append(_counts_statement(table, lab, column, quantity, axis))
@@ -296,39 +298,23 @@ def _convert_column(
             f"{table.name}: {column.place} is a displacement of axis {axis} in volts",
             needed="metres",
         )
-    else:
-        _check_dimension(table, column, quantity, axis, unit, is_scaled=scale is not None)
+    elif is_displacement_of_drive and scale is None:
+        raise UnitError(
+            f"{table.name}: {column.place} is a drive of axis {axis} in {unit.symbol}: volts "
+            "times a sensitivity, as microscope programs write it",
+            needed="the drive in volts, or how many volts one metre of it is",
+            remedy="Write into its [[recording]] of lab.toml:\n\nscale = { voltage = ... }\n",
+        )
+    elif unit.dimension is not expected and not (
+        unit.is_counted or is_displacement_of_drive or quantity is Quantity.REFERENCE
+    ):
+        raise ambiguous_columns(table, f"{column.place} is a {name} by name but in {unit.symbol}")
     offset = entry.offset.get(f"{name}_{axis}", entry.offset.get(name))
     if scale is not None or offset is not None:
         values = values * (1.0 if scale is None else scale) + (offset or 0.0)
         if unit.is_counted and quantity in DIMENSION_OF:
             unit = replace(unit, dimension=DIMENSION_OF[quantity])
     return AssignedColumn(column=column, quantity=quantity, axis=axis, unit=unit, values=values)
-
-
-def _check_dimension(
-    table: RawTable,
-    column: Column,
-    quantity: Quantity | None,
-    axis: str,
-    unit: Unit,
-    *,
-    is_scaled: bool,
-) -> None:
-    """Refuse a unit of another quantity; counts and references may be in any unit."""
-    if unit.is_counted or quantity is Quantity.REFERENCE:
-        return
-    if quantity is Quantity.VOLTAGE and unit.dimension is Dimension.LENGTH:
-        if not is_scaled:
-            raise UnitError(
-                f"{table.name}: {column.place} is a drive of axis {axis} in {unit.symbol}: volts "
-                "times a sensitivity, as microscope programs write it",
-                needed="the drive in volts, or how many volts one metre of it is",
-                remedy="Write into its [[recording]] of lab.toml:\n\nscale = { voltage = ... }\n",
-            )
-    elif unit.dimension is not (Dimension.TIME if quantity is None else DIMENSION_OF[quantity]):
-        name = "time" if quantity is None else quantity.name.lower()
-        raise ambiguous_columns(table, f"{column.place} is a {name} by name but in {unit.symbol}")
 
 
 def sensor_gain_V_per_m(lab: Lab, axis: str, volts: str, *, needed: str) -> float:
@@ -378,10 +364,6 @@ def _counts_statement(
         f"count, into its [[recording]] of lab.toml{source}."
     )
     return finding("counts", text, place=column.place)
-
-
-def _locations(columns: Sequence[Column]) -> str:
-    return " and ".join(column.place for column in columns)
 
 
 def ambiguous_columns(table: RawTable, problem: str) -> UnitError:

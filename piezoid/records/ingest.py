@@ -205,7 +205,7 @@ def _make_channels(
                     is_invalid[k],
                     column=assigned.column.place,
                     unit=assigned.unit,
-                    row_name=lambda k: table.row_name(rows.source_row(k)),
+                    row_name=lambda k: table.row_name(int(rows.complete[int(rows.position[k])])),
                 )
             )
     channels = tuple(

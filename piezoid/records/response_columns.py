@@ -194,7 +194,7 @@ def is_response(table: RawTable, entry: RecordingEntry | None) -> bool:
 
 def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> ResponseColumns:
     """Assign a role to each column; errors contain the lines to write into lab.toml."""
-    _check_entry(lab, entry)
+    parts = _parts_by_entry(table, lab, entry)
     clocks = clocks_of(table)
     if clocks and not entry.columns:
         raise RecordingError(
@@ -204,7 +204,7 @@ def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Respon
             remedy="Name the columns of one of them in lab.toml; for the response:\n\n"
             f"{response_block(table)}\n",
         )
-    parts = _parts_by_entry(table, lab, entry) if entry.columns else _parts_by_heading(table)
+    parts = parts or _parts_by_heading(table)
     frequencies = [column for part, _, column in parts if part == "frequency"]
     paths: dict[Pair | None, dict[str, Column]] = {}
     for part, pair, column in parts:
@@ -275,7 +275,23 @@ def _parts_by_heading(table: RawTable) -> list[Part]:
 
 
 def _parts_by_entry(table: RawTable, lab: Lab, entry: RecordingEntry) -> list[Part]:
-    """Return the columns that lab.toml names."""
+    """Return the columns that lab.toml names; refuse names and keys that responses do not have."""
+    for key in (*entry.columns, *entry.units, *entry.scale):
+        if _parse_name(key)[0] not in _NAMES:
+            raise LabFileError(
+                f"{lab.place}: [[recording]] {entry.file!r}, a frequency response, names {key!r}",
+                needed=f"one of {', '.join(_NAMES)}, with axes as in phase_x or phase_xy (x "
+                "moves, y is driven)",
+                remedy="Correct the name, or leave the frequency out for a recording over time.",
+            )
+    keys = ("offset", "sampling_rate_Hz", "start_s", "stop_s", "reverse")
+    unusable = [key for key in keys if getattr(entry, key)]
+    if unusable:
+        raise LabFileError(
+            f"{lab.place}: [[recording]] {entry.file!r} has {', '.join(unusable)}",
+            needed="columns of a frequency response, which has no time and no offset",
+            remedy="Leave it out.",
+        )
     parts: list[Part] = []
     for key, name_or_number in entry.columns.items():
         name, pair = _parse_name(key)
@@ -298,26 +314,6 @@ def _parse_name(key: str) -> tuple[str, Pair | None]:
     if len(axis) == 2 and set(axis) <= set(_LETTERS):
         return name, (axis[0], axis[1])
     return name, (axis, axis)
-
-
-def _check_entry(lab: Lab, entry: RecordingEntry) -> None:
-    """Refuse the names and keys of an entry that frequency responses do not have."""
-    for key in (*entry.columns, *entry.units, *entry.scale):
-        if _parse_name(key)[0] not in _NAMES:
-            raise LabFileError(
-                f"{lab.place}: [[recording]] {entry.file!r}, a frequency response, names {key!r}",
-                needed=f"one of {', '.join(_NAMES)}, with axes as in phase_x or phase_xy (x "
-                "moves, y is driven)",
-                remedy="Correct the name, or leave the frequency out for a recording over time.",
-            )
-    keys = ("offset", "sampling_rate_Hz", "start_s", "stop_s", "reverse")
-    unusable = [key for key in keys if getattr(entry, key)]
-    if unusable:
-        raise LabFileError(
-            f"{lab.place}: [[recording]] {entry.file!r} has {', '.join(unusable)}",
-            needed="columns of a frequency response, which has no time and no offset",
-            remedy="Leave it out.",
-        )
 
 
 def _assign_axes(

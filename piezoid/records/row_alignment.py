@@ -70,10 +70,6 @@ class SampleRows:
             bridged=tuple(b - first for b in self.bridged if first <= b < stop),
         )
 
-    def source_row(self, sample: int) -> int:
-        """Return the row of the table of a sample, or the row before a lost sample."""
-        return int(self.complete[int(self.position[sample])])
-
     def values(self, column: Array) -> Array:
         """Return the samples of a column, with lost rows interpolated."""
         samples = np.interp(self.position, np.arange(len(self.complete)), column[self.complete])

@@ -100,7 +100,20 @@ def check_trees(stream: BinaryIO) -> None:
         return  # the library reports that this is not an HDF5 file
     # The width of an address: at byte 13 of the superblock, since its version 2 at byte 9.
     width = head[13] if head[8] < 2 else head[9]
-    right = dict(_neighbours(stream, base, width))
+    # The address of the right neighbour of each node.
+    right: dict[int, int] = {}
+    length = _LINKS_AT + 2 * width
+    stream.seek(base)
+    buffer, address = b"", 0
+    while piece := stream.read(_PIECE):
+        buffer += piece
+        position = buffer.find(_NODE)
+        while 0 <= position <= len(buffer) - length:
+            link = buffer[position + length - width : position + length]
+            right[address + position] = int.from_bytes(link, "little")
+            position = buffer.find(_NODE, position + 1)
+        consumed = max(len(buffer) - length, 0) if position < 0 else position
+        buffer, address = buffer[consumed:], address + consumed
     visited: set[int] = set()
     for first in right:
         chain: set[int] = set()
@@ -111,22 +124,6 @@ def check_trees(stream: BinaryIO) -> None:
             chain.add(node)
             node = right[node]
         visited |= chain
-
-
-def _neighbours(stream: BinaryIO, base: int, width: int) -> Iterator[tuple[int, int]]:
-    """Yield the addresses of each node and of its right neighbour."""
-    length = _LINKS_AT + 2 * width
-    stream.seek(base)
-    buffer, address = b"", 0
-    while piece := stream.read(_PIECE):
-        buffer += piece
-        position = buffer.find(_NODE)
-        while 0 <= position <= len(buffer) - length:
-            right = buffer[position + length - width : position + length]
-            yield address + position, int.from_bytes(right, "little")
-            position = buffer.find(_NODE, position + 1)
-        consumed = max(len(buffer) - length, 0) if position < 0 else position
-        buffer, address = buffer[consumed:], address + consumed
 
 
 READER = Reader(

@@ -5,7 +5,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -30,14 +30,9 @@ COMPRESSED = 15  # type of an element that zlib compressed
 PIECE_SIZE = 1 << 20
 
 
-def recognises(source: Source) -> bool:
-    """Recognise the text at the start of a file, also before the HDF5 of version 7.3."""
-    is_bare_hdf5 = source.head.startswith(SIGNATURE) and source.suffix == ".mat"
-    return source.head.startswith(b"MATLAB ") or is_bare_hdf5
-
-
 def read(source: Source) -> RawTable:
     """Read every numeric vector, by the name of its variable or ``structure.field``."""
+    import h5py
     from pymatreader import read_mat
 
     if source.decompressed is not None:
@@ -47,7 +42,14 @@ def read(source: Source) -> RawTable:
             needed="the .mat file itself",
             remedy="Run: gunzip " + source.name,
         )
-    opaque: dict[str, str] = {}
+    opaque: dict[str, str] = {}  # class of every object, by its path
+
+    def note_object(path: str, item: Any) -> None:
+        kind = item.attrs.get("MATLAB_class", b"")
+        kind = kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
+        if "MATLAB_object_decode" in item.attrs and kind not in PLAIN_CLASSES and path[0] != "#":
+            opaque[path.replace("/", ".")] = kind or "object"
+
     if source.head.startswith(b"MATLAB 5"):
         _check_sizes(source)
         variables = dict(_flatten("", read_mat(str(source.path)), opaque))
@@ -55,7 +57,7 @@ def read(source: Source) -> RawTable:
         with source.open() as stream:
             datasets = checked_datasets(stream)
             check_growth(source, 8 * sum(dataset.size for dataset in datasets.values()))
-            opaque = _objects_of_hdf5(stream)
+            h5py.File(stream, "r").visititems(note_object)
         # The order of variables in HDF5 is arbitrary.
         variables = dict(sorted(_flatten("", read_mat(str(source.path)), opaque)))
     arrays = {name: value for name, value in variables.items() if name not in opaque}
@@ -100,22 +102,6 @@ def _check_sizes(source: Source) -> None:
                 check_growth(source, 8 * total)
 
 
-def _objects_of_hdf5(stream: BinaryIO) -> dict[str, str]:
-    """Return the class of every object, by its path."""
-    import h5py
-
-    classes: dict[str, str] = {}
-
-    def keep(path: str, item: Any) -> None:
-        kind = item.attrs.get("MATLAB_class", b"")
-        kind = kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
-        if "MATLAB_object_decode" in item.attrs and kind not in PLAIN_CLASSES and path[0] != "#":
-            classes[path.replace("/", ".")] = kind or "object"
-
-    h5py.File(stream, "r").visititems(keep)
-    return classes
-
-
 def _flatten(
     prefix: str, variables: Mapping[str, object], opaque: dict[str, str]
 ) -> Iterator[tuple[str, np.ndarray]]:
@@ -142,7 +128,11 @@ def _flatten(
 READER = Reader(
     name="MATLAB",
     usual_suffixes=(".mat",),
-    recognises=recognises,
+    # The text at the start of a file stands also before the HDF5 of version 7.3.
+    recognises=lambda source: (
+        source.head.startswith(b"MATLAB ")
+        or (source.head.startswith(SIGNATURE) and source.suffix == ".mat")
+    ),
     read=read,
     library=True,
     extra="io",

@@ -98,12 +98,12 @@ def tables_of_pieces(
             name: np.concatenate([pending[name], values]) if pending else values
             for name, values in piece.items()
         }
-        while _longest(pending) >= 2 * rows:
+        while max(map(len, pending.values()), default=0) >= 2 * rows:
             chunk = {name: values[:rows] for name, values in pending.items()}
             yield replace(table(chunk), first_row=first)
             pending = {name: values[rows - 1 :] for name, values in pending.items()}
             first += rows - 1
-    if _longest(pending) > int(first > 0):
+    if max(map(len, pending.values()), default=0) > int(first > 0):
         yield replace(table(pending), first_row=first)
 
 
@@ -111,10 +111,6 @@ def commonest_length(lengths: Iterable[int]) -> int:
     """Return the commonest of some lengths, and the shortest of several; 0 without any."""
     counts = Counter(lengths)
     return max(sorted(counts), key=counts.__getitem__, default=0)
-
-
-def _longest(arrays: Arrays) -> int:
-    return max((len(values) for values in arrays.values()), default=0)
 
 
 def _columns_of(

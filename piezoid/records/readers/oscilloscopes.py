@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.records.readers import text_table
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
 from piezoid.records.readers.text_numbers import Layout, number_of, split
-from piezoid.records.readers.text_table import table_under
+from piezoid.records.readers.text_table import read_text, table_under
 from piezoid.records.table import RawTable, rate_of
 from piezoid.statement import finding
 
@@ -86,7 +85,7 @@ def _settings(rows: list[list[str]], start: int) -> dict[str, str]:
 
 def read_tektronix_above(source: Source) -> RawTable:
     """Read the later format: a text table with its units in the settings above it."""
-    table = text_table.read(source)
+    table = read_text(source, text_of(source))
     units = [
         table.metadata.get("Horizontal Units", "").strip(",").lower(),
         *table.metadata.get("Vertical Units", "").split(","),

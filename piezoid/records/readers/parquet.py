@@ -19,8 +19,7 @@ def read(source: Source) -> RawTable:
     with source.open() as stream:
         file = ParquetFile(stream)
         kinds = (_is_number, types.is_timestamp, types.is_duration)
-        units = _units_of(file, lambda kind: any(is_kind(kind) for is_kind in kinds))
-        _check_footer(source, file.metadata, len(units))
+        units = _checked_units(source, file, lambda kind: any(is_kind(kind) for is_kind in kinds))
         # Other columns are not read: a long text repeated in every row makes a small file.
         table = file.read(columns=list(units))
     columns = {name: table.column(name).combine_chunks() for name in units}
@@ -34,8 +33,7 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
 
     with source.open() as stream:
         file = ParquetFile(stream, buffer_size=_BUFFER, pre_buffer=False)
-        units = _units_of(file, _is_number)
-        _check_footer(source, file.metadata, len(units), in_memory=False)
+        units = _checked_units(source, file, _is_number, in_memory=False)
         pieces = (
             {name: batch.column(name).to_numpy(zero_copy_only=False) for name in units}
             for batch in file.iter_batches(batch_size=rows, columns=list(units), use_threads=False)
@@ -49,21 +47,24 @@ def _is_number(kind: Any) -> bool:
     return bool(types.is_floating(kind) or types.is_integer(kind))
 
 
-def _units_of(file: Any, is_read: Any) -> dict[str, str]:
-    """Return the units of the columns of some types by name; empty for an unknown unit."""
-    return {
+def _checked_units(
+    source: Source, file: Any, is_read: Any, *, in_memory: bool = True
+) -> dict[str, str]:
+    """Return the units of the columns of some types by name; empty for an unknown unit.
+
+    Refuses files that would fill memory or disk, by the sizes in the footer.
+    """
+    units = {
         field.name: (field.metadata or {}).get(b"unit", b"").decode("utf-8")
         for field in file.schema_arrow
         if is_read(field.type)
     }
-
-
-def _check_footer(source: Source, metadata: Any, columns: int, *, in_memory: bool = True) -> None:
-    """Refuse files that would fill memory or disk, by the sizes in the footer."""
+    metadata = file.metadata
     check_columns(source.name, metadata.num_columns)
-    check_growth(source, 8 * metadata.num_rows * columns, in_memory=in_memory)
+    check_growth(source, 8 * metadata.num_rows * len(units), in_memory=in_memory)
     groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
     check_growth(source, sum(group.total_byte_size for group in groups), in_memory=in_memory)
+    return units
 
 
 READER = Reader(

@@ -10,7 +10,7 @@ import numpy as np
 
 from piezoid.errors import LabFileError
 from piezoid.numerics.arrays import Array
-from piezoid.records.column_roles import Role, meaning_of
+from piezoid.records.column_roles import meaning_of
 from piezoid.records.readers.source import TextFormat, check_columns, unreadable
 from piezoid.records.readers.text_numbers import Layout, cells_of, number_of, refuse_prefix, split
 from piezoid.records.units import heading_of, unit_of
@@ -53,7 +53,7 @@ class TableStart:
     strays: tuple[int, ...] = ()
 
 
-def find_table(lines: list[str], name: str, declared: TextFormat | None = None) -> TableStart:
+def find_table(lines: list[str], name: str, declared: TextFormat) -> TableStart:
     """Find the table among the first lines of a text, trying every layout.
 
     declared  layout as declared in lab.toml
@@ -61,7 +61,6 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
     The layout with the most rows of numbers is selected; among equals the first one with headings,
     else the first one in the list (a tab always separates, a blank often does not).
     """
-    declared = declared or TextFormat()
     # At most MAX_TRIED_TEXT characters in possible rows.
     sizes = accumulate(len(line) if len(line) <= MAX_LINE else 0 for line in lines)
     tried = max(sum(size <= MAX_TRIED_TEXT for size in sizes), 1)
@@ -116,8 +115,7 @@ def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name
         cells = next((cut for cut in cuts if len(cut) > 1), [])
         heading_count = len([cell for cell in cells if cell])
         # ``rig, stage 42`` is not a line of headings; ``time [s], voltage`` is.
-        meanings = [meaning_of(heading_of(cell)).role for cell in cells]
-        if heading_count > 1 and any(role is not Role.UNREAD for role in meanings):
+        if heading_count > 1 and any(meaning_of(heading_of(cell)).is_read for cell in cells):
             break
     else:
         return
@@ -162,7 +160,7 @@ def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -
         return
     for k in range(start.layout.fields):
         rows = (cells_of(line, start.layout) for line in lines[start.row :] if line.strip())
-        cells = [row[k] for row in rows if len(row) > k and _has_digit(row[k])]
+        cells = [row[k] for row in rows if len(row) > k and any(map(str.isdigit, row[k]))]
         marked = sum(_THOUSAND.fullmatch(cell) is not None for cell in cells)
         unmarked = sum(_BELOW_THOUSAND.fullmatch(cell) is not None for cell in cells)
         if marked and unmarked and marked + unmarked == len(cells):
@@ -203,8 +201,24 @@ def _find_best_start(lines: list[str], share: float, declared: TextFormat) -> Ta
             continue
         fields = Counter(rows.values()).most_common(1)[0][0]
         first = min(row for row, count in rows.items() if count == fields)
-        start = replace(
-            _with_headings(lines, first, replace(layout, fields=fields), declared.heading_row),
+        layout = replace(layout, fields=fields)
+        is_open = bool(layout.separator) and all(
+            split(line, layout.separator)[-1:] == [""] for line in lines[first : first + 20]
+        )
+        above = [lines[k] for k in range(declared.heading_row or first) if lines[k].strip()]
+        labels = units = ("",) * fields
+        lowest = _heading_fields(above[-1], layout, is_open) if above else None
+        names = _heading_fields(above[-2], layout, is_open) if len(above) > 1 else None
+        if lowest and names and _is_unit_row(lowest) and not _is_unit_row(names):
+            labels, units, above = names, lowest, above[:-2]
+        elif lowest and any(re.search(r"[^\W\d_]", cell) for cell in lowest):
+            labels, above = lowest, above[:-1]
+        start = TableStart(
+            layout=layout,
+            row=first,
+            labels=labels,
+            units=units,
+            above=tuple(above),
             strays=tuple(row + 1 for row in rows if row < first),
         )
         score = (sum(count == fields for count in rows.values()), any(start.labels))
@@ -229,33 +243,10 @@ def _numeric_rows(lines: list[str], layout: Layout, share: float, above: int) ->
             numbers
             and is_whole
             and numbers >= share * len(values)
-            and any(map(_has_digit, fields))
+            and any(map(str.isdigit, "".join(fields)))
         ):
             fields_of_row[row] = len(fields)
     return fields_of_row
-
-
-def _has_digit(field: str) -> bool:
-    return any(character.isdigit() for character in field)
-
-
-def _with_headings(
-    lines: list[str], first: int, layout: Layout, heading_row: int | None
-) -> TableStart:
-    above = [k for k in range(heading_row or first) if lines[k].strip()]
-    labels = units = ("",) * layout.fields
-    if above:
-        is_open = bool(layout.separator) and all(
-            split(line, layout.separator)[-1:] == [""] for line in lines[first : first + 20]
-        )
-        lowest = _heading_fields(lines[above[-1]], layout, is_open)
-        names = _heading_fields(lines[above[-2]], layout, is_open) if len(above) > 1 else None
-        if lowest and names and _is_unit_row(lowest) and not _is_unit_row(names):
-            labels, units, above = names, lowest, above[:-2]
-        elif lowest and any(re.search(r"[^\W\d_]", cell) for cell in lowest):
-            labels, above = lowest, above[:-1]
-    preamble = tuple(lines[k] for k in above)
-    return TableStart(layout=layout, row=first, labels=labels, units=units, above=preamble)
 
 
 def with_headings_beside_row_numbers(start: TableStart, first_column: Array) -> TableStart:
@@ -288,8 +279,15 @@ def _heading_fields(line: str, layout: Layout, is_open: bool = False) -> tuple[s
         cuts += [_NAME_AND_BRACKET.findall(heading), re.split(r"\s{2,}|\t", heading.strip())]
     cuts += [split(heading, separator) for separator in ("\t", ";", ",")]
     if layout.separator and layout.separator in heading and not _BRACKETS.isdisjoint(heading):
-        # ``position [um, filtered]``
-        cuts.append(_split_outside_brackets(heading, layout.separator))
+        # ``position [um, filtered]`` is split outside its brackets.
+        outside, depth = [""], 0
+        for part in re.split(rf"([\[\](){{}}]|{re.escape(layout.separator)})", heading):
+            depth = max(depth + (part in tuple("[({")) - (part in tuple("])}")), 0)
+            if part == layout.separator and depth == 0:
+                outside.append("")
+            else:
+                outside[-1] += part
+        cuts.append(outside)
     for cells in cuts:
         cells = [cell.strip().strip('"').strip() for cell in cells]
         if len(cells) > layout.fields and not any(cells[layout.fields :]):
@@ -299,18 +297,6 @@ def _heading_fields(line: str, layout: Layout, is_open: bool = False) -> tuple[s
         if is_open and len(cells) + 1 == layout.fields:
             return (*cells, "")
     return None
-
-
-def _split_outside_brackets(line: str, separator: str) -> list[str]:
-    """Split a line at the separators outside brackets."""
-    cells, depth = [""], 0
-    for part in re.split(rf"([\[\](){{}}]|{re.escape(separator)})", line):
-        if part == separator and depth == 0:
-            cells.append("")
-            continue
-        depth = max(depth + (part in "[({") - (part in "])}"), 0) if part in _BRACKETS else depth
-        cells[-1] += part
-    return cells
 
 
 def drop_repeated_headings(

@@ -43,31 +43,25 @@ from piezoid.statement import Statement, finding
 TESTED_LINES = 10  # at the end of the head, below comments and headings
 
 
-def _pattern(digits: str) -> re.Pattern[str]:
-    # Possessive quantifiers (++): a run of digits is searched once. The sign has white space on
-    # both sides or on neither: "1.0 -0.3i" are two fields.
-    return re.compile(
+# Possessive quantifiers (++): a run of digits is searched once. A comma marks decimals only if the
+# fields have another separator. The sign has white space on both sides or on neither:
+# "1.0 -0.3i" are two fields.
+_WITH_POINTS, _WITH_COMMAS = (
+    re.compile(
         rf"(?<![\w.])\(?(?P<real>[+-]?{digits})(?:\s{{1,9}}(?P<spaced>[+-])\s{{1,9}}|\+?(?P<sign>[+-]))"
         rf"(?P<imaginary>{digits})\s?\*?[ijIJ](?![a-zA-Z\d])\)?"
     )
-
-
-_WITH_POINTS = _pattern(r"(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?")
-# A comma marks decimals only if the fields have another separator.
-_WITH_COMMAS = _pattern(r"(?:\d++(?:[.,]\d*+)?|[.,]\d++)(?:[eE][+-]?\d++)?")
-
-
+    for digits in (
+        r"(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?",
+        r"(?:\d++(?:[.,]\d*+)?|[.,]\d++)(?:[eE][+-]?\d++)?",
+    )
+)
 # Lines without a zero byte. Binary formats with longer headers of text have their own readers.
 MIN_TEXT_LINES = 3
 _MAX_ZEROS = 0.05  # of the first bytes
 _CONTROLS = frozenset(range(1, 32)) - frozenset(b"\t\n\v\f\r\x1a")
 MAX_LINE = 1 << 20  # characters; 4096 columns of whole doubles have a tenth of it
 MAX_HEAD = 1 << 24
-
-
-def read(source: Source) -> RawTable:
-    """Read the columns of numbers of a text table."""
-    return read_text(source, text_of(source))
 
 
 def read_text(source: Source, text: str) -> RawTable:
@@ -328,7 +322,7 @@ READER = Reader(
     name="text table",
     usual_suffixes=(".csv", ".tsv", ".txt", ".dat", ".asc"),
     recognises=recognises,
-    read=read,
+    read=lambda source: read_text(source, text_of(source)),
     read_chunks=read_chunks,
     reads_gzip=True,
     has_text_layout=True,
