@@ -20,6 +20,7 @@ Everything is optional. An unknown name is refused, because it is usually a typi
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from os.path import exists, realpath
 from pathlib import Path
@@ -86,10 +87,11 @@ class _Contents(
     axes: dict[str, AxisRig] = msgspec.field(default_factory=dict)
 
 
-class Lab(_Contents, frozen=True, kw_only=True):
+@dataclass(frozen=True, kw_only=True)
+class Lab:
     """Contents of lab.toml; the defaults declare nothing.
 
-    rig          name of the rig
+    name         from ``[rig]``
     place        the file's name, for messages
     folder       folder to which the names of recordings are relative
     digest       of the file's bytes, empty without a file
@@ -101,14 +103,20 @@ class Lab(_Contents, frozen=True, kw_only=True):
     axes         tables of single axes
     """
 
+    name: str = ""
     place: str = "lab.toml"
     folder: Path = Path()
     digest: str = ""
-
-    @property
-    def name(self) -> str:
-        """Name of the rig, from ``[rig]``."""
-        return self.rig.name
+    amplifier: Amplifier = field(default_factory=Amplifier)
+    actuator: Actuator = field(default_factory=Actuator)
+    sensor: Sensor = field(default_factory=Sensor)
+    acquisition: Acquisition = field(default_factory=Acquisition)
+    tunnelling: Tunnelling = field(default_factory=Tunnelling)
+    verification: dict[str, float] = field(default_factory=dict)
+    certificates: Certificates = field(default_factory=Certificates)
+    coupled: Coupled = field(default_factory=Coupled)
+    recordings: tuple[RecordingEntry, ...] = ()
+    axes: dict[str, AxisRig] = field(default_factory=dict)
 
     @property
     def rig_digest(self) -> str:
@@ -250,11 +258,13 @@ def read_lab(path: Path) -> Lab:
         hint = f" (did you mean {names[similar[0]]}?)" if similar else ""
         needed = f"the names and types of a lab.toml{hint}"
         raise lab_error(f"{path.name}: {table}: {message}", needed) from error
+    tables_of_lab = msgspec.structs.asdict(contents)
     lab = Lab(
-        **msgspec.structs.asdict(contents),
+        name=tables_of_lab.pop("rig").name,
         place=path.name,
         folder=path.parent,
         digest=digest_of_bytes(content),
+        **tables_of_lab,
     )
     _check_tables(lab)
     return lab

@@ -188,7 +188,7 @@ def _inconsistencies(recordings: Sequence[Recording]) -> list[tuple[Statement, s
         typical = max(
             slow,
             key=lambda gain: (
-                sum(_is_alike(other.gain_m_per_V / gain.gain_m_per_V) for other in slow),
+                sum(_is_alike(reference.gain_m_per_V / gain.gain_m_per_V) for reference in slow),
                 MIN_GAIN_m_per_V <= abs(gain.gain_m_per_V) <= MAX_GAIN_m_per_V,
                 gain.gain_m_per_V > 0.0,
                 gain.voltage_V[1] - gain.voltage_V[0],

@@ -114,6 +114,7 @@ def check_trees(stream: BinaryIO) -> None:
             position = buffer.find(_NODE, position + 1)
         consumed = max(len(buffer) - length, 0) if position < 0 else position
         buffer, address = buffer[consumed:], address + consumed
+    # A chain of neighbours that meets itself is a cycle.
     visited: set[int] = set()
     for first in right:
         chain: set[int] = set()

@@ -15,15 +15,8 @@ from piezoid.records.readers.source import Source, check_columns, unreadable
 from piezoid.records.table import RawTable, rate_of
 from piezoid.records.units import Dimension, unit_of
 
-_VERSIONS = (1, 2, 3, 5)  # a short integer of either byte order
+_VERSIONS = frozenset({1, 2, 3, 5})  # a short integer of either byte order
 _POINTS_PER_SECOND = re.compile(r"^NumPtsPerSec:\s*([\d.eE+]+)\s*$", re.MULTILINE)
-
-
-def recognises(source: Source) -> bool:
-    """Recognise a wave by its version in either byte order, and by its suffix."""
-    head = source.head[:2]
-    numbers = int.from_bytes(head, "little"), int.from_bytes(head, "big")
-    return source.suffix == ".ibw" and any(number in _VERSIONS for number in numbers)
 
 
 def read(source: Source) -> RawTable:
@@ -72,7 +65,12 @@ def _text(field: Any) -> str:
 READER = Reader(
     name="Igor",
     usual_suffixes=(".ibw",),
-    recognises=recognises,
+    recognises=lambda source: (
+        source.suffix == ".ibw"
+        and not _VERSIONS.isdisjoint(
+            {int.from_bytes(source.head[:2], "little"), int.from_bytes(source.head[:2], "big")}
+        )
+    ),
     read=read,
     library=True,
     extra="afm",

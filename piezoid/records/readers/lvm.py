@@ -132,11 +132,11 @@ def _join_segments(name: str, header: dict[str, str], segments: Sequence[_Segmen
     truncated = [
         finding(
             "truncated",
-            f"the header declares {samples} samples, the file holds {held}",
+            f"the header declares {samples} samples, the file holds {count}",
             place=f"line {line}",
         )
-        for samples, held, (_, _, _, line) in zip(declared, rows, segments, strict=True)
-        if samples > max(held, 1)
+        for samples, count, (_, _, _, line) in zip(declared, rows, segments, strict=True)
+        if samples > max(count, 1)
     ]
     return RawTable(
         columns=_columns(segments),

@@ -1,6 +1,6 @@
 """Apache Parquet: named columns, units in the names or in a field's metadata."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from piezoid.records.readers.named_arrays import table_of, tables_of_pieces
@@ -18,8 +18,8 @@ def read(source: Source) -> RawTable:
 
     with source.open() as stream:
         file = ParquetFile(stream)
-        kinds = (_is_number, types.is_timestamp, types.is_duration)
-        units = _checked_units(source, file, lambda kind: any(is_kind(kind) for is_kind in kinds))
+        times = (types.is_timestamp, types.is_duration)
+        units = _checked_units(source, file, (types.is_floating, types.is_integer, *times))
         # Other columns are not read: a long text repeated in every row makes a small file.
         table = file.read(columns=list(units))
     columns = {name: table.column(name).combine_chunks() for name in units}
@@ -29,11 +29,13 @@ def read(source: Source) -> RawTable:
 
 def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     """Yield the columns of numbers batch by batch, with at most one batch in memory."""
+    import pyarrow.types as types
     from pyarrow.parquet import ParquetFile
 
     with source.open() as stream:
         file = ParquetFile(stream, buffer_size=_BUFFER, pre_buffer=False)
-        units = _checked_units(source, file, _is_number, in_memory=False)
+        numbers = (types.is_floating, types.is_integer)
+        units = _checked_units(source, file, numbers, in_memory=False)
         pieces = (
             {name: batch.column(name).to_numpy(zero_copy_only=False) for name in units}
             for batch in file.iter_batches(batch_size=rows, columns=list(units), use_threads=False)
@@ -41,14 +43,8 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         yield from tables_of_pieces(source, pieces, rows, units=units)
 
 
-def _is_number(kind: Any) -> bool:
-    import pyarrow.types as types
-
-    return bool(types.is_floating(kind) or types.is_integer(kind))
-
-
 def _checked_units(
-    source: Source, file: Any, is_read: Any, *, in_memory: bool = True
+    source: Source, file: Any, kinds: Iterable[Callable[[Any], bool]], *, in_memory: bool = True
 ) -> dict[str, str]:
     """Return the units of the columns of some types by name; empty for an unknown unit.
 
@@ -57,7 +53,7 @@ def _checked_units(
     units = {
         field.name: (field.metadata or {}).get(b"unit", b"").decode("utf-8")
         for field in file.schema_arrow
-        if is_read(field.type)
+        if any(is_kind(field.type) for is_kind in kinds)
     }
     metadata = file.metadata
     check_columns(source.name, metadata.num_columns)
