@@ -11,8 +11,8 @@ from piezoid_cli.terminal import Json, Quiet, RecordingLab, print_record, rich_t
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from piezoid.records.frequency_response import PathSummary
     from piezoid.records.inspection import ColumnSummary, Inspection
-    from piezoid.records.response_summary import PathSummary
     from piezoid.statement import Statement
 
 

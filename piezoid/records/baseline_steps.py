@@ -7,7 +7,6 @@ lasts: crossings of one level of the drive in one direction differ from cycle to
 between them. A jump that returns on the way down (a dead spot, a converter) fails the second test.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -48,6 +47,7 @@ FRINGES = (
 MAX_PLACES = 5  # in the message
 
 Samples = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,38 +61,6 @@ class BaselineStep:
     first: int
     last: int
     size: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class RepeatedReadings:
-    """Pairs of samples at which a stage with a constant zero would read the same.
-
-    earlier, later  (pairs,)  samples
-    difference      (pairs,)  later reading less the earlier one
-    """
-
-    earlier: Samples
-    later: Samples
-    difference: Array
-
-    def unexplained(self, steps: Sequence[BaselineStep]) -> float:
-        """Return the mean size of the differences without the contribution of some steps."""
-        explained = np.zeros(len(self.difference))
-        for step in steps:
-            explained += step.size * self._spans(step)
-        return float(np.abs(self.difference - explained).mean())
-
-    def spanning(self, steps: Sequence[BaselineStep]) -> "RepeatedReadings":
-        """Return the pairs with a step between them."""
-        spans = np.zeros(len(self.difference), dtype=bool)
-        for step in steps:
-            spans |= self._spans(step)
-        return RepeatedReadings(
-            earlier=self.earlier[spans], later=self.later[spans], difference=self.difference[spans]
-        )
-
-    def _spans(self, step: BaselineStep) -> NDArray[np.bool_]:
-        return np.asarray((self.earlier <= step.first) & (self.later >= step.last))
 
 
 def split_at_baseline_steps(recording: Recording) -> Recording:
@@ -118,13 +86,27 @@ def split_at_baseline_steps(recording: Recording) -> Recording:
             for step in steps[:MAX_PLACES]
         ]
         further = f" and {len(steps) - MAX_PLACES} more" if len(steps) > MAX_PLACES else ""
+        # Lost fringes have multiples of one size.
+        sizes_m = np.array([abs(step.size) for step in steps])
+        cause = "slips of the stage or its mount, or a sensor that loses its zero"
+        if len(steps) == 1:
+            cause = (
+                "a slip of the stage or its mount, or a lost zero of the sensor (one step only)"
+            )
+        smallest = (float(sizes_m.min()), "an interferometer or a counter")
+        for unit_m, sensor in (*FRINGES, smallest) if len(steps) > 1 else ():
+            multiples = sizes_m / unit_m
+            error = np.abs(multiples - np.maximum(np.round(multiples), 1.0))
+            if np.all(error < FRINGE_TOLERANCE):
+                cause = f"{sensor} loses multiples of {with_unit(unit_m, 'm')}"
+                break
         times = "once" if len(steps) == 1 else f"{len(steps)} times"
         text = (
             f"The zero of the displacement steps {times} while the drive does not: "
-            f"{', '.join(descriptions)}{further}. Likely cause: {_likely_cause(steps)}. The spans "
+            f"{', '.join(descriptions)}{further}. Likely cause: {cause}. The spans "
             "between are fitted with separate zeros."
         )
-        largest_m = max(abs(step.size) for step in steps)
+        largest_m = float(sizes_m.max())
         statements.append(finding("zero_jump", text, axis=axis, value=largest_m, unit="m"))
     return replace(
         recording,
@@ -160,24 +142,27 @@ def baseline_steps(
     alternating = (is_up[1:] != is_up[:-1]).mean() if len(candidates) > 1 else 0.0
     if len(candidates) >= MIN_TELEGRAPH_STEPS and alternating >= TELEGRAPH_SHARE:
         return ()
-    readings = (
-        _readings_at_rest(reading) if is_drive_constant else _readings_at_crossings(reading, drive)
-    )
-    readings = readings.spanning(candidates)
+    earlier, later, difference = _repeated_readings(reading, drive, is_drive_constant)
+    spans: Mask = np.array([(earlier <= step.first) & (later >= step.last) for step in candidates])
+    contributions = np.array([[step.size] for step in candidates]) * spans
+
+    def mean_residual(used: Mask, pairs: Mask) -> float:
+        explained = contributions[used].sum(axis=0)
+        return float(np.abs(difference - explained)[pairs].mean())
+
     # A jump that returns within a cycle explains no difference between two cycles.
-    if not len(readings.difference) or readings.unexplained(
-        candidates
-    ) > MAX_UNEXPLAINED * readings.unexplained(()):
+    is_spanned, numbers = np.asarray(spans.any(axis=0)), np.arange(len(candidates))
+    every_step = numbers >= 0
+    if not is_spanned.any() or mean_residual(
+        every_step, is_spanned
+    ) > MAX_UNEXPLAINED * mean_residual(~every_step, is_spanned):
         return ()
-    steps = []
-    for step in candidates:
-        across = readings.spanning((step,))
-        without_step = [candidate for candidate in candidates if candidate is not step]
-        if len(across.difference) and across.unexplained(
-            candidates
-        ) < MAX_UNEXPLAINED * across.unexplained(without_step):
-            steps.append(step)
-    return tuple(steps)
+    return tuple(
+        step
+        for k, step in enumerate(candidates)
+        if (pairs := np.asarray(spans[k])).any()
+        and mean_residual(every_step, pairs) < MAX_UNEXPLAINED * mean_residual(numbers != k, pairs)
+    )
 
 
 def _step_between_cycles(reading: Array, drive: Array) -> tuple[BaselineStep, ...]:
@@ -188,8 +173,24 @@ def _step_between_cycles(reading: Array, drive: Array) -> tuple[BaselineStep, ..
     P is the period of the drive and J the step at t_0. The mean of d over a period shows steps far
     below the noise of single samples; the means over other periods must be much smaller. The first
     cycle has another initial state and is not compared.
+
+    A drive repeats after P if the sum of (u(t + P) - u(t))^2 is small against its power.
     """
-    period = _period(drive)
+    count, centred = len(drive), drive - drive.mean()
+    correlation = np.fft.irfft(np.abs(np.fft.rfft(centred, 2 * count)) ** 2)[:count]
+    power = np.concatenate([[0.0], np.cumsum(centred**2)])
+    lags = np.arange(count // MIN_CYCLES + 1)
+    squares = power[count - lags] + power[-1] - power[lags] - 2.0 * correlation[lags]
+    variance, drive_variance = squares / (count - lags), power[-1] / count
+    moving = np.flatnonzero(variance > 0.5 * drive_variance)
+    if not len(moving):
+        return ()
+    is_equal = variance[moving[0] :] < MAX_CYCLE_DIFFERENCE**2 * drive_variance
+    repeats = moving[0] + np.flatnonzero(is_equal)
+    if not len(repeats):
+        return ()
+    first = repeats[: 1 + np.argmax(np.diff(repeats, append=np.inf) > 1)]
+    period = int(first[np.argmin(variance[first])])
     if period == 0 or len(drive) < MIN_CYCLES * period:
         return ()
     difference = reading[2 * period :] - reading[period:-period]
@@ -209,28 +210,6 @@ def _step_between_cycles(reading: Array, drive: Array) -> tuple[BaselineStep, ..
     if robust_sigma(difference[in_period]) > MAX_SCATTER_RATIO * other_scatter:
         return ()
     return (BaselineStep(first=instant - 1, last=instant, size=size),)
-
-
-def _period(drive: Array) -> int:
-    """Return the period of a drive that repeats in equal cycles, in samples; 0 otherwise.
-
-    D(P) = sum (u(t + P) - u(t))^2   small against the power of u
-    """
-    count, centred = len(drive), drive - drive.mean()
-    correlation = np.fft.irfft(np.abs(np.fft.rfft(centred, 2 * count)) ** 2)[:count]
-    power = np.concatenate([[0.0], np.cumsum(centred**2)])
-    lags = np.arange(count // MIN_CYCLES + 1)
-    squares = power[count - lags] + power[-1] - power[lags] - 2.0 * correlation[lags]
-    variance, drive_variance = squares / (count - lags), power[-1] / count
-    moving = np.flatnonzero(variance > 0.5 * drive_variance)
-    if not len(moving):
-        return 0
-    is_equal = variance[moving[0] :] < MAX_CYCLE_DIFFERENCE**2 * drive_variance
-    repeats = moving[0] + np.flatnonzero(is_equal)
-    if not len(repeats):
-        return 0
-    first = repeats[: 1 + np.argmax(np.diff(repeats, append=np.inf) > 1)]
-    return int(first[np.argmin(variance[first])])
 
 
 def _outstanding_steps(reading: Array, drive: Array, width: int) -> list[BaselineStep]:
@@ -259,8 +238,22 @@ def _outstanding_steps(reading: Array, drive: Array, width: int) -> list[Baselin
     return steps
 
 
-def _readings_at_crossings(reading: Array, drive: Array) -> RepeatedReadings:
-    """Pair successive crossings of the same level of the drive in the same direction."""
+def _repeated_readings(
+    reading: Array, drive: Array, is_drive_constant: bool
+) -> tuple[Samples, Samples, Array]:
+    """Pair samples at which a stage with a constant zero would read the same.
+
+    These are successive crossings of the same level of the drive in the same direction; at
+    constant drive, the means of each block and of the next block but one.
+
+    Returns:
+        The earlier and the later samples, and the later readings less the earlier ones.
+    """
+    if is_drive_constant:
+        count = len(reading) // REST_BLOCK
+        means = reading[: count * REST_BLOCK].reshape(count, REST_BLOCK).mean(axis=1)
+        middle = REST_BLOCK * np.arange(count) + REST_BLOCK // 2
+        return middle[:-2], middle[2:], means[2:] - means[:-2]
     first_samples: list[int] = []
     second_samples: list[int] = []
     difference: list[float] = []
@@ -278,31 +271,8 @@ def _readings_at_crossings(reading: Array, drive: Array) -> RepeatedReadings:
                 first_samples.append(int(samples[first]))
                 second_samples.append(int(samples[second]))
                 difference.append(float(level[second] - level[first]))
-    return RepeatedReadings(
-        earlier=np.array(first_samples, dtype=np.intp),
-        later=np.array(second_samples, dtype=np.intp),
-        difference=np.array(difference),
+    return (
+        np.array(first_samples, dtype=np.intp),
+        np.array(second_samples, dtype=np.intp),
+        np.array(difference),
     )
-
-
-def _readings_at_rest(reading: Array) -> RepeatedReadings:
-    """Pair the means of each block and of the next block but one."""
-    count = len(reading) // REST_BLOCK
-    means = reading[: count * REST_BLOCK].reshape(count, REST_BLOCK).mean(axis=1)
-    middle = REST_BLOCK * np.arange(count) + REST_BLOCK // 2
-    return RepeatedReadings(
-        earlier=middle[:-2], later=middle[2:], difference=means[2:] - means[:-2]
-    )
-
-
-def _likely_cause(steps: Sequence[BaselineStep]) -> str:
-    """Return the likely cause of steps; lost fringes have multiples of one size."""
-    sizes = np.array([abs(step.size) for step in steps])
-    if len(sizes) == 1:
-        return "a slip of the stage or its mount, or a lost zero of the sensor (one step only)"
-    for unit_m, sensor in (*FRINGES, (float(sizes.min()), "an interferometer or a counter")):
-        multiples = sizes / unit_m
-        error = np.abs(multiples - np.maximum(np.round(multiples), 1.0))
-        if np.all(error < FRINGE_TOLERANCE):
-            return f"{sensor} loses multiples of {with_unit(unit_m, 'm')}"
-    return "slips of the stage or its mount, or a sensor that loses its zero"

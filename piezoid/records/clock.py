@@ -92,7 +92,16 @@ def read_clock(time_s: Array, name: str, row_name: RowName) -> Clock:
     error_s = time_s - time_s[0] - (start_s + slope_s * k)
     line_s = time_s[0] + start_s + (error_s.max() + error_s.min()) / 2 + slope_s * k
     is_line = uniform_s > 0 and np.abs(time_s - line_s).max() <= tolerance_s
-    if is_line and not _has_rare_jumps(time_s, resolution_s):
+    has_rare_jumps = False
+    if is_line and resolution_s > 0:
+        # A line fits the stamps 1, 2, 3, 5, 6 ms to half a millisecond. The steps of a clock
+        # slightly slower than its print are doubled at regular distances; lost samples are not.
+        steps = np.round(np.diff(time_s) / resolution_s).astype(np.int64)
+        typical = int(np.median(steps))
+        jumps = np.flatnonzero(2 * steps >= 3 * typical)
+        is_rare = typical >= 1 and 0 < len(jumps) <= MAX_RARE * len(steps)
+        has_rare_jumps = is_rare and (len(jumps) < 3 or bool(np.ptp(np.diff(jumps)) > 1))
+    if is_line and not has_rare_jumps:
         uncertainty = 2 * tolerance_s / (time_s[-1] - time_s[0])
         return Clock(sampling_rate_Hz=rounded_rate_Hz(1 / uniform_s, uncertainty))
     return _clock_with_faults(time_s, resolution_s, name, row_name)
@@ -151,45 +160,6 @@ def refuse_newest_first(time_s: Array, name: str, row_name: RowName) -> None:
     )
 
 
-def _has_rare_jumps(time_s: Array, resolution_s: float) -> bool:
-    """Return whether samples are lost although the stamps fit a line within their resolution.
-
-    A line fits the stamps 1, 2, 3, 5, 6 ms to half a millisecond. The steps of a clock slightly
-    slower than its print are doubled at regular distances; lost samples are irregular.
-    """
-    if resolution_s == 0:
-        return False
-    steps = np.round(np.diff(time_s) / resolution_s).astype(np.int64)
-    typical = int(np.median(steps))
-    jumps = np.flatnonzero(2 * steps >= 3 * typical)
-    if typical < 1 or not len(jumps) or len(jumps) > MAX_RARE * len(steps):
-        return False
-    return len(jumps) < 3 or bool(np.ptp(np.diff(jumps)) > 1)
-
-
-@dataclass(frozen=True, eq=False)
-class _Fault:
-    """Rows of the stamps with one fault, and the number of samples lost, added or set back."""
-
-    quantity: str
-    sentence: str
-    rows: Stamps
-    samples: int
-
-    def statement(self, time_s: Array, row_name: RowName, addition: str = "") -> Statement:
-        """State the number of faults and the first locations."""
-        first = [
-            f"{row_name(k)}, t = {time_s[k]:.6g} s (step {time_s[k] - time_s[k - 1]:.6g} s)"
-            for k in self.rows[:_MAX_PLACES].tolist()
-        ]
-        unlisted = len(self.rows) - _MAX_PLACES
-        further = f" and {unlisted} more" if unlisted > 0 else ""
-        locations = f"{len(self.rows)} places: {'; '.join(first)}{further}"
-        text, row = f"{self.sentence} at {locations}{addition}", int(self.rows[0])
-        samples = float(self.samples)
-        return finding(self.quantity, text, place=row_name(row), value=samples, unit="samples")
-
-
 def _clock_with_faults(time_s: Array, resolution_s: float, name: str, row_name: RowName) -> Clock:
     """Return a clock with the faults of its stamps; refuse stamps without a common interval."""
     steps = np.diff(time_s)
@@ -211,40 +181,68 @@ def _clock_with_faults(time_s: Array, resolution_s: float, name: str, row_name: 
     repeated = _repeated_stamps(steps, interval_s, resolution_s)
     backward = np.flatnonzero(steps < -max_excess_s) + 1
     set_back = np.round(np.minimum(1.0 - steps[backward - 1] / interval_s, MAX_LOST)).astype(int)
-    faults = [
-        _Fault("gap", "time is missing", gaps, int(missing.sum())),
-        _Fault("duplicate_time", "the time stamp is repeated", repeated, len(repeated)),
-        _Fault("time_reversed", "the clock steps back", backward, int(set_back.sum())),
-    ]
-    _refuse_unaccounted_time(time_s, interval_s, faults, name, row_name)
-    jitter_s, jitter = _measure_jitter(steps, interval_s, max_excess_s, resolution_s)
     single = int(np.sum(missing == 1))
     bridged = f"; {single} of single samples, bridged by interpolation" if single else ""
+    counts = int(missing.sum()), len(repeated), int(set_back.sum())
+    _refuse_unaccounted_time(time_s, interval_s, counts, name, row_name)
+    faults = (
+        ("gap", "time is missing", gaps, bridged),
+        ("duplicate_time", "the time stamp is repeated", repeated, ""),
+        ("time_reversed", "the clock steps back", backward, ""),
+    )
+    statements = [
+        finding(
+            quantity,
+            f"{sentence} at {_places(rows, time_s, row_name)}{addition}",
+            place=row_name(int(rows[0])),
+            value=float(samples),
+            unit="samples",
+        )
+        for (quantity, sentence, rows, addition), samples in zip(faults, counts, strict=True)
+        if len(rows)
+    ]
+    # The variance of a step is that of two independent stamps.
+    errors_s = (steps - interval_s)[np.abs(steps - interval_s) < max_excess_s]
+    jitter_s = float(np.sqrt(np.mean(errors_s**2) / 2)) if len(errors_s) else 0.0
+    if jitter_s > MIN_JITTER * interval_s and jitter_s > 0.51 * resolution_s:
+        text = (
+            f"The time stamps jitter by {jitter_s:.3g} s rms about a uniform clock, "
+            f"{100 * jitter_s / interval_s:.2g} % of the sampling interval."
+        )
+        statements.append(
+            finding("jitter", text, place="the time column", value=jitter_s, unit="s")
+        )
     return Clock(
         sampling_rate_Hz=rounded_rate_Hz(
             1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)
         ),
         breaks=tuple(sorted({*gaps[missing > 1].tolist(), *backward.tolist()})),
         bridged=tuple(gaps[missing == 1].tolist()),
-        statements=(
-            *(
-                fault.statement(time_s, row_name, bridged if fault.quantity == "gap" else "")
-                for fault in faults
-                if len(fault.rows)
-            ),
-            *jitter,
-        ),
+        statements=tuple(statements),
     )
 
 
+def _places(rows: Stamps, time_s: Array, row_name: RowName) -> str:
+    """Return the number of the rows of a fault and the first locations."""
+    first = [
+        f"{row_name(k)}, t = {time_s[k]:.6g} s (step {time_s[k] - time_s[k - 1]:.6g} s)"
+        for k in rows[:_MAX_PLACES].tolist()
+    ]
+    unlisted = len(rows) - _MAX_PLACES
+    further = f" and {unlisted} more" if unlisted > 0 else ""
+    return f"{len(rows)} places: {'; '.join(first)}{further}"
+
+
 def _refuse_unaccounted_time(
-    time_s: Array, interval_s: float, faults: Sequence[_Fault], name: str, row_name: RowName
+    time_s: Array, interval_s: float, counts: Sequence[int], name: str, row_name: RowName
 ) -> None:
     """Refuse stamps whose steps do not sum up to their span.
 
+    counts  samples that are missing, repeated and set back
+
     A repeated stamp may be a surplus sample, or be compensated when the clock catches up.
     """
-    missing, repeated, set_back = (fault.samples for fault in faults)
+    missing, repeated, set_back = counts
     span, expected = (time_s[-1] - time_s[0]) / interval_s, len(time_s) - 1 + missing - set_back
     tolerance = MAX_UNACCOUNTED * max(abs(span), expected) + SPARE_STEPS
     if not expected - repeated - tolerance <= span <= expected + tolerance:
@@ -256,22 +254,6 @@ def _refuse_unaccounted_time(
             f"{time_s[-1] - time_s[0]:.6g} s; the first other step is at {row_name(first)}",
             "samples at a uniform rate, or long segments of one rate",
         )
-
-
-def _measure_jitter(
-    steps: Array, interval_s: float, max_excess_s: float, resolution_s: float
-) -> tuple[float, list[Statement]]:
-    """Return the jitter of stamps without faults, s rms, and a statement if it is not small."""
-    # The variance of a step is that of two independent stamps.
-    errors_s = (steps - interval_s)[np.abs(steps - interval_s) < max_excess_s]
-    jitter_s = float(np.sqrt(np.mean(errors_s**2) / 2)) if len(errors_s) else 0.0
-    if not (jitter_s > MIN_JITTER * interval_s and jitter_s > 0.51 * resolution_s):
-        return jitter_s, []
-    text = (
-        f"The time stamps jitter by {jitter_s:.3g} s rms about a uniform clock, "
-        f"{100 * jitter_s / interval_s:.2g} % of the sampling interval."
-    )
-    return jitter_s, [finding("jitter", text, place="the time column", value=jitter_s, unit="s")]
 
 
 def _interval_s(time_s: Array) -> float:
@@ -313,16 +295,14 @@ def _find_gaps(time_s: Array, interval_s: float, max_excess_s: float) -> tuple[S
 
 def _repeated_stamps(steps: Array, interval_s: float, resolution_s: float) -> Stamps:
     """Return the samples with the stamp of the previous one, unless rounding explains them."""
-    is_equal = np.abs(steps) <= 1e-9 * interval_s
-    if resolution_s <= 0.5 * interval_s:
-        return np.flatnonzero(is_equal) + 1
+    is_repeated = np.abs(steps) <= 1e-9 * interval_s
     # A clock faster than its print repeats so many stamps.
-    by_rounding = len(steps) * max(0.0, 1.0 - interval_s / resolution_s)
-    if np.count_nonzero(is_equal) > 2 * by_rounding + 2:
-        return np.flatnonzero(is_equal) + 1
-    max_run = int(np.ceil(resolution_s / interval_s + 1e-6))
-    runs = [np.arange(a, b) + 1 for a, b in runs_of(is_equal) if b - a > max_run]
-    return np.concatenate(runs) if runs else np.zeros(0, dtype=int)
+    by_rounding = len(steps) * max(0.0, 1.0 - interval_s / resolution_s) if resolution_s else 0.0
+    if resolution_s > 0.5 * interval_s and np.count_nonzero(is_repeated) <= 2 * by_rounding + 2:
+        max_run = int(np.ceil(resolution_s / interval_s + 1e-6))
+        for start, stop in runs_of(is_repeated):
+            is_repeated[start:stop] &= stop - start > max_run
+    return np.flatnonzero(is_repeated) + 1
 
 
 def _clock_error(name: str, observed: str, needed: str) -> RecordingError:
@@ -350,26 +330,12 @@ def constant_rate_segments(time_s: Array) -> tuple[slice, ...]:
         intervals_s = in_blocks.mean(axis=1)
     padded = np.concatenate([intervals_s[:1], intervals_s, intervals_s[-1:]])
     intervals_s = np.median(np.lib.stride_tricks.sliding_window_view(padded, 3), axis=1)
-    if not (intervals_s > 0).all():
+    # The intervals of most files hardly differ, and need no search.
+    if not (intervals_s > 0).all() or np.ptp(np.log(intervals_s)) <= np.log(_MIN_RATE_CHANGE):
         return (slice(0, len(time_s)),)
-    edges = []
-    for block in _rate_change_blocks(np.log(intervals_s)):
-        before_s, after_s = intervals_s[block - 1], intervals_s[block]
-        first = max((block - 2) * _BLOCK_STEPS, 0)
-        nearby_steps_s = steps[first : min((block + 2) * _BLOCK_STEPS, len(steps))]
-        log_step = np.log(np.maximum(nearby_steps_s, 1e-9 * min(before_s, after_s)))
-        misfit = np.abs(log_step - np.log(before_s)) - np.abs(log_step - np.log(after_s))
-        # The change minimises the misfit of the steps before and behind it to their intervals.
-        edges.append(first + int(np.argmin(np.concatenate([[0.0], np.cumsum(misfit)]))) + 1)
-    return tuple(slice(a, b) for a, b in itertools.pairwise((0, *edges, len(time_s))))
-
-
-def _rate_change_blocks(log_intervals: Array) -> list[int]:
-    """Return the first block of each segment with another interval."""
+    # The first block of each segment with another interval.
+    log_intervals, min_change = np.log(intervals_s), np.log(_MIN_RATE_CHANGE)
     changes: list[int] = []
-    min_change = np.log(_MIN_RATE_CHANGE)
-    if np.ptp(log_intervals) <= min_change:
-        return changes
     begin = 0
     for block in range(1, len(log_intervals) - _MIN_BLOCKS + 1):
         changes_after = log_intervals[block : block + _MIN_BLOCKS] - np.median(
@@ -379,4 +345,13 @@ def _rate_change_blocks(log_intervals: Array) -> list[int]:
         if block - begin >= _MIN_BLOCKS and is_lasting and abs(changes_after[0]) > min_change:
             changes.append(block)
             begin = block
-    return changes
+    edges = []
+    for block in changes:
+        before_s, after_s = intervals_s[block - 1], intervals_s[block]
+        first = max((block - 2) * _BLOCK_STEPS, 0)
+        nearby_steps_s = steps[first : min((block + 2) * _BLOCK_STEPS, len(steps))]
+        log_step = np.log(np.maximum(nearby_steps_s, 1e-9 * min(before_s, after_s)))
+        misfit = np.abs(log_step - np.log(before_s)) - np.abs(log_step - np.log(after_s))
+        # The change minimises the misfit of the steps before and behind it to their intervals.
+        edges.append(first + int(np.argmin(np.concatenate([[0.0], np.cumsum(misfit)]))) + 1)
+    return tuple(slice(a, b) for a, b in itertools.pairwise((0, *edges, len(time_s))))

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import dataclass
-from enum import Enum
 
 from piezoid.records.recording import Quantity
 from piezoid.records.units import Dimension, Heading
@@ -16,30 +15,27 @@ DIMENSION_OF = {
 }
 
 
-class Role(Enum):
-    """Role of a column in a recording."""
-
-    TIME = "time"
-    CHANNEL = "channel"
-    UNREAD = "not read"
-
-
 @dataclass(frozen=True, kw_only=True)
 class Meaning:
-    """Interpretation of one column.
+    """Interpretation of one column: a time, a channel, or not read.
 
-    role      time, a channel, or not read
-    quantity  of a channel
+    is_time   whether the column is a time
+    quantity  of a channel; None for other columns
     axis      of a channel; None if the name states none
     by_name   whether the name states the quantity; False if only the unit does
-    reason    why a column is not read
+    reason    why a column is not read; empty for a time or a channel
     """
 
-    role: Role
+    is_time: bool = False
     quantity: Quantity | None = None
     axis: str | None = None
     by_name: bool = False
     reason: str = ""
+
+    @property
+    def is_read(self) -> bool:
+        """Whether the column is a time or a channel."""
+        return self.is_time or self.quantity is not None
 
 
 _TIME_WORDS = frozenset(
@@ -91,34 +87,30 @@ def meaning_of(heading: Heading) -> Meaning:
     dimension = None if heading.unit is None else heading.unit.dimension
     is_abscissa = dimension is Dimension.TIME and words <= _ABSCISSA_WORDS
     if is_abscissa or (words & _TIME_WORDS and dimension in (None, Dimension.TIME)):
-        return Meaning(role=Role.TIME)
+        return Meaning(is_time=True)
     quantities = [quantity for quantity, names in _NAME_WORDS.items() if words & names]
     other_words = words & _OTHER_WORDS
     if other_words and not (dimension is Dimension.VOLTAGE and "command" in other_words):
-        return _unread(
-            f"named {min(other_words)!r}: neither applied to the stage nor measured on it"
+        return Meaning(
+            reason=f"named {min(other_words)!r}: neither applied to the stage nor measured on it"
         )
     if quantities == [Quantity.VOLTAGE, Quantity.DISPLACEMENT]:
         quantities = [Quantity.DISPLACEMENT]  # ``sensor voltage``: a position in volts
     if len(quantities) == 1:
-        return Meaning(role=Role.CHANNEL, quantity=quantities[0], axis=axis, by_name=True)
+        return Meaning(quantity=quantities[0], axis=axis, by_name=True)
     if dimension is Dimension.TIME:
-        return _unread("a time whose name is not that of a clock")
+        return Meaning(reason="a time whose name is not that of a clock")
     for quantity, expected in DIMENSION_OF.items():
         if expected is dimension and dimension is not Dimension.RATIO:
-            return Meaning(role=Role.CHANNEL, quantity=quantity, axis=axis)
+            return Meaning(quantity=quantity, axis=axis)
     if heading.unit is None:
-        return _unread("neither name nor unit identifies the quantity")
+        return Meaning(reason="neither name nor unit identifies the quantity")
     if heading.unit.is_counted:
-        return _unread(
-            f"in {heading.unit.symbol}, the steps of a converter, under a name of neither a drive "
-            "nor a response: name the column in lab.toml, with scale"
+        return Meaning(
+            reason=f"in {heading.unit.symbol}, the steps of a converter, under a name of neither "
+            "a drive nor a response: name the column in lab.toml, with scale"
         )
-    return _unread(f"{heading.unit.symbol} is not a unit of a stage's drive or response")
-
-
-def _unread(reason: str) -> Meaning:
-    return Meaning(role=Role.UNREAD, reason=reason)
+    return Meaning(reason=f"{heading.unit.symbol} is not a unit of a stage's drive or response")
 
 
 def _words_of(stem: str) -> tuple[frozenset[str], str | None]:

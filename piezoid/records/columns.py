@@ -6,15 +6,13 @@ ambiguity.
 
 import itertools
 import json
-from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
 from piezoid.errors import LabFileError, UnitError
 from piezoid.numerics.arrays import Array
-from piezoid.records.column_roles import DIMENSION_OF, Meaning, Role, meaning_of
+from piezoid.records.column_roles import DIMENSION_OF, Meaning, meaning_of
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.recording import Quantity
 from piezoid.records.table import Column, RawTable
@@ -29,7 +27,6 @@ _BITS, _TICKS_s = (16, 24, 32), (1e-3, 1e-6)
 _MAX_MISS = 2.5  # intervals between a stamp at an overflow and the end of the counter
 
 Meanings = list[tuple[Column, Meaning]]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,13 +73,28 @@ def assign_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignme
     the file does not have.
     """
     check_entry_names(lab, entry)
-    meanings = _declared_columns(table, lab, entry) if entry.columns else _headed_columns(table)
-    clocks = [column for column, meaning in meanings if meaning.role is Role.TIME]
-    channels = _assign_axes(
-        table, entry, [(c, meaning) for c, meaning in meanings if meaning.role is Role.CHANNEL]
-    )
+    if entry.columns:
+        meanings = _declared_columns(table, lab, entry)
+    else:
+        meanings = [
+            (column, meaning)
+            for column in table.columns
+            if np.isfinite(column.values).any() and (meaning := meaning_of(column.heading)).is_read
+        ]
+        # A column that is a drive or response only by its unit is ignored if another column is one
+        # by its name: in ``voltage [V], position [um], Monitor [V]`` the monitor is not a drive.
+        by_name = {(m.quantity, m.axis) for _, m in meanings if m.by_name}
+        by_name |= {(quantity, None) for quantity, _ in by_name}
+        meanings = [
+            (column, m)
+            for column, m in meanings
+            if m.is_time or m.by_name or (m.quantity, m.axis) not in by_name
+        ]
+    clocks = [column for column, meaning in meanings if meaning.is_time]
+    channels = _assign_axes(table, entry, [(c, m) for c, m in meanings if m.quantity])
     if len(clocks) > 1:
-        raise ambiguous_columns(table, f"{_locations(clocks)} are both a time")
+        locations = " and ".join(column.place for column in clocks)
+        raise ambiguous_columns(table, f"{locations} are both a time")
     if not channels:
         raise ambiguous_columns(table, "no column is a drive voltage or a displacement")
     statements: list[Statement] = []
@@ -135,28 +147,6 @@ def _unwrap_counter(
     return time
 
 
-def _headed_columns(table: RawTable) -> Meanings:
-    """Return the columns with numbers and their meaning by name and unit.
-
-    A column that is a drive or response only by its unit is ignored if another column is one by
-    its name: in ``voltage [V], position [um], Monitor [V]`` the monitor is not a drive.
-    """
-    meanings = [
-        (column, meaning)
-        for column in table.columns
-        if np.isfinite(column.values).any()
-        and (meaning := meaning_of(column.heading)).role is not Role.UNREAD
-    ]
-    by_name = {(m.quantity, m.axis) for _, m in meanings if m.by_name}
-    quantities = {quantity for quantity, _ in by_name}
-
-    def is_superseded(m: Meaning) -> bool:
-        by_unit = m.role is Role.CHANNEL and not m.by_name and m.quantity in quantities
-        return by_unit and (m.axis is None or (m.quantity, m.axis) in by_name)
-
-    return [(column, m) for column, m in meanings if not is_superseded(m)]
-
-
 def _declared_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meanings:
     """Return the columns that lab.toml names, and further columns identified by their headings.
 
@@ -169,41 +159,35 @@ def _declared_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meani
             raise missing_column(table, lab, key, name_or_number)
         name, _, axis = key.partition("_")
         quantity = QUANTITIES.get(name)
-        role = Role.TIME if quantity is None else Role.CHANNEL
-        meaning = Meaning(role=role, quantity=quantity, axis=axis or None, by_name=True)
+        meaning = Meaning(
+            is_time=quantity is None, quantity=quantity, axis=axis or None, by_name=True
+        )
         meanings[column.number] = (column, meaning)
     if (
         "time" not in entry.columns
         and entry.sampling_rate_Hz is None
         and (clocks := clocks_of(table))
     ):
-        meanings.setdefault(clocks[0].number, (clocks[0], Meaning(role=Role.TIME)))
+        meanings.setdefault(clocks[0].number, (clocks[0], Meaning(is_time=True)))
     if entry.axis is not None:
         declared_axes = {m.axis or entry.axis for _, m in meanings.values()}
         for column in table.columns:
-            meaning = meaning_of(column.heading)
-            if _is_drive_of_other_axis(column, meaning, declared_axes):
+            meaning, unit = meaning_of(column.heading), column.heading.unit
+            if (
+                meaning.quantity is Quantity.VOLTAGE
+                and meaning.by_name
+                and meaning.axis not in (None, *declared_axes)
+                and unit is not None
+                and unit.dimension is Dimension.VOLTAGE
+                and np.isfinite(column.values).any()
+            ):
                 meanings.setdefault(column.number, (column, meaning))
     return list(meanings.values())
 
 
-def _is_drive_of_other_axis(column: Column, meaning: Meaning, axes: Collection[str]) -> bool:
-    """Return whether name and unit state a drive of an axis that is not among ``axes``."""
-    unit = column.heading.unit
-    return (
-        meaning.quantity is Quantity.VOLTAGE
-        and meaning.by_name
-        and meaning.axis is not None
-        and meaning.axis not in axes
-        and unit is not None
-        and unit.dimension is Dimension.VOLTAGE
-        and bool(np.isfinite(column.values).any())
-    )
-
-
 def clocks_of(table: RawTable) -> list[Column]:
     """Return the columns whose headings name a time."""
-    return [c for c in table.columns if meaning_of(c.heading).role is Role.TIME]
+    return [c for c in table.columns if meaning_of(c.heading).is_time]
 
 
 def missing_column(table: RawTable, lab: Lab, key: str, name_or_number: str | int) -> LabFileError:
@@ -244,9 +228,8 @@ def _assign_axes(
     has_response = any(quantity is Quantity.DISPLACEMENT for _, quantity, _ in parts)
     in_volts = [c for c, m in channels if m.quantity is Quantity.VOLTAGE and not m.by_name]
     if in_volts and not has_response:
-        raise ambiguous_columns(
-            table, f"{_locations(in_volts)} in volts may be a drive or a sensor's output"
-        )
+        locations = " and ".join(column.place for column in in_volts)
+        raise ambiguous_columns(table, f"{locations} in volts may be a drive or a sensor's output")
     # A column without an axis belongs to that of the entry, to the only axis of the file, or to x.
     named_axes = sorted({a for _, q, a in parts if a is not None and q in _LOOP_QUANTITIES})
     unnamed = [q for _, q, a in parts if a is None and q in _LOOP_QUANTITIES]
@@ -265,9 +248,10 @@ def _assign_axes(
     for column, quantity, axis in parts:
         key = (quantity, axis or default)
         if key in columns:
-            pair = _locations([columns[key], column])
             raise ambiguous_columns(
-                table, f"{pair} both claim to be the {quantity.name.lower()} of {key[1]}"
+                table,
+                f"{columns[key].place} and {column.place} both claim to be the "
+                f"{quantity.name.lower()} of {key[1]}",
             )
         columns[key] = column
     return [(column, quantity, axis) for (quantity, axis), column in columns.items()]
@@ -288,7 +272,8 @@ def _convert_column(
     unit of another quantity, or in volts of a sensor of unknown gain.
     """
     name = "time" if quantity is None else quantity.name.lower()
-    symbol = _declaration_for(entry.units, name, axis)
+    # An entry declares a column by its name with or without the axis.
+    symbol = entry.units.get(f"{name}_{axis}", entry.units.get(name))
     unit = column.heading.unit if symbol is None else unit_of(symbol)
     if quantity is Quantity.REFERENCE:
         unit = unit or Unit(symbol="", dimension=Dimension.OTHER)  # only its shape is used
@@ -299,7 +284,11 @@ def _convert_column(
     if unit is None:
         raise ambiguous_columns(table, f"{column.place} is a {name} without a unit")
     values = column.values * unit.factor + unit.offset
-    scale = _declaration_for(entry.scale, name, axis)
+    expected = Dimension.TIME if quantity is None else DIMENSION_OF.get(quantity)
+    is_displacement_of_drive = (
+        quantity is Quantity.VOLTAGE and unit.dimension is Dimension.LENGTH and not unit.is_counted
+    )
+    scale = entry.scale.get(f"{name}_{axis}", entry.scale.get(name))
     if unit.is_counted and quantity is not Quantity.REFERENCE and scale is None:
         statements.append(_counts_statement(table, lab, column, quantity, axis))
     elif quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
@@ -309,44 +298,23 @@ def _convert_column(
             f"{table.name}: {column.place} is a displacement of axis {axis} in volts",
             needed="metres",
         )
-    else:
-        _check_dimension(table, column, quantity, axis, unit, is_scaled=scale is not None)
-    offset = _declaration_for(entry.offset, name, axis)
+    elif is_displacement_of_drive and scale is None:
+        raise UnitError(
+            f"{table.name}: {column.place} is a drive of axis {axis} in {unit.symbol}: volts "
+            "times a sensitivity, as microscope programs write it",
+            needed="the drive in volts, or how many volts one metre of it is",
+            remedy="Write into its [[recording]] of lab.toml:\n\nscale = { voltage = ... }\n",
+        )
+    elif unit.dimension is not expected and not (
+        unit.is_counted or is_displacement_of_drive or quantity is Quantity.REFERENCE
+    ):
+        raise ambiguous_columns(table, f"{column.place} is a {name} by name but in {unit.symbol}")
+    offset = entry.offset.get(f"{name}_{axis}", entry.offset.get(name))
     if scale is not None or offset is not None:
         values = values * (1.0 if scale is None else scale) + (offset or 0.0)
         if unit.is_counted and quantity in DIMENSION_OF:
             unit = replace(unit, dimension=DIMENSION_OF[quantity])
     return AssignedColumn(column=column, quantity=quantity, axis=axis, unit=unit, values=values)
-
-
-def _check_dimension(
-    table: RawTable,
-    column: Column,
-    quantity: Quantity | None,
-    axis: str,
-    unit: Unit,
-    *,
-    is_scaled: bool,
-) -> None:
-    """Refuse a unit of another quantity; counts and references may be in any unit."""
-    if unit.is_counted or quantity is Quantity.REFERENCE:
-        return
-    if quantity is Quantity.VOLTAGE and unit.dimension is Dimension.LENGTH:
-        if not is_scaled:
-            raise UnitError(
-                f"{table.name}: {column.place} is a drive of axis {axis} in {unit.symbol}: volts "
-                "times a sensitivity, as microscope programs write it",
-                needed="the drive in volts, or how many volts one metre of it is",
-                remedy="Write into its [[recording]] of lab.toml:\n\nscale = { voltage = ... }\n",
-            )
-    elif unit.dimension is not (Dimension.TIME if quantity is None else DIMENSION_OF[quantity]):
-        name = "time" if quantity is None else quantity.name.lower()
-        raise ambiguous_columns(table, f"{column.place} is a {name} by name but in {unit.symbol}")
-
-
-def _declaration_for(by_name: Mapping[str, T], name: str, axis: str) -> T | None:
-    """Return the declaration of an entry for a column, by its name with or without the axis."""
-    return by_name.get(f"{name}_{axis}", by_name.get(name))
 
 
 def sensor_gain_V_per_m(lab: Lab, axis: str, volts: str, *, needed: str) -> float:
@@ -396,10 +364,6 @@ def _counts_statement(
         f"count, into its [[recording]] of lab.toml{source}."
     )
     return finding("counts", text, place=column.place)
-
-
-def _locations(columns: Sequence[Column]) -> str:
-    return " and ".join(column.place for column in columns)
 
 
 def ambiguous_columns(table: RawTable, problem: str) -> UnitError:

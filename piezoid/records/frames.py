@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from piezoid.digests import digest_of_bytes
 from piezoid.errors import RecordingError, UnitError
 from piezoid.numerics.arrays import Array
-from piezoid.records.column_roles import Role, meaning_of
+from piezoid.records.column_roles import meaning_of
 from piezoid.records.ingest import ingest_table, parts_of, with_checks
 from piezoid.records.lab import Lab
 from piezoid.records.lab_tables import RecordingEntry
@@ -269,19 +269,19 @@ def _numeric_columns(frame: "DataFrame", declared: set[str], name: str) -> list[
         if len(index):
             elapsed: Any = index - index[0]
             clock.append(("time_s", _as_samples(elapsed.total_seconds(), f"{name}: the index")))
-    elif index.name is not None and meaning_of(heading_of(str(index.name))).role is Role.TIME:
+    elif index.name is not None and meaning_of(heading_of(str(index.name))).is_time:
         clock.append((str(index.name), _as_samples(index, f"{name}: the index {index.name!r}")))
     arrays = []
     for number, heading in enumerate(map(str, frame.columns), 1):
         column: Any = frame.iloc[:, number - 1]
-        role = meaning_of(heading_of(heading)).role
-        if is_timedelta64_dtype(column.dtype) and role is Role.TIME:
+        meaning = meaning_of(heading_of(heading))
+        if is_timedelta64_dtype(column.dtype) and meaning.is_time:
             arrays.append((f"{heading} [s]", _as_samples(column.dt.total_seconds(), heading)))
         elif is_numeric_dtype(column.dtype) and not is_bool_dtype(column.dtype):
             arrays.append(
                 (heading, _as_samples(column.to_numpy(np.float64, na_value=np.nan), heading))
             )
-        elif heading in declared or role is not Role.UNREAD:
+        elif heading in declared or meaning.is_read:
             raise RecordingError(
                 f"{name}: column {number} {heading!r} is of type {column.dtype}",
                 needed="numbers",

@@ -107,25 +107,22 @@ def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[P
     edges = pairwise((*starts, table.rows))
     for k, (segment, (start, stop)) in enumerate(zip(segments, edges, strict=True), 1):
         first_s, last_s = (stamps_s[[segment.start, segment.stop - 1]] - stamps_s[0]).tolist()
-        shifted = None if entry is None else _entry_of_part(entry, first_s, last_s)
-        if entry is None or shifted is not None:
-            part = table.part(slice(start, stop), f"{table.name} (part {k} of {len(segments)})")
-            part = replace(part, statements=(*part.statements, statement))
-            parts.append((part, shifted))
+        shifted = entry
+        if entry is not None:
+            # Start and stop of the entry count from the beginning of the part.
+            start_s = 0.0 if entry.start_s is None else entry.start_s
+            stop_s = np.inf if entry.stop_s is None else entry.stop_s
+            if start_s >= last_s or stop_s <= first_s:
+                continue
+            shifted = structs.replace(
+                entry,
+                start_s=start_s - first_s if start_s > first_s else None,
+                stop_s=stop_s - first_s if stop_s < last_s else None,
+            )
+        part = table.part(slice(start, stop), f"{table.name} (part {k} of {len(segments)})")
+        part = replace(part, statements=(*part.statements, statement))
+        parts.append((part, shifted))
     return tuple(parts) or whole_table
-
-
-def _entry_of_part(entry: RecordingEntry, first_s: float, last_s: float) -> RecordingEntry | None:
-    """Return an entry with start and stop relative to a part; None if they exclude the part."""
-    start_s = 0.0 if entry.start_s is None else entry.start_s
-    stop_s = np.inf if entry.stop_s is None else entry.stop_s
-    if start_s >= last_s or stop_s <= first_s:
-        return None
-    return structs.replace(
-        entry,
-        start_s=start_s - first_s if start_s > first_s else None,
-        stop_s=stop_s - first_s if stop_s < last_s else None,
-    )
 
 
 def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Recording:
@@ -149,7 +146,7 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
     bridged = set(clock.bridged)  # next to an incomplete row two samples are missing
     breaks = {*clock.breaks, *after_gap, *segments, *(bridged & after_single)}
     rows = SampleRows.of(complete, breaks, bridged | after_single)
-    rows = rows.cut(_selected_samples(entry, clock, len(rows.position)))
+    rows = rows.selected(entry, clock.sampling_rate_Hz)
     channels, invalid, invalid_statements = _make_channels(table, assignment, rows)
     _refuse_impossible_sizes(table, assignment, channels)
     axis, axis_statements = _select_axis(entry, channels, lab.place)
@@ -198,16 +195,17 @@ def _make_channels(
         if j is not None:
             is_invalid[j] |= find_invalid_rows(values[k], values[j])
             drive = interpolate_invalid(values[j], is_invalid[j])
-        for readings in find_invalid_readings(values[k], drive):
-            is_invalid[k][readings.samples] = True
+        for kind, samples in find_invalid_readings(values[k], drive):
+            is_invalid[k][samples] = True
             statements.append(
                 invalid_statement(
-                    readings,
+                    kind,
+                    samples,
                     values[k],
                     is_invalid[k],
                     column=assigned.column.place,
                     unit=assigned.unit,
-                    row_name=lambda k: table.row_name(rows.source_row(k)),
+                    row_name=lambda k: table.row_name(int(rows.complete[int(rows.position[k])])),
                 )
             )
     channels = tuple(
@@ -348,18 +346,3 @@ def _clock(
             remedy="Correct the rate or the unit of the time column.",
         )
     return clock
-
-
-def _selected_samples(entry: RecordingEntry, clock: Clock, samples: int) -> slice:
-    """Return the samples between start_s and stop_s, counted from the first sample."""
-    start = 0 if entry.start_s is None else round(entry.start_s * clock.sampling_rate_Hz)
-    stop = samples if entry.stop_s is None else round(entry.stop_s * clock.sampling_rate_Hz) + 1
-    start, stop = max(0, start), min(samples, stop)
-    if stop - start < 2:
-        raise LabFileError(
-            f"lab.toml: {entry.file} from {entry.start_s} s to {entry.stop_s} s holds "
-            f"{max(0, stop - start)} samples of its {samples / clock.sampling_rate_Hz:.6g} s",
-            needed="at least two samples",
-            remedy="Correct start_s and stop_s, counted from the first sample of the file.",
-        )
-    return slice(start, stop)

@@ -11,20 +11,23 @@ from piezoid.errors import PiezoidError
 from piezoid.numerics.arrays import Array
 from piezoid.records.checks import check_set
 from piezoid.records.checks.columns import check_columns
-from piezoid.records.column_roles import Role, meaning_of
+from piezoid.records.column_roles import meaning_of
 from piezoid.records.columns import Assignment, assign_columns
+from piezoid.records.frequency_response import ResponseSummary, summary_of
 from piezoid.records.ingest import Part, ingest_table, parts_of, with_checks
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import is_approach_curve, read_table
 from piezoid.records.recording import Quantity, Recording
-from piezoid.records.response_columns import is_response, part_of, response_columns
+from piezoid.records.response_columns import (
+    is_response,
+    part_of,
+    response_columns,
+    unit_in_heading,
+)
 from piezoid.records.response_ingest import ingest_response
-from piezoid.records.response_summary import ResponseSummary, summary_of
-from piezoid.records.response_units import unit_in_heading
 from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.records.sample_statistics import (
     clipped_samples,
-    is_dead,
     is_noise_hidden,
     noise_rms,
     step_size,
@@ -237,13 +240,13 @@ def _summarise_column(column: Column, assignment: Assignment | None) -> ColumnSu
             quantity, unit = assigned.quantity, assigned.unit
             meaning = "time" if quantity is None else f"{quantity.name.lower()} of {assigned.axis}"
             return _summarise(column, assigned.values, meaning, unit.symbol, unit.si_symbol)
-    role = meaning_of(column.heading)
-    if assignment is not None and role.role is not Role.UNREAD:
+    heading = meaning_of(column.heading)
+    if assignment is not None and heading.is_read:
         meaning = "not read: another column is used"
-    elif role.quantity is not None:
-        meaning = role.quantity.name.lower() + (f" of {role.axis}" if role.axis else "")
+    elif heading.quantity is not None:
+        meaning = heading.quantity.name.lower() + (f" of {heading.axis}" if heading.axis else "")
     else:
-        meaning = f"not read: {role.reason}" if role.reason else role.role.value
+        meaning = f"not read: {heading.reason}" if heading.reason else "time"
     in_heading = column.heading.unit
     symbol, si = ("", "") if in_heading is None else (in_heading.symbol, in_heading.si_symbol)
     return _summarise(column, column.si_values, meaning, symbol, si)
@@ -266,7 +269,7 @@ def _summarise(
         maximum=None if is_empty else float(numbers.max()),
         noise_rms=None if is_noise_unknown else noise_rms(numbers),
         step=0.0 if is_empty else step_size(numbers),
-        is_dead=not is_empty and is_dead(numbers),
+        is_dead=not is_empty and bool(np.ptp(numbers) == 0),
         clipped=0.0 if is_empty else float(is_clipped.mean()),
         missing=int(np.count_nonzero(~np.isfinite(column.values))),
     )

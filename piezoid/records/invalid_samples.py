@@ -15,7 +15,6 @@ spikes by their deviation from the simulated response.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,25 +57,15 @@ MAX_PASSES = 4  # an invalid neighbour hides an invalid sample until it is remov
 MAX_PLACES = 5  # in a message
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class InvalidReadings:
-    """Invalid readings of one channel and one kind.
-
-    kind     ``written``, ``held``, ``stuck``, ``spike`` or ``clipped``
-    samples  (count,)  increasing
-    """
-
-    kind: str
-    samples: Indices
-
-
 def find_invalid_readings(
     values: Array, drive: Array | None = None
-) -> tuple[InvalidReadings, ...]:
+) -> tuple[tuple[str, Indices], ...]:
     """Return the invalid readings of one channel by kind, and the written ones also by value.
 
-    values  (samples,)  of a sensor, any unit
-    drive   (samples,)  of the stage, any unit, or None
+    values    (samples,)  of a sensor, any unit
+    drive     (samples,)  of the stage, any unit, or None
+    returned  pairs of ``written``, ``held``, ``stuck``, ``spike`` or ``clipped``, and the samples
+              in increasing order
 
     Limits: a value written once or twice is not found unless it is a spike, nor is one within the
     noise of the true reading, which is harmless.
@@ -90,9 +79,7 @@ def find_invalid_readings(
     # A sensor that scatters by no more than a step repeats a value while the stage stands.
     scatters = noise > max(step, MIN_SCATTER * float(np.ptp(values)))
     scatters &= white_noise_rms(values, spacing=2) < MAX_NOISE_GROWTH * noise
-    scattering_drive = drive if scatters else None
-    clipped = _find_clipped(values, scattering_drive)
-    stuck = _find_stuck(values, scattering_drive) & ~clipped
+    clipped, stuck = _find_constant(values, drive if scatters else None)
     invalid: Mask = clipped | stuck
     written: dict[float, Mask] = {}
     for _ in range(MAX_PASSES):
@@ -119,11 +106,7 @@ def find_invalid_readings(
         ("spike", spikes),
         ("clipped", clipped),
     ]
-    return tuple(
-        InvalidReadings(kind=kind, samples=np.flatnonzero(mask))
-        for kind, mask in masks
-        if mask.any()
-    )
+    return tuple((kind, np.flatnonzero(mask)) for kind, mask in masks if mask.any())
 
 
 def interpolate_invalid(values: Array, invalid: Mask) -> Array:
@@ -134,11 +117,11 @@ def interpolate_invalid(values: Array, invalid: Mask) -> Array:
     return np.interp(index, index[~invalid], values[~invalid])
 
 
-def _find_clipped(values: Array, drive: Array | None) -> Mask:
-    """Return where the sensor is constant at the end of its range although the drive moves."""
-    no_samples = np.zeros(len(values), dtype=bool)
+def _find_constant(values: Array, drive: Array | None) -> tuple[Mask, Mask]:
+    """Return where the sensor is clipped, and where it is stuck, although the drive moves."""
+    no_samples: Mask = np.zeros(len(values), dtype=bool)
     if drive is None:
-        return no_samples
+        return no_samples, no_samples
     min_range = MIN_DRIVE_RANGE * np.ptp(drive)
     levels = [
         float(values[start])
@@ -147,14 +130,8 @@ def _find_clipped(values: Array, drive: Array | None) -> Mask:
     ]
     # Single readings next to a clipped run are clipped at the same level.
     clipped = np.isin(values, levels)
-    return clipped if clipped.mean() < MAX_CLIPPED else no_samples
-
-
-def _find_stuck(values: Array, drive: Array | None) -> Mask:
-    """Return where the sensor repeats one value for a long time although the drive moves."""
-    stuck = np.zeros(len(values), dtype=bool)
-    if drive is None:
-        return stuck
+    clipped = clipped if clipped.mean() < MAX_CLIPPED else no_samples
+    stuck = no_samples.copy()
     edges = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1, [len(values)]])
     extremes = (values.min(), values.max())
     for run in np.flatnonzero(np.diff(edges) > MAX_RUN).tolist():
@@ -162,8 +139,9 @@ def _find_stuck(values: Array, drive: Array | None) -> Mask:
         # At the end of the range without a jump the reading is clipped, or the stage stands.
         jump = abs(values[start] - values[max(start - 1, 0)])
         if values[start] not in extremes or jump > MIN_SPIKE * np.ptp(values):
-            stuck[start:stop] = np.ptp(drive[start:stop]) > MIN_DRIVE_RANGE * np.ptp(drive)
-    return stuck if stuck.mean() < MAX_CLIPPED else np.zeros_like(stuck)
+            stuck[start:stop] = np.ptp(drive[start:stop]) > min_range
+    stuck = stuck if stuck.mean() < MAX_CLIPPED else no_samples
+    return clipped, stuck & ~clipped
 
 
 def _driven_change(values: Array, drive: Array | None, range_: float) -> Array:
@@ -325,7 +303,8 @@ def find_invalid_rows(values: Array, drive: Array) -> Mask:
 
 
 def invalid_statement(
-    readings: InvalidReadings,
+    kind: str,
+    samples: Indices,
     values: Array,
     invalid: Mask,
     *,
@@ -335,13 +314,14 @@ def invalid_statement(
 ) -> Statement:
     """State which readings of a column are invalid.
 
+    kind      as ``find_invalid_readings`` returns it, with ``samples``
     values    (samples,)  of the column, in the file's unit
     invalid   (samples,)  invalid readings of all kinds
     column    name of the column in messages
     unit      of the values
     row_name  name of the line or row of a sample in messages
     """
-    samples, total = readings.samples, len(values)
+    total = len(values)
     levels = " and ".join(f"{x:.6g}" for x in np.unique(values[samples]).tolist())
     appearance = {
         "written": f"reads exactly {levels} {unit.symbol} where its neighbours do not",
@@ -349,9 +329,9 @@ def invalid_statement(
         "stuck": f"is stuck at {levels} {unit.symbol} while the drive moves",
         "spike": "lies far from both neighbours",
         "clipped": f"is clipped at {levels} {unit.symbol} while the drive moves",
-    }[readings.kind]
+    }[kind]
     labels = [row_name(k) for k in samples.tolist()]
-    if readings.kind == "stuck":
+    if kind == "stuck":
         mask = np.isin(np.arange(total), samples)
         labels = [f"{row_name(a)} to {row_name(b - 1)}" for a, b in runs_of(mask)]
     further = f" and {len(labels) - MAX_PLACES} more" if len(labels) > MAX_PLACES else ""
@@ -360,6 +340,6 @@ def invalid_statement(
         f"{column} {appearance}, {len(samples)} times ({100 * len(samples) / total:.2g} % of the "
         f"samples), at {', '.join(labels[:MAX_PLACES])}{further}: left out as invalid."
     )
-    quantity = "saturated" if readings.kind == "clipped" else "lost_readings"
+    quantity = "saturated" if kind == "clipped" else "lost_readings"
     value = float(deviation.max()) * abs(unit.factor)
     return finding(quantity, text, place=column, value=value, unit="m")

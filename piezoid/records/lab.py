@@ -42,7 +42,7 @@ from piezoid.records.lab_tables import (
     Sensor,
     Table,
     Tunnelling,
-    check_number,
+    check_numbers,
     check_range,
     lab_error,
 )
@@ -267,12 +267,11 @@ def read_lab(path: Path) -> Lab:
         **tables_of_lab,
     )
     _check_tables(lab)
-    _check_dependent(lab)
     return lab
 
 
 def _check_tables(lab: Lab) -> None:
-    """Refuse impossible numbers, ranges and file names."""
+    """Refuse impossible numbers and names, and a key without effect for lack of another one."""
     names = ("amplifier", "actuator", "sensor", "acquisition", "tunnelling")
     tables: list[tuple[str, Table]] = [(f"[{name}]", getattr(lab, name)) for name in names]
     tables += [("[uncertainty]", lab.certificates), ("[coupled]", lab.coupled)]
@@ -280,10 +279,10 @@ def _check_tables(lab: Lab) -> None:
         of_axis = ((key, getattr(rig, key)) for key in rig.__struct_fields__)
         tables += [(f"[axis.{name}.{key}]", table) for key, table in of_axis if table is not None]
     for heading, table in tables:
-        _check_numbers(f"{lab.place}: {heading}", table)
+        check_numbers(f"{lab.place}: {heading}", table)
     for entry in lab.recordings:
         location = f"{lab.place}: [[recording]] {entry.file!r}"
-        _check_numbers(location, entry)
+        check_numbers(location, entry)
         check_range(location, "start_s, stop_s", entry.start_s, entry.stop_s)
         if "\0" in entry.file:
             raise lab_error(f"{location} holds a zero character", "the name of a file")
@@ -291,39 +290,38 @@ def _check_tables(lab: Lab) -> None:
         if len(mark) != 1 or mark.isalnum() or mark == ".":
             needed = 'one character, as ";", "\\t" or " " for any white space'
             raise lab_error(f"{location} separator is {mark[:20]!r}", needed)
-
-
-def _check_numbers(location: str, table: Table) -> None:
-    for key in table.__struct_fields__:
-        value = getattr(table, key)
-        numbers = value.values() if isinstance(value, dict) else value
-        for number in numbers if isinstance(value, dict | tuple) else (value,):
-            check_number(location, key, number)
-        if isinstance(value, tuple) and key in ("input_range_V", "barrier_range_eV"):
-            check_range(location, key, *value)
-    if isinstance(table, Amplifier):
-        check_range(location, "output", table.output_min_V, table.output_max_V)
-
-
-def _check_dependent(lab: Lab) -> None:
-    """Refuse a key that has no effect because another key is missing."""
-    axes = lab.coupled.axes
-    if len(set(axes)) != len(axes) or len(axes) == 1:
-        problem = f"{lab.place}: [coupled] axes are {list(axes)}"
-        raise lab_error(problem, "two axes or more, each once")
-    converter = lab.acquisition
-    for key in ("dac_bits", "adc_bits"):
-        if getattr(converter, key) is not None and converter.input_range_V is None:
-            problem = f"{lab.place}: [acquisition] declares {key} and no input_range_V"
-            raise lab_error(problem, "input_range_V = [low, high], the volts of all codes")
-    if lab.coupled.settling_periods != Coupled().settling_periods and not axes:
-        problem = f"{lab.place}: [coupled] declares settling_periods and no axes"
-        raise lab_error(problem, "the names of the axes that are coupled")
-    for name, rig in lab.axes.items():
-        for key in ("output_min_V", "output_max_V", "slew_V_per_s"):
-            common, of_axis = getattr(lab.amplifier, key), getattr(rig.amplifier, key, None)
-            if rig.amplifier is not None and common is not None and of_axis is None:
-                raise lab_error(
-                    f"{lab.place}: [amplifier] limits {key}, and [axis.{name}.amplifier] does not",
-                    f"{key} of axis {name}: its table replaces [amplifier]",
-                )
+    # A key that has no effect because another key is missing.
+    axes, converter = lab.coupled.axes, lab.acquisition
+    rules = [
+        (
+            len(set(axes)) != len(axes) or len(axes) == 1,
+            f"[coupled] axes are {list(axes)}",
+            "two axes or more, each once",
+        ),
+        *(
+            (
+                getattr(converter, key) is not None and converter.input_range_V is None,
+                f"[acquisition] declares {key} and no input_range_V",
+                "input_range_V = [low, high], the volts of all codes",
+            )
+            for key in ("dac_bits", "adc_bits")
+        ),
+        (
+            lab.coupled.settling_periods != Coupled().settling_periods and not axes,
+            "[coupled] declares settling_periods and no axes",
+            "the names of the axes that are coupled",
+        ),
+        *(
+            (
+                getattr(lab.amplifier, key) is not None and getattr(rig.amplifier, key) is None,
+                f"[amplifier] limits {key}, and [axis.{name}.amplifier] does not",
+                f"{key} of axis {name}: its table replaces [amplifier]",
+            )
+            for name, rig in lab.axes.items()
+            for key in ("output_min_V", "output_max_V", "slew_V_per_s")
+            if rig.amplifier is not None
+        ),
+    ]
+    for is_violated, problem, needed in rules:
+        if is_violated:
+            raise lab_error(f"{lab.place}: {problem}", needed)

@@ -104,7 +104,21 @@ def _describe_file(path: Path, name: str) -> tuple[str, bool]:
         text = f"{name}: a table over {table.independent!r}, used for the tunnelling junction."
         return as_comments(text), True
     if is_response(table, None):
-        return _describe_response(table, name)
+        block = _with_file_name(response_block(table), name)
+        try:
+            response = ingest_response(table, Lab(), None)
+        except PiezoidError as error:
+            return as_comments(str(error).partition("\n")[0]) + as_comments(block), False
+        frequency_Hz = response.frequency_Hz
+        summary = (
+            f"{table.name}: a frequency response of {', '.join(response.axes)}, "
+            f"{frequency_Hz[0]:.6g} to {frequency_Hz[-1]:.6g} Hz, {len(frequency_Hz)} lines; it "
+            "is read by its headings"
+        )
+        includes = 'includes = ["amplifier", "sensor"]  # poles it was measured through'
+        entry = f"[[recording]]\nfile = {_toml(name)}\n{includes}\n"
+        axis = "" if response.axis_is_named else '# axis = "x"\n'
+        return as_comments(summary) + entry + axis, True
     try:
         return _draft_entry(table, ingest_parts(table, Lab(), None), name), True
     except PiezoidError as error:
@@ -112,25 +126,6 @@ def _describe_file(path: Path, name: str) -> tuple[str, bool]:
         _, header, lines = error.remedy.partition("[[recording]]")
         block = f"{header}{lines.rstrip()}" if header else entry_template(table)
         return as_comments(reason) + as_comments(_with_file_name(block, name)), False
-
-
-def _describe_response(table: RawTable, name: str) -> tuple[str, bool]:
-    """Return the entry of a frequency response, as a comment if the response is refused."""
-    block = _with_file_name(response_block(table), name)
-    try:
-        response = ingest_response(table, Lab(), None)
-    except PiezoidError as error:
-        return as_comments(str(error).partition("\n")[0]) + as_comments(block), False
-    axes = ", ".join(response.axes)
-    summary = (
-        f"{table.name}: a frequency response of {axes}, {response.frequency_Hz[0]:.6g} to "
-        f"{response.frequency_Hz[-1]:.6g} Hz, {len(response.frequency_Hz)} lines; it is read by "
-        "its headings"
-    )
-    includes = 'includes = ["amplifier", "sensor"]  # poles it was measured through'
-    entry = f"[[recording]]\nfile = {_toml(name)}\n{includes}\n"
-    axis = "" if response.axis_is_named else '# axis = "x"\n'
-    return as_comments(summary) + entry + axis, True
 
 
 def _with_file_name(block: str, name: str) -> str:
@@ -155,6 +150,18 @@ def _draft_entry(table: RawTable, recordings: Sequence[Recording], name: str) ->
     units = ", ".join(
         f"{key} = {_toml(a.unit.symbol)}" for key, a in read if unit_of(a.unit.symbol) == a.unit
     )
+    summary: list[str] = []
+    for recording in recordings:
+        summary.append(
+            f"{recording.name}: {recording.samples} samples, {recording.sampling_rate_Hz:.9g} Hz, "
+            f"{recording.duration_s:.6g} s"
+        )
+        for channel in recording.channels:
+            unit = "" if channel.quantity is Quantity.HUMIDITY else f" {channel.unit}"
+            low, high = float(np.min(channel.values)), float(np.max(channel.values))
+            kind = channel.quantity.name.lower()
+            summary.append(f"  {kind} of {channel.axis}: {low:.4g} to {high:.4g}{unit}")
+        summary += [f"  {s.quantity}: {s.text}" for s in recording.statements]
     lines = [
         "[[recording]]",
         f"file = {_toml(name)}",
@@ -162,22 +169,7 @@ def _draft_entry(table: RawTable, recordings: Sequence[Recording], name: str) ->
         f"columns = {{ {', '.join(names)} }}",
         f"units = {{ {units} }}",
     ]
-    return as_comments("\n".join(map(_describe_recording, recordings))) + "\n".join(lines) + "\n"
-
-
-def _describe_recording(recording: Recording) -> str:
-    lines = [
-        f"{recording.name}: {recording.samples} samples, {recording.sampling_rate_Hz:.9g} Hz, "
-        f"{recording.duration_s:.6g} s"
-    ]
-    for channel in recording.channels:
-        unit = "" if channel.quantity is Quantity.HUMIDITY else f" {channel.unit}"
-        low, high = float(np.min(channel.values)), float(np.max(channel.values))
-        lines.append(
-            f"  {channel.quantity.name.lower()} of {channel.axis}: {low:.4g} to {high:.4g}{unit}"
-        )
-    lines += [f"  {statement.quantity}: {statement.text}" for statement in recording.statements]
-    return "\n".join(lines)
+    return as_comments("\n".join(summary)) + "\n".join(lines) + "\n"
 
 
 def as_comments(text: str) -> str:

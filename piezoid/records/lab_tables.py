@@ -206,22 +206,32 @@ class AxisRig(Table, frozen=True, kw_only=True):
     sensor: Sensor | None = None
 
 
-def check_number(location: str, key: str, value: object) -> None:
-    """Refuse a number outside the range of its quantity; other types pass."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return
-    # Integers of TOML have any length: they are not converted to a float or a text.
-    if not (value == 0 or _SMALLEST <= abs(value) <= _LARGEST):
-        number = value if isinstance(value, float) else "a number of very many digits"
-        needed = f"a number, zero, or between {_SMALLEST:.0e} and {_LARGEST:.0e}"
-        raise lab_error(f"{location} {key} is {number}", needed)
-    if key in _NOT_ZERO and value == 0:
-        raise lab_error(f"{location} {key} is zero", "a number that is not zero")
-    low, high, needed = _RANGES.get(
-        key, _RANGES.get(key.rpartition("_")[2], (-_LARGEST, _LARGEST, ""))
-    )
-    if not low <= value <= high:
-        raise lab_error(f"{location} {key} is {value}", needed)
+def check_numbers(location: str, table: Table) -> None:
+    """Refuse numbers and ranges of a table that its quantities do not have."""
+    for key in table.__struct_fields__:
+        value = getattr(table, key)
+        values = value.values() if isinstance(value, dict) else value
+        low, high, needed = _RANGES.get(
+            key, _RANGES.get(key.rpartition("_")[2], (-_LARGEST, _LARGEST, ""))
+        )
+        for number in values if isinstance(value, dict | tuple) else (value,):
+            if isinstance(number, bool) or not isinstance(number, int | float):
+                continue
+            # Integers of TOML have any length: they are not converted to a float or a text.
+            if not (number == 0 or _SMALLEST <= abs(number) <= _LARGEST):
+                raise lab_error(
+                    f"{location} {key} is "
+                    f"{number if isinstance(number, float) else 'a number of very many digits'}",
+                    f"a number, zero, or between {_SMALLEST:.0e} and {_LARGEST:.0e}",
+                )
+            if key in _NOT_ZERO and number == 0:
+                raise lab_error(f"{location} {key} is zero", "a number that is not zero")
+            if not low <= number <= high:
+                raise lab_error(f"{location} {key} is {number}", needed)
+        if isinstance(value, tuple) and key in ("input_range_V", "barrier_range_eV"):
+            check_range(location, key, *value)
+    if isinstance(table, Amplifier):
+        check_range(location, "output", table.output_min_V, table.output_max_V)
 
 
 def check_range(location: str, name: str, low: float | None, high: float | None) -> None:

@@ -1,12 +1,13 @@
-"""Assign the columns of a frequency response, from lab.toml or from headings.
+"""Columns of a frequency response: their parts, axes and units, from lab.toml or from headings.
 
 A file is a frequency response if a column is a swept frequency and no column is a time, or if
-lab.toml declares one.
+lab.toml declares one. Units are as instruments write them: m/V, dB re 1 um/V, deg, rad/s.
 """
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum, auto
 from json import dumps
 
 import numpy as np
@@ -16,8 +17,113 @@ from piezoid.records.column_roles import meaning_of
 from piezoid.records.columns import clocks_of, first_values, missing_column
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.recording import Quantity
-from piezoid.records.response_units import AMPLITUDES, Kind, base_name, unit_in_heading
 from piezoid.records.table import Column, RawTable
+from piezoid.records.units import BRACKETS, Dimension, unit_of
+
+
+class Kind(Enum):
+    """Quantity of a unit: SHARE is a ratio, DECIBEL a gain with an unknown reference."""
+
+    FREQUENCY = auto()
+    ANGLE = auto()
+    GAIN = auto()  # displacement per volt
+    VOLTAGE_GAIN = auto()  # volts of a sensor per volt
+    LENGTH = auto()
+    VOLTAGE = auto()
+    DECIBEL = auto()
+    SHARE = auto()
+
+
+AMPLITUDES = frozenset({Kind.GAIN, Kind.VOLTAGE_GAIN, Kind.LENGTH, Kind.VOLTAGE})
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResponseUnit:
+    """One unit: ``SI = factor * value``, of decibels ``SI = factor * 10^(value / 20)``.
+
+    factor  to Hz, rad, m/V, V/V, m, V or 1
+    """
+
+    symbol: str
+    kind: Kind
+    factor: float = 1.0
+    is_decibel: bool = False
+
+
+_RAD_PER_deg = np.pi / 180.0
+_ANGLES = {
+    **dict.fromkeys(("deg", "degree", "degrees", "°", "grad °"), _RAD_PER_deg),
+    **dict.fromkeys(("rad", "radian", "radians"), 1.0),
+    "mrad": 1e-3,
+}
+_ANGULAR_FREQUENCIES = {
+    **dict.fromkeys(("rad/s", "rad/sec", "rad s^-1", "rad_s", "rad_per_s"), 1.0),
+    "krad/s": 1e3,
+}
+_KINDS = {
+    Dimension.FREQUENCY: Kind.FREQUENCY,
+    Dimension.LENGTH: Kind.LENGTH,
+    Dimension.VOLTAGE: Kind.VOLTAGE,
+    Dimension.RATIO: Kind.SHARE,
+}
+_PER_VOLT = {Dimension.LENGTH: Kind.GAIN, Dimension.VOLTAGE: Kind.VOLTAGE_GAIN}
+_RATIO = re.compile(r"([A-Za-zµμÅ]+)\s?(?:/|_per_| per )\s?([A-Za-zµμ]+)")
+_DECIBEL = re.compile(r"dB\s*(?:re\.?|of|rel\.?)?\s*[(\[]?\s*1?\s*(.*?)\s*[)\]]?", re.IGNORECASE)
+_PART = re.compile(r"^(?:real|imag)\((.*)\)$")
+_INDEX = re.compile(r"\(\d,\d\)$")
+# A unit at the end of a name: ``phase_deg``, ``gain, um/V``, ``mag um_per_V``, ``freq/Hz``.
+_UNITS_AT_END = (
+    re.compile(r".*[\s,;_](rad_s|rad_per_s|[A-Za-zµμ]+_per_[A-Za-z]+)$"),
+    re.compile(r".*[\s,;]([A-Za-zµμ°]+/[A-Za-zµμ]+)$"),
+    re.compile(r".*[\s,;_/]([A-Za-zµμ°%]+)$"),
+)
+
+
+def response_unit(text: str) -> ResponseUnit | None:
+    """Return the unit that a text names; None if it is not a unit of a frequency response."""
+    symbol = " ".join(text.split())
+    name = symbol.lower()
+    if name in _ANGLES:
+        return ResponseUnit(symbol=symbol, kind=Kind.ANGLE, factor=_ANGLES[name])
+    if name in _ANGULAR_FREQUENCIES:
+        factor = _ANGULAR_FREQUENCIES[name] / (2.0 * np.pi)
+        return ResponseUnit(symbol=symbol, kind=Kind.FREQUENCY, factor=factor)
+    if name.startswith("db") and (match := _DECIBEL.fullmatch(symbol)):
+        if not match[1]:
+            return ResponseUnit(symbol=symbol, kind=Kind.DECIBEL, is_decibel=True)
+        reference = response_unit(match[1])
+        if reference is None or reference.is_decibel or reference.kind not in AMPLITUDES:
+            return None
+        return replace(reference, symbol=symbol, is_decibel=True)
+    if match := _RATIO.fullmatch(symbol):
+        numerator, denominator = map(unit_of, match.groups())
+        if numerator is None or denominator is None or numerator.dimension not in _PER_VOLT:
+            return None
+        if denominator.dimension is not Dimension.VOLTAGE:
+            return None
+        factor = numerator.factor / denominator.factor
+        return ResponseUnit(symbol=symbol, kind=_PER_VOLT[numerator.dimension], factor=factor)
+    unit = unit_of(symbol)
+    if unit is None or unit.dimension not in _KINDS:
+        return None
+    return ResponseUnit(symbol=symbol, kind=_KINDS[unit.dimension], factor=unit.factor)
+
+
+def _base_name(label: str) -> str:
+    """Return a name without the additions of readers: ``real(H(1,2))`` is ``H``."""
+    return _INDEX.sub("", _PART.sub(r"\1", label))
+
+
+def unit_in_heading(column: Column) -> ResponseUnit | None:
+    """Return the unit of a column that the format or its heading states, else None."""
+    stated = [column.declared_unit] if column.declared_unit.strip() else []
+    label = _base_name(" ".join(column.label.split()))
+    # Units from a row of units lack the outer brackets: ``(dB (um/V))`` becomes ``dB (um/V``.
+    stated += [text + ")" for text in stated if text.count("(") > text.count(")")]
+    stated += [a or b for a, b in reversed(BRACKETS.findall(label))]
+    stated += [match.group(1) for end in _UNITS_AT_END if (match := end.match(label))]
+    return next((unit for text in stated if (unit := response_unit(text)) is not None), None)
+
 
 _GAINS = AMPLITUDES | {Kind.DECIBEL}
 # Words that name a part of a response, and the units it may have.
@@ -88,7 +194,7 @@ def is_response(table: RawTable, entry: RecordingEntry | None) -> bool:
 
 def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> ResponseColumns:
     """Assign a role to each column; errors contain the lines to write into lab.toml."""
-    _check_entry(lab, entry)
+    parts = _parts_by_entry(table, lab, entry)
     clocks = clocks_of(table)
     if clocks and not entry.columns:
         raise RecordingError(
@@ -98,7 +204,7 @@ def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Respon
             remedy="Name the columns of one of them in lab.toml; for the response:\n\n"
             f"{response_block(table)}\n",
         )
-    parts = _parts_by_entry(table, lab, entry) if entry.columns else _parts_by_heading(table)
+    parts = parts or _parts_by_heading(table)
     frequencies = [column for part, _, column in parts if part == "frequency"]
     paths: dict[Pair | None, dict[str, Column]] = {}
     for part, pair, column in parts:
@@ -148,29 +254,44 @@ def part_of(column: Column) -> str | None:
 
 
 def _parts_by_heading(table: RawTable) -> list[Part]:
+    """Return the columns whose headings name a part, with the output and the drive if named."""
     parts: list[Part] = []
     for column in table.columns:
-        part = part_of(column)
-        if part is not None:
-            pair = None if part == "frequency" else _pair_in(column.label)
-            parts.append((part, pair, column))
+        part, pair = part_of(column), None
+        stem = re.sub(r"\[.*?\]|\(.*?\)", " ", _base_name(column.label))
+        if part is None:
+            continue
+        if part == "frequency":
+            pass
+        elif match := _AXIS_NUMBERS.search(column.label):
+            i, j = (int(number) - 1 for number in match.groups() if number is not None)
+            pair = (_LETTERS[i], _LETTERS[j]) if max(i, j) < len(_LETTERS) else None
+        elif match := _AXIS_PAIR.search(stem):
+            pair = match[1], match[2]
+        elif match := _AXIS.search(stem):
+            pair = match[1], match[1]
+        parts.append((part, pair, column))
     return parts
 
 
-def _pair_in(label: str) -> Pair | None:
-    """Return the output and the drive that a heading names, or None."""
-    if match := _AXIS_NUMBERS.search(label):
-        i, j = (int(number) - 1 for number in match.groups() if number is not None)
-        return (_LETTERS[i], _LETTERS[j]) if max(i, j) < len(_LETTERS) else None
-    stem = re.sub(r"\[.*?\]|\(.*?\)", " ", base_name(label))
-    if match := _AXIS_PAIR.search(stem):
-        return match[1], match[2]
-    match = _AXIS.search(stem)
-    return None if match is None else (match[1], match[1])
-
-
 def _parts_by_entry(table: RawTable, lab: Lab, entry: RecordingEntry) -> list[Part]:
-    """Return the columns that lab.toml names."""
+    """Return the columns that lab.toml names; refuse names and keys that responses do not have."""
+    for key in (*entry.columns, *entry.units, *entry.scale):
+        if _parse_name(key)[0] not in _NAMES:
+            raise LabFileError(
+                f"{lab.place}: [[recording]] {entry.file!r}, a frequency response, names {key!r}",
+                needed=f"one of {', '.join(_NAMES)}, with axes as in phase_x or phase_xy (x "
+                "moves, y is driven)",
+                remedy="Correct the name, or leave the frequency out for a recording over time.",
+            )
+    keys = ("offset", "sampling_rate_Hz", "start_s", "stop_s", "reverse")
+    unusable = [key for key in keys if getattr(entry, key)]
+    if unusable:
+        raise LabFileError(
+            f"{lab.place}: [[recording]] {entry.file!r} has {', '.join(unusable)}",
+            needed="columns of a frequency response, which has no time and no offset",
+            remedy="Leave it out.",
+        )
     parts: list[Part] = []
     for key, name_or_number in entry.columns.items():
         name, pair = _parse_name(key)
@@ -193,26 +314,6 @@ def _parse_name(key: str) -> tuple[str, Pair | None]:
     if len(axis) == 2 and set(axis) <= set(_LETTERS):
         return name, (axis[0], axis[1])
     return name, (axis, axis)
-
-
-def _check_entry(lab: Lab, entry: RecordingEntry) -> None:
-    """Refuse the names and keys of an entry that frequency responses do not have."""
-    for key in (*entry.columns, *entry.units, *entry.scale):
-        if _parse_name(key)[0] not in _NAMES:
-            raise LabFileError(
-                f"{lab.place}: [[recording]] {entry.file!r}, a frequency response, names {key!r}",
-                needed=f"one of {', '.join(_NAMES)}, with axes as in phase_x or phase_xy (x "
-                "moves, y is driven)",
-                remedy="Correct the name, or leave the frequency out for a recording over time.",
-            )
-    keys = ("offset", "sampling_rate_Hz", "start_s", "stop_s", "reverse")
-    unusable = [key for key in keys if getattr(entry, key)]
-    if unusable:
-        raise LabFileError(
-            f"{lab.place}: [[recording]] {entry.file!r} has {', '.join(unusable)}",
-            needed="columns of a frequency response, which has no time and no offset",
-            remedy="Leave it out.",
-        )
 
 
 def _assign_axes(

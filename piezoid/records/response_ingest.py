@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.errors import RecordingError, UnitError
-from piezoid.numerics.arrays import Array, ComplexArray
+from piezoid.numerics.arrays import Array
 from piezoid.records.columns import sensor_gain_V_per_m
 from piezoid.records.frequency_response import (
     CHAIN,
@@ -19,16 +19,14 @@ from piezoid.records.frequency_response import (
 )
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.response_columns import (
+    AMPLITUDES,
     COMPLEX,
+    Kind,
     Pair,
     ResponseColumns,
+    ResponseUnit,
     ambiguous_response,
     response_columns,
-)
-from piezoid.records.response_units import (
-    AMPLITUDES,
-    Kind,
-    ResponseUnit,
     response_unit,
     unit_in_heading,
 )
@@ -174,11 +172,32 @@ class _PathReader:
                 needed="a response that is not zero: nothing was measured there",
                 remedy=REMOVE_ROWS,
             )
+        if "excitation" in parts:
+            values, unit = self._values("excitation")
+            if unit is None or unit.kind is not Kind.VOLTAGE:
+                raise self._ambiguous("excitation", "is an excitation that is not in volts")
+            self._refuse_rows(
+                ~(values > 0),
+                "excitation",
+                needed="an amplitude above zero: the response is divided by it",
+                remedy="Remove these rows from the file, or name another column.",
+            )
+            response = response / (values * unit.factor)
+        coherence = None
+        if "coherence" in parts:
+            values, unit = self._values("coherence")
+            coherence = values * (1.0 if unit is None else unit.factor)
+            self._refuse_rows(
+                (coherence < 0.0) | (coherence > 1.0),
+                "coherence",
+                needed="a coherence (magnitude squared) from 0 to 1",
+                remedy='If it is in percent, write units = { coherence = "%" } into lab.toml.',
+            )
         return ResponsePath(
             output=self.pair[0],
             drive=self.pair[1],
-            response_m_per_V=self._per_excitation(response) if "excitation" in parts else response,
-            coherence=self._coherence() if "coherence" in parts else None,
+            response_m_per_V=response,
+            coherence=coherence,
         )
 
     def _values(self, part: str) -> tuple[Array, ResponseUnit | None]:
@@ -271,27 +290,3 @@ class _PathReader:
                 f'file = {dumps(self.table.name)}\nunits = {{ phase = "{likely}" }}\n',
             )
         return np.asarray(angle_rad)
-
-    def _per_excitation(self, response: ComplexArray) -> ComplexArray:
-        """Return the response: the amplitude of the displacement over that of the drive."""
-        values, unit = self._values("excitation")
-        if unit is None or unit.kind is not Kind.VOLTAGE:
-            raise self._ambiguous("excitation", "is an excitation that is not in volts")
-        self._refuse_rows(
-            ~(values > 0),
-            "excitation",
-            needed="an amplitude above zero: the response is divided by it",
-            remedy="Remove these rows from the file, or name another column.",
-        )
-        return np.asarray(response / (values * unit.factor))
-
-    def _coherence(self) -> Array:
-        values, unit = self._values("coherence")
-        coherence = values * (1.0 if unit is None else unit.factor)
-        self._refuse_rows(
-            (coherence < 0.0) | (coherence > 1.0),
-            "coherence",
-            needed="a coherence (magnitude squared) from 0 to 1",
-            remedy='If it is in percent, write units = { coherence = "%" } into lab.toml.',
-        )
-        return np.asarray(coherence)

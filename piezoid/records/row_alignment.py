@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.errors import RecordingError
+from piezoid.errors import LabFileError, RecordingError
 from piezoid.numerics.arrays import Array
 from piezoid.records.columns import Assignment
+from piezoid.records.lab import RecordingEntry
 from piezoid.records.table import RawTable
 from piezoid.statement import Statement, finding
 
@@ -49,19 +50,25 @@ class SampleRows:
             bridged=tuple((inserted + np.arange(len(inserted))).tolist()),
         )
 
-    def cut(self, part: slice) -> "SampleRows":
-        """Return a range of the samples."""
-        first, stop = part.start, part.stop
+    def selected(self, entry: RecordingEntry, sampling_rate_Hz: float) -> "SampleRows":
+        """Return the samples between start_s and stop_s, counted from the first sample."""
+        samples = len(self.position)
+        first = 0 if entry.start_s is None else round(entry.start_s * sampling_rate_Hz)
+        stop = samples if entry.stop_s is None else round(entry.stop_s * sampling_rate_Hz) + 1
+        first, stop = max(0, first), min(samples, stop)
+        if stop - first < 2:
+            raise LabFileError(
+                f"lab.toml: {entry.file} from {entry.start_s} s to {entry.stop_s} s holds "
+                f"{max(0, stop - first)} samples of its {samples / sampling_rate_Hz:.6g} s",
+                needed="at least two samples",
+                remedy="Correct start_s and stop_s, counted from the first sample of the file.",
+            )
         return replace(
             self,
-            position=self.position[part],
+            position=self.position[first:stop],
             breaks=tuple(b - first for b in self.breaks if first < b < stop),
             bridged=tuple(b - first for b in self.bridged if first <= b < stop),
         )
-
-    def source_row(self, sample: int) -> int:
-        """Return the row of the table of a sample, or the row before a lost sample."""
-        return int(self.complete[int(self.position[sample])])
 
     def values(self, column: Array) -> Array:
         """Return the samples of a column, with lost rows interpolated."""

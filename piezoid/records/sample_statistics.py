@@ -85,11 +85,6 @@ def step_size(values: Array) -> float:
     return step if fits.mean() > 0.9 else 0.0
 
 
-def is_dead(values: Array) -> bool:
-    """Return whether a channel is constant."""
-    return bool(np.ptp(values) == 0)
-
-
 def clipped_samples(values: Array, *, idle_value: float | None = None) -> NDArray[np.bool_]:
     """Return which samples are clipped at the largest or smallest value, (samples,).
 
@@ -99,7 +94,7 @@ def clipped_samples(values: Array, *, idle_value: float | None = None) -> NDArra
     five samples and eight times as long as at any other level, unlike a staircase.
     """
     is_clipped = np.zeros(len(values), dtype=bool)
-    if len(values) < 4 * _CLIPPED_RUN or is_dead(values):
+    if len(values) < 4 * _CLIPPED_RUN or np.ptp(values) == 0:
         return is_clipped
     edges = np.flatnonzero(np.diff(values)) + 1
     starts, stops = np.concatenate(([0], edges)), np.concatenate((edges, [len(values)]))

@@ -9,12 +9,11 @@ import pytest
 
 from piezoid.errors import LabFileError, PiezoidError, RecordingError, UnreadableFileError
 from piezoid.operators.play import play_columns
-from piezoid.records.chunked_reader import read_thinned
+from piezoid.records.chunked_reader import Thinning, read_thinned
 from piezoid.records.collection import collect
 from piezoid.records.lab import Lab
 from piezoid.records.readers import READERS
 from piezoid.records.recording import Recording
-from piezoid.records.thinning import Thinning
 from tests.records.formats import RATE_Hz
 from tests.records.tables import lab_with, table
 
@@ -235,7 +234,7 @@ def thinned(drive: np.ndarray, max_rows: int, cuts: tuple[int, ...] = ()) -> np.
     thinning = Thinning(max_rows)
     for part in np.split(drive, cuts):
         thinning.append(part, 2 * part, is_new_piece=False)
-    return thinning.result().rows
+    return thinning.result()[0]
 
 
 def test_thinned_rows_are_rows_of_the_file_and_do_not_depend_on_the_chunks() -> None:
@@ -266,11 +265,11 @@ def test_rows_keep_their_interval_but_at_turning_points() -> None:
     drive = swelling_drive(20, 3000)
     thinning = Thinning(1 << 13)
     thinning.append(drive, np.arange(len(drive), dtype=float), is_new_piece=True)
-    found = thinning.result()
-    late = found.rows[1] - found.stride * np.arange(found.rows.shape[1])
+    rows, _starts, stride, _share = thinning.result()
+    late = rows[1] - stride * np.arange(rows.shape[1])
     turns = np.count_nonzero(np.diff(np.sign(np.diff(drive))))
     assert np.count_nonzero(late) <= turns
-    assert 0 <= late.min() <= late.max() < found.stride
+    assert 0 <= late.min() <= late.max() < stride
 
 
 def test_noise_of_the_drive_makes_no_turning_points(rng: np.random.Generator) -> None:
@@ -284,12 +283,12 @@ def test_a_drive_too_fast_to_be_thinned_keeps_stretches_of_the_file() -> None:
     drive = swelling_drive(4000, 30)
     thinning = Thinning(1 << 13)
     thinning.append(drive, drive, is_new_piece=True)
-    found = thinning.result()
-    assert found.stride == 1
-    assert 4 <= len(found.starts) <= 16
-    assert found.rows.shape[1] <= 1 << 13
-    assert found.share == pytest.approx(found.rows.shape[1] / len(drive))
-    first = found.rows[0, : found.starts[1]]
+    rows, starts, stride, share = thinning.result()
+    assert stride == 1
+    assert 4 <= len(starts) <= 16
+    assert rows.shape[1] <= 1 << 13
+    assert share == pytest.approx(rows.shape[1] / len(drive))
+    first = rows[0, : starts[1]]
     np.testing.assert_array_equal(first, drive[: len(first)])
 
 
@@ -298,11 +297,11 @@ def test_gaps_of_the_file_stay_gaps_of_the_thinned_recording() -> None:
     drive = swelling_drive(10, 3000)
     for _ in range(3):
         thinning.append(drive, drive, is_new_piece=True)
-    found = thinning.result()
-    assert found.stride > 1
-    assert len(found.starts) == 3
-    length = len(drive) // found.stride
-    assert np.diff(found.starts) == pytest.approx(length, abs=2)
+    _rows, starts, stride, _share = thinning.result()
+    assert stride > 1
+    assert len(starts) == 3
+    length = len(drive) // stride
+    assert np.diff(starts) == pytest.approx(length, abs=2)
 
 
 def test_a_thinned_recording_says_how_many_samples_stand_for_how_many(tmp_path: Path) -> None:

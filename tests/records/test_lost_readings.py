@@ -41,8 +41,8 @@ def test_lost_readings_are_found_and_no_others(law: str, kind: str) -> None:
     for share in (0.005, 0.02, 0.05):
         reading_um = broken(clean_um, kind, share)
         found = np.zeros(len(field), dtype=bool)
-        for lost in find_invalid_readings(reading_um, field):
-            found[lost.samples] = True
+        for _, samples in find_invalid_readings(reading_um, field):
+            found[samples] = True
         away_um = np.abs(reading_um - clean_um)
         assert not found[away_um == 0.0].any()
         left = (away_um > 0.1) & ~found  # of 15 um; the noise is 8 nm
@@ -62,10 +62,10 @@ def test_a_sensor_that_hangs_in_mid_motion_is_found_whole(law: str, level: str) 
         here = slice(int(begin * count), int((begin + share) * count))
         reading_um[here] = reading_um[here.start] if level == "last value" else 2.0
         hung[here] = True
-    (lost,) = find_invalid_readings(reading_um, field)
-    assert lost.kind == "stuck"
-    assert np.count_nonzero(np.isin(np.flatnonzero(hung), lost.samples, invert=True)) == 0
-    assert len(lost.samples) == np.count_nonzero(hung)
+    ((kind, samples),) = find_invalid_readings(reading_um, field)
+    assert kind == "stuck"
+    assert np.count_nonzero(np.isin(np.flatnonzero(hung), samples, invert=True)) == 0
+    assert len(samples) == np.count_nonzero(hung)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -119,8 +119,8 @@ def test_neighbours_that_are_equal_by_the_step_of_the_converter_are_kept(
     reading_nm[lost] = reading_nm[lost - 1]
     assert np.mean(np.diff(reading_nm) == 0.0) > 0.03
     for drive in (1e-3 * motion_nm, None):
-        (held,) = find_invalid_readings(reading_nm, drive)
-        assert (held.kind, held.samples.tolist()) == ("held", lost.tolist())
+        ((kind, samples),) = find_invalid_readings(reading_nm, drive)
+        assert (kind, samples.tolist()) == ("held", lost.tolist())
 
 
 def test_a_row_of_one_number_is_lost_with_its_drive(tmp_path: Path) -> None:
@@ -188,10 +188,10 @@ def test_a_sensor_at_the_end_of_its_range_is_left_out_and_a_stage_at_its_end_is_
 ) -> None:
     field, clean_um = swept_um(law)
     top = float(np.quantile(clean_um, 0.92))
-    (clipped,) = find_invalid_readings(np.minimum(clean_um, top), field)
-    assert clipped.kind == "clipped"
-    assert set(np.flatnonzero(clean_um > top)) >= set(clipped.samples.tolist())
-    assert len(clipped.samples) > 0.9 * np.count_nonzero(clean_um > top)
+    ((kind, samples),) = find_invalid_readings(np.minimum(clean_um, top), field)
+    assert kind == "clipped"
+    assert set(np.flatnonzero(clean_um > top)) >= set(samples.tolist())
+    assert len(samples) > 0.9 * np.count_nonzero(clean_um > top)
     limited = np.minimum(field, 0.7)  # the amplifier ends, and the sensor goes on scattering
     noise_um = 0.008 * np.random.default_rng(2).standard_normal(len(field))
     assert find_invalid_readings(6.0 + 10.0 * LAWS[law](limited) + noise_um, field) == ()

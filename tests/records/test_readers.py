@@ -11,7 +11,7 @@ import pytest
 from piezoid.errors import UnreadableFileError
 from piezoid.records import readers
 from piezoid.records.collection import collect
-from piezoid.records.column_roles import Role, meaning_of
+from piezoid.records.column_roles import meaning_of
 from piezoid.records.lab import Lab, RecordingEntry, Sensor
 from piezoid.records.readers import READERS, read_table
 from piezoid.records.readers.reader import Reader
@@ -155,7 +155,7 @@ def test_names_and_units_may_stand_on_two_lines(tmp_path: Path) -> None:
         "V",
         "V",
     ]
-    assert meaning_of(table.columns[0].heading).role is Role.TIME
+    assert meaning_of(table.columns[0].heading).is_time
 
 
 def test_columns_of_matlab_7_3_come_in_the_order_of_their_names(

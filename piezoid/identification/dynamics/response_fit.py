@@ -36,8 +36,8 @@ from piezoid.records.frequency_response import (
     MIN_COHERENCE,
     FrequencyResponseRecord,
     ResponsePath,
+    apparent_modes,
 )
-from piezoid.records.response_summary import apparent_modes
 
 NOISE_RATIOS = np.concatenate([[0.0], np.geomspace(1e-8, 1e4, 61)])  # a^2 over median b^2 |G|^2
 COHERENCE_LINES = 5  # over which a measured coherence is smoothed

@@ -1,20 +1,21 @@
 """Checks of recordings: each reports a problem of the data and changes nothing.
 
-Start at gain.py. A check is a function that returns a list of statements, empty for clean data:
-``check_...(recording, axis)`` for an axis with drive and displacement,
+Start at plausibility.py. A check is a function that returns a list of statements, empty for clean
+data: ``check_...(recording, axis)`` for an axis with drive and displacement,
 ``check_...(recording, lab)`` for a recording, or ``check_...(recordings)`` for the recordings of a
 stage together.
 May import recordings, the laboratory and signal statistics, but not the ingest that calls it.
-To add a check, add a file and its line in ``AXIS_CHECKS``, ``CHECKS`` or ``SET_CHECKS``;
-``tests/records/test_checks.py`` runs them all over clean recordings.
+To add a check, add a function to the file of its subject, or a new file, and its line in
+``AXIS_CHECKS``, ``CHECKS`` or ``SET_CHECKS``; ``tests/records/test_checks.py`` runs them all over
+clean recordings.
 """
 
 from collections.abc import Callable, Sequence
 
 from piezoid.errors import RecordingError
 from piezoid.raw_counts import record_in_counts
+from piezoid.records.checks.causality import check_early_turns, check_loop_direction
 from piezoid.records.checks.command_range import check_command_range
-from piezoid.records.checks.commanded_displacement import check_commanded_displacement
 from piezoid.records.checks.consistency import (
     check_consistency,
     check_drive_ranges,
@@ -23,11 +24,12 @@ from piezoid.records.checks.consistency import (
 )
 from piezoid.records.checks.copies import check_copies
 from piezoid.records.checks.coupled_drives import check_coupled_drives
-from piezoid.records.checks.early_turns import check_early_turns
 from piezoid.records.checks.feedback import check_feedback, check_feedback_of_set
-from piezoid.records.checks.gain import check_gain
-from piezoid.records.checks.loop_direction import check_loop_direction
-from piezoid.records.checks.missing_channels import check_missing_channels
+from piezoid.records.checks.plausibility import (
+    check_commanded_displacement,
+    check_gain,
+    check_missing_channels,
+)
 from piezoid.records.checks.saturation import check_saturation
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording, counted_in

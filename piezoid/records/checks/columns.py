@@ -7,7 +7,7 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Quantity
-from piezoid.records.sample_statistics import clipped_samples, is_dead
+from piezoid.records.sample_statistics import clipped_samples
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
@@ -32,7 +32,7 @@ def check_columns(table: RawTable, quantities: Mapping[int, Quantity]) -> list[S
         if not len(numbers):
             statements.append(_statement("empty", column, "holds no number"))
             continue
-        if is_dead(numbers):
+        if np.ptp(numbers) == 0:
             unit = "" if column.heading.unit is None else f" {column.heading.unit.symbol}"
             statements.append(_statement("dead", column, f"is {numbers[0]:.6g}{unit} throughout"))
             continue

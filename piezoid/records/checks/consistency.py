@@ -14,15 +14,17 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from piezoid.errors import RecordingError
 from piezoid.formatting import significant, with_unit
-from piezoid.numerics.arrays import Array
 from piezoid.raw_counts import record_in_counts
 from piezoid.records.checks.feedback import held_span
-from piezoid.records.checks.gain import MIN_MOTION_NOISE, MAX_GAIN_m_per_V, MIN_GAIN_m_per_V
+from piezoid.records.checks.plausibility import (
+    MIN_MOTION_NOISE,
+    MAX_GAIN_m_per_V,
+    MIN_GAIN_m_per_V,
+)
 from piezoid.records.recording import Quantity, Recording, counted_in
 from piezoid.records.sample_statistics import noise_rms
 from piezoid.statement import Statement, finding
@@ -73,9 +75,15 @@ class LowFrequencyGain:
     @classmethod
     def of(cls, recording: Recording, axis: str) -> Self | None:
         """Estimate the gain; None if the drive rests, or if there is no motion or a feedback."""
-        moves = is_moving(recording.voltage_V(axis))
-        voltage_V = recording.voltage_V(axis)[moves]
-        displacement_m = recording.displacement_m(axis)[moves]
+        # During a rest of minutes the stage creeps, and the lowest frequencies of the whole
+        # recording would show the creep, of either sign.
+        voltage_V = recording.voltage_V(axis)
+        length = max(int(MAX_REST * len(voltage_V)), 1)
+        span_V = maximum_filter1d(voltage_V, length) - minimum_filter1d(voltage_V, length)
+        is_centre_of_rest = span_V <= MIN_RANGE * float(np.ptp(voltage_V))
+        is_moving = ~maximum_filter1d(is_centre_of_rest, length)
+        voltage_V = voltage_V[is_moving]
+        displacement_m = recording.displacement_m(axis)[is_moving]
         if len(voltage_V) < 8 or not np.ptp(voltage_V) > 0.0:
             return None
         range_m = float(np.ptp(displacement_m))
@@ -111,18 +119,6 @@ class LowFrequencyGain:
         """Gain and drive, for messages."""
         low_V, high_V = (with_unit(end, "V") for end in self.voltage_V)
         return f"{with_unit(self.gain_m_per_V, 'm')} per volt (drive {low_V} to {high_V})"
-
-
-def is_moving(voltage_V: Array) -> NDArray[np.bool_]:
-    """Return which samples lie outside long rests of the drive, (samples,).
-
-    During a rest of minutes the stage creeps, and the lowest frequencies of the whole recording
-    would show the creep, of either sign.
-    """
-    length = max(int(MAX_REST * len(voltage_V)), 1)
-    range_V = maximum_filter1d(voltage_V, length) - minimum_filter1d(voltage_V, length)
-    is_centre = range_V <= MIN_RANGE * float(np.ptp(voltage_V))
-    return np.asarray(~maximum_filter1d(is_centre, length))
 
 
 def check_mixed_units(recordings: Sequence[Recording]) -> list[Statement]:
@@ -187,9 +183,27 @@ def _inconsistencies(recordings: Sequence[Recording]) -> list[tuple[Statement, s
             continue
         slowest_Hz = max(min(gain.frequency_Hz for gain in coherent), SLOW_Hz)
         slow = [g for g in coherent if g.frequency_Hz <= MAX_FREQUENCY_RATIO * slowest_Hz]
-        typical = typical_gain(slow)
+        # The gain that agrees with most others. Ties are resolved by a plausible gain, then by a
+        # positive gain, then by the drive range.
+        typical = max(
+            slow,
+            key=lambda gain: (
+                sum(_is_alike(reference.gain_m_per_V / gain.gain_m_per_V) for reference in slow),
+                MIN_GAIN_m_per_V <= abs(gain.gain_m_per_V) <= MAX_GAIN_m_per_V,
+                gain.gain_m_per_V > 0.0,
+                gain.voltage_V[1] - gain.voltage_V[0],
+            ),
+        )
+        # Between two holds of nearly one level the lowest frequencies show hysteresis and creep
+        # rather than the gain; the ratio of the ranges is then the better measure.
         statements += [
-            inconsistency(gain, typical, axis) for gain in slow if contradicts(gain, typical)
+            inconsistency(gain, typical, axis)
+            for gain in slow
+            if gain.gain_m_per_V * typical.gain_m_per_V <= 0.0
+            or not (
+                _is_alike(gain.gain_m_per_V / typical.gain_m_per_V)
+                or _is_alike(gain.range_ratio / typical.range_ratio)
+            )
         ]
     return statements
 
@@ -226,33 +240,6 @@ def refuse_inconsistent(recordings: Sequence[Recording]) -> None:
 def _entry(name: str, line: str) -> str:
     """Return an entry of lab.toml about the file of a recording, which may be a part of it."""
     return f"[[recording]]\nfile = {json.dumps(name.partition(' (part ')[0])}\n{line}"
-
-
-def contradicts(gain: LowFrequencyGain, typical: LowFrequencyGain) -> bool:
-    """Return whether both gain and ratio of ranges differ, or whether the polarity is opposite.
-
-    Between two holds of nearly one level the lowest frequencies show hysteresis and creep rather
-    than the gain; the ratio of the ranges is then the better measure.
-    """
-    if gain.gain_m_per_V * typical.gain_m_per_V <= 0.0:
-        return True
-    ratios = gain.gain_m_per_V / typical.gain_m_per_V, gain.range_ratio / typical.range_ratio
-    return not any(_is_alike(ratio) for ratio in ratios)
-
-
-def typical_gain(gains: Sequence[LowFrequencyGain]) -> LowFrequencyGain:
-    """Return the gain that agrees with most others.
-
-    Ties are resolved by a plausible gain, then by a positive gain, then by the drive range.
-    """
-
-    def agreement(gain: LowFrequencyGain) -> tuple[int, bool, bool, float]:
-        alike = sum(_is_alike(reference.gain_m_per_V / gain.gain_m_per_V) for reference in gains)
-        is_plausible = MIN_GAIN_m_per_V <= abs(gain.gain_m_per_V) <= MAX_GAIN_m_per_V
-        span_V = gain.voltage_V[1] - gain.voltage_V[0]
-        return alike, is_plausible, gain.gain_m_per_V > 0.0, span_V
-
-    return max(gains, key=agreement)
 
 
 def _is_alike(ratio: float) -> bool:
@@ -305,9 +292,11 @@ def likely_cause(ratio: float, *, is_drive: bool) -> tuple[str, str]:
             )
         line = f"scale = {{ displacement = {sign}{1.0 / factor:g} }}"
         return f"another unit of the displacement{polarity}", line
-    monitors = monitors_near(size)
+    distances = {monitor: abs(math.log(size / monitor)) for monitor in MONITORS}
+    monitors = [m for m in MONITORS if distances[m] < MONITOR_TOLERANCE]
+    monitors = monitors or [m for m in MONITORS if distances[m] < LOOP_TOLERANCE]
     if is_drive and monitors:
-        exact = len(monitors) == 1 and abs(math.log(size / monitors[0])) < MONITOR_TOLERANCE
+        exact = len(monitors) == 1 and distances[monitors[0]] < MONITOR_TOLERANCE
         scale = f"{sign}{monitors[0]}" if exact else "..."
         comment = "" if exact else f"   # volts at the stage for {sign}1 V of the monitor"
         names = " or ".join(f"1/{monitor}" for monitor in monitors)
@@ -320,10 +309,3 @@ def likely_cause(ratio: float, *, is_drive: bool) -> tuple[str, str]:
         f"another axis, stage or range of the sensor{polarity}",
         'axis = "..."   # or scale = { displacement = ... }',
     )
-
-
-def monitors_near(size: float) -> tuple[int, ...]:
-    """Return the ratios of monitors that may explain a ratio of gains; only one if it is exact."""
-    distance = {monitor: abs(math.log(size / monitor)) for monitor in MONITORS}
-    exact = tuple(m for m in MONITORS if distance[m] < MONITOR_TOLERANCE)
-    return exact or tuple(m for m in MONITORS if distance[m] < LOOP_TOLERANCE)

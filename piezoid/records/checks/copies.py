@@ -82,8 +82,7 @@ def is_copy(first: Recording, second: Recording) -> bool:
     if first.samples != second.samples or kinds[0] != kinds[1] or axis not in first.complete_axes:
         return False
     for step in (max(first.samples // _FIRST_SAMPLES, 1), 1):
-        drives = [_standardised(r.voltage_V(axis)[::step]) for r in (first, second)]
-        if _rms(drives[0] - drives[1]) > SAME_DRIVE:
+        if _rms_difference(*(r.voltage_V(axis)[::step] for r in (first, second))) > SAME_DRIVE:
             return False
     displacements = [r.displacement_m(axis) for r in (first, second)]
     spreads = [float(values.std()) for values in displacements]
@@ -92,14 +91,14 @@ def is_copy(first: Recording, second: Recording) -> bool:
     decades = np.log10(spreads[0] / spreads[1])  # another unit is a whole power of ten
     if abs(decades - np.round(decades)) > SAME_DRIVE:
         return False
-    difference = _rms(_standardised(displacements[0]) - _standardised(displacements[1]))
+    difference = _rms_difference(*displacements)
     return difference <= MAX_DIFFERENCE * noise_rms(displacements[0]) / spreads[0]
 
 
-def _standardised(values: Array) -> Array:
-    spread = float(values.std())
-    return np.asarray((values - values.mean()) / spread) if spread > 0 else values - values.mean()
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def _rms_difference(*signals: Array) -> float:
+    """Return the rms of the difference of two signals, each scaled to mean 0 and rms 1."""
+    first, second = (
+        (values - values.mean()) / (spread if (spread := float(values.std())) > 0 else 1.0)
+        for values in signals
+    )
+    return float(np.sqrt(np.mean((first - second) ** 2)))

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezoid.formatting import with_unit
-from piezoid.numerics.arrays import Array
-from piezoid.records.checks.gain import MIN_MOTION_NOISE
+from piezoid.records.checks.plausibility import MIN_MOTION_NOISE
 from piezoid.records.constant_drive import is_mostly_driven
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import noise_rms
@@ -67,7 +66,13 @@ def held_span(recording: Recording, axis: str) -> slice | None:
         for values in (voltage_V, displacement_m)
     )
     noise_m, range_m = noise_rms(displacement_m), float(np.ptp(block_m))
-    first, stop = _longest_within(block_m, noise_m)
+    # The longest run of blocks whose range is within the noise.
+    first = stop = begin = 0
+    for end in range(1, BLOCKS + 1):
+        while np.ptp(block_m[begin:end]) > noise_m:
+            begin += 1
+        if end - begin > stop - first:
+            first, stop = begin, end
     # check_columns reports a channel that is constant throughout.
     if stop - first < MIN_HELD_BLOCKS or not np.ptp(block_m[first:stop]) > 0.0:
         return None
@@ -84,14 +89,3 @@ def is_held_throughout(recording: Recording, axis: str) -> bool:
     """Return whether feedback holds the sensor in the whole recording."""
     span = held_span(recording, axis)
     return span is not None and span.stop - span.start > MIN_THROUGHOUT * recording.samples
-
-
-def _longest_within(values: Array, limit: float) -> tuple[int, int]:
-    """Return first and stop of the longest run whose range is at most ``limit``."""
-    longest, first = (0, 0), 0
-    for stop in range(1, len(values) + 1):
-        while np.ptp(values[first:stop]) > limit:
-            first += 1
-        if stop - first > longest[1] - longest[0]:
-            longest = first, stop
-    return longest

@@ -9,13 +9,10 @@ branch:
 Unlike a clipped reading, such a displacement may be true: it is reported and fitted.
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.records.sample_statistics import noise_rms, step_size
@@ -27,19 +24,6 @@ MIN_MISSING_SHARE = 0.03  # of the range; no false alarm in 936 healthy recordin
 MIN_TURNS = 2  # at a similar level, which may drift; a single turn may be an intended pause
 MAX_DRIVE_STEP = 0.25  # of the missing drive: behind a step of the drive the stage still moves
 MIN_CORRELATION = 0.8  # of drive and displacement; butterfly loops are excluded
-
-
-@dataclass(frozen=True, kw_only=True)
-class SaturatedTurn:
-    """Upper turning point before which the displacement stopped.
-
-    stop_V, turn_V  drive at which the displacement stopped, and at the turning point
-    level           displacement at the turning point
-    """
-
-    stop_V: float
-    turn_V: float
-    level: float
 
 
 def check_saturation(recording: Recording, axis: str) -> list[Statement]:
@@ -54,12 +38,33 @@ def check_saturation(recording: Recording, axis: str) -> list[Statement]:
     is_valid[list(recording.bridged)] = False
     statements = []
     for sign, side in ((1.0, "above"), (-1.0, "below")):
-        rising_m = sign * np.sign(correlation) * displacement_m
-        turns = saturated_turns(sign * drive_V, rising_m, is_valid)
+        # Upper turning points at which the displacement stopped before the drive did.
+        v, y = sign * drive_V, sign * np.sign(correlation) * displacement_m
+        noise_m = max(noise_rms(y), step_size(y))
+        min_missing_m = max(MIN_MISSING_NOISE * noise_m, MIN_MISSING_SHARE * float(np.ptp(y)))
+        min_turn_V = max(noise_of(v), 0.02 * float(np.ptp(v)))
+        turns: list[tuple[float, float, float]] = []  # V at the stop and the turn; displacement
+        for start, end in pairwise((0, *reversals_of(v, min_turn_V))):
+            is_rising = v[end] > v[start] and end - start >= 10
+            if not is_rising or is_valid[start:end].mean() < 0.8:
+                continue
+            level_m = float(np.median(y[end - 4 : end + 1]))
+            outside = np.flatnonzero(np.abs(y[start:end] - level_m) > NOISE_BAND * noise_m)
+            stop = start + (int(outside[-1]) + 1 if len(outside) else 0)
+            missing_V = float(v[end] - v[stop])
+            largest_step_V = np.abs(np.diff(v[stop : end + 1])).max(initial=0.0)
+            is_stepped = largest_step_V > MAX_DRIVE_STEP * missing_V
+            if stop - start < 5 or not is_valid[stop:end].all() or is_stepped:
+                continue
+            gain = (level_m - y[start]) / max(float(v[stop] - v[start]), 1e-12)
+            if gain * missing_V > min_missing_m:
+                turns.append((float(v[stop]), float(v[end]), level_m))
+        lowest_m = max((level_m for _, _, level_m in turns), default=0.0) - min_missing_m
+        turns = [turn for turn in turns if turn[2] > lowest_m]
         if len(turns) < MIN_TURNS:
             continue
-        stop_V = sign * float(np.median([turn.stop_V for turn in turns]))
-        end_V = sign * max(turn.turn_V for turn in turns)
+        stops_V, turns_V, _ = zip(*turns, strict=True)
+        stop_V, end_V = sign * float(np.median(stops_V)), sign * max(turns_V)
         text = (
             f"Displacement constant {side} {stop_V:.4g} V in {len(turns)} cycles (the "
             f"drive reaches {end_V:.4g} V): end of the range of amplifier, sensor or stage. Stay "
@@ -67,32 +72,3 @@ def check_saturation(recording: Recording, axis: str) -> list[Statement]:
         )
         statements.append(finding("stands", text, axis=axis, value=stop_V, unit="V"))
     return statements
-
-
-def saturated_turns(
-    drive_V: Array, displacement: Array, is_valid: NDArray[np.bool_]
-) -> list[SaturatedTurn]:
-    """Find the upper turning points at which the displacement stopped before the drive did."""
-    noise = max(noise_rms(displacement), step_size(displacement))
-    min_missing = max(MIN_MISSING_NOISE * noise, MIN_MISSING_SHARE * float(np.ptp(displacement)))
-    turns = []
-    edges = (0, *reversals_of(drive_V, max(noise_of(drive_V), 0.02 * float(np.ptp(drive_V)))))
-    for start, end in pairwise(edges):
-        is_rising = drive_V[end] > drive_V[start] and end - start >= 10
-        if not is_rising or is_valid[start:end].mean() < 0.8:
-            continue
-        level = float(np.median(displacement[end - 4 : end + 1]))
-        outside = np.flatnonzero(np.abs(displacement[start:end] - level) > NOISE_BAND * noise)
-        stop = start + (int(outside[-1]) + 1 if len(outside) else 0)
-        missing_V = float(drive_V[end] - drive_V[stop])
-        largest_step_V = np.abs(np.diff(drive_V[stop : end + 1])).max(initial=0.0)
-        is_stepped = largest_step_V > MAX_DRIVE_STEP * missing_V
-        if stop - start < 5 or not is_valid[stop:end].all() or is_stepped:
-            continue
-        gain = (level - displacement[start]) / max(float(drive_V[stop] - drive_V[start]), 1e-12)
-        if gain * missing_V > min_missing:
-            turns.append(
-                SaturatedTurn(stop_V=float(drive_V[stop]), turn_V=float(drive_V[end]), level=level)
-            )
-    highest = max((turn.level for turn in turns), default=0.0)
-    return [turn for turn in turns if turn.level > highest - min_missing]

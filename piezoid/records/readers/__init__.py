@@ -20,10 +20,9 @@ from piezoid.records.readers import (
     matlab,
     nanonis,
     numpy_files,
+    oscilloscopes,
     parquet,
-    rigol,
     tdms,
-    tektronix,
     text_table,
 )
 from piezoid.records.readers.reader import Reader, library_errors
@@ -46,9 +45,9 @@ READERS: tuple[Reader, ...] = (
     tdms.READER,
     lvm.READER,
     nanonis.READER,
-    rigol.READER,
-    tektronix.READER,
-    tektronix.ABOVE,
+    oscilloscopes.RIGOL,
+    oscilloscopes.TEKTRONIX,
+    oscilloscopes.TEKTRONIX_ABOVE,
     gcs_array.READER,
     text_table.READER,
 )
@@ -80,9 +79,14 @@ def read_table(path: Path, text: TextFormat | None = None) -> RawTable:
         )
     with library_errors(source, reader) if reader.library else nullcontext():
         table = reader.read(source)
-    table = _with_origin(table, source, reader)
     is_swept = not table.independent and is_approach_curve(table)
-    return replace(table, independent=table.columns[0].label) if is_swept else table
+    return replace(
+        table,
+        name=source.name,
+        digest=source.digest,
+        format=reader.name,
+        independent=table.columns[0].label if is_swept else table.independent,
+    )
 
 
 def read_table_in_chunks(source: Source, rows: int) -> Iterator[RawTable]:
@@ -109,11 +113,7 @@ def read_table_in_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         )
     with library_errors(source, reader):
         for table in reader.read_chunks(source, rows):
-            yield _with_origin(table, source, reader)
-
-
-def _with_origin(table: RawTable, source: Source, reader: Reader) -> RawTable:
-    return replace(table, name=source.name, digest=source.digest, format=reader.name)
+            yield replace(table, name=source.name, digest=source.digest, format=reader.name)
 
 
 def is_approach_curve(table: RawTable) -> bool:

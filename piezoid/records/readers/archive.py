@@ -49,11 +49,6 @@ def check_unpacked_size(source: Source) -> None:
         check_growth(source, sum(item.file_size for item in archive.infolist()))
 
 
-def recognises(source: Source) -> bool:
-    """Recognise zip archives that no other reader recognises, and other formats."""
-    return source.head.startswith(ZIP) or _other_format(source) is not None
-
-
 def _other_format(source: Source) -> tuple[str, str] | None:
     """Return the format of a file and how to convert it; None if it is unknown."""
     for signature, suffix, kind, remedy in _OTHER_FORMATS:
@@ -75,4 +70,10 @@ def read(source: Source) -> RawTable:
     raise unreadable(source.name, kind, needed="a table with a row for each sample", remedy=remedy)
 
 
-READER = Reader(name="zip archive", usual_suffixes=(".zip",), recognises=recognises, read=read)
+# Zip archives that no other reader recognises, and other formats.
+READER = Reader(
+    name="zip archive",
+    usual_suffixes=(".zip",),
+    recognises=lambda source: source.head.startswith(ZIP) or bool(_other_format(source)),
+    read=read,
+)

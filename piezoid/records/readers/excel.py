@@ -21,12 +21,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-def recognises(source: Source) -> bool:
-    """Recognise a workbook by its parts, a damaged archive by its first part or its suffix."""
-    names = members(source)
-    return "xl/workbook.xml" in names or (bool(names) and source.suffix in (".xlsx", ".xlsm"))
-
-
 def read(source: Source) -> RawTable:
     """Read the first sheet with rows of numbers; a statement names further ones."""
     import openpyxl  # noqa: F401 -- used by pandas, whose error for a missing package is unclear
@@ -110,7 +104,11 @@ def _cell_text(value: object) -> str:
 READER = Reader(
     name="Excel",
     usual_suffixes=(".xlsx",),
-    recognises=recognises,
+    # A workbook is recognised by its parts, a damaged archive by its first part or its suffix.
+    recognises=lambda source: (
+        "xl/workbook.xml" in members(source)
+        or (source.suffix in (".xlsx", ".xlsm") and bool(members(source)))
+    ),
     read=read,
     library=True,
     extra="io",

@@ -18,11 +18,6 @@ _END = re.compile(r"^[ \t]*#[ \t]*END_HEADER[ \t\r]*$", re.MULTILINE)
 _PAIR = re.compile(r"^[ \t]*#[ \t]*([A-Z_]+\d*)[ \t]*=(.*)$", re.MULTILINE)
 
 
-def recognises(source: Source) -> bool:
-    """Recognise the format by its end mark among the first bytes."""
-    return _END.search(source.head.decode("latin-1")) is not None
-
-
 def read(source: Source) -> RawTable:
     """Read the array; units come from the names or from lab.toml, since the file states none."""
     text = text_of(source).rstrip()
@@ -53,5 +48,8 @@ def read(source: Source) -> RawTable:
 
 
 READER = Reader(
-    name="PI GCS array", usual_suffixes=(".dat", ".txt"), recognises=recognises, read=read
+    name="PI GCS array",
+    usual_suffixes=(".dat", ".txt"),
+    recognises=lambda source: bool(_END.search(source.head.decode("latin-1"))),
+    read=read,
 )

@@ -25,7 +25,8 @@ _PIECE = 1 << 20
 def read(source: Source) -> RawTable:
     """Read every numeric dataset; ambiguous names are prefixed by their group."""
     with source.open() as stream:
-        datasets = checked_datasets(source, stream)
+        datasets = checked_datasets(stream)
+        check_growth(source, 8 * sum(dataset.size for dataset in datasets.values()))
         arrays = {name: dataset[()] for name, dataset in datasets.items()}
         return table_of(source, arrays, units=_units_of(datasets))
 
@@ -33,8 +34,7 @@ def read(source: Source) -> RawTable:
 def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     """Yield the numeric datasets of the commonest length, slice by slice."""
     with source.open() as stream:
-        check_trees(stream)
-        datasets = _named_datasets(stream)
+        datasets = checked_datasets(stream)
         length = commonest_length(max(d.shape, default=0) for d in datasets.values() if d.size > 1)
         columns = {name: d for name, d in datasets.items() if d.shape[:1] == (length,)}
         check_growth(source, 8 * sum(d.size for d in columns.values()), in_memory=False)
@@ -45,17 +45,14 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         yield from tables_of_pieces(source, pieces, rows, units=_units_of(columns))
 
 
-def checked_datasets(source: Source, stream: BinaryIO) -> dict[str, Any]:
-    """Return the datasets; refuse a cyclic or a too large file before its numbers are read."""
-    check_trees(stream)
-    datasets = _named_datasets(stream)
-    check_growth(source, 8 * sum(dataset.size for dataset in datasets.values()))
-    return datasets
+def checked_datasets(stream: BinaryIO) -> dict[str, Any]:
+    """Return the datasets by name, without their numbers; refuse a file with a cycle.
 
-
-def _named_datasets(stream: object) -> dict[str, Any]:
+    Ambiguous names are prefixed by their group.
+    """
     import h5py
 
+    check_trees(stream)
     datasets: dict[str, Any] = {}
 
     def keep(path: str, item: Any) -> None:
@@ -103,13 +100,8 @@ def check_trees(stream: BinaryIO) -> None:
         return  # the library reports that this is not an HDF5 file
     # The width of an address: at byte 13 of the superblock, since its version 2 at byte 9.
     width = head[13] if head[8] < 2 else head[9]
-    node = _node_of_cycle(dict(_neighbours(stream, base, width)))
-    if node is not None:
-        raise ValueError(f"the search tree at byte {base + node} leads round in a ring")
-
-
-def _neighbours(stream: BinaryIO, base: int, width: int) -> Iterator[tuple[int, int]]:
-    """Yield the addresses of each node and of its right neighbour."""
+    # The address of the right neighbour of each node.
+    right: dict[int, int] = {}
     length = _LINKS_AT + 2 * width
     stream.seek(base)
     buffer, address = b"", 0
@@ -117,26 +109,22 @@ def _neighbours(stream: BinaryIO, base: int, width: int) -> Iterator[tuple[int, 
         buffer += piece
         position = buffer.find(_NODE)
         while 0 <= position <= len(buffer) - length:
-            right = buffer[position + length - width : position + length]
-            yield address + position, int.from_bytes(right, "little")
+            link = buffer[position + length - width : position + length]
+            right[address + position] = int.from_bytes(link, "little")
             position = buffer.find(_NODE, position + 1)
         consumed = max(len(buffer) - length, 0) if position < 0 else position
         buffer, address = buffer[consumed:], address + consumed
-
-
-def _node_of_cycle(right: Mapping[int, int]) -> int | None:
-    """Return a node of a cyclic chain of neighbours; None if every chain ends."""
+    # A chain of neighbours that meets itself is a cycle.
     visited: set[int] = set()
     for first in right:
         chain: set[int] = set()
         node = first
         while node in right and node not in visited:
             if node in chain:
-                return node
+                raise ValueError(f"the search tree at byte {base + node} leads round in a ring")
             chain.add(node)
             node = right[node]
         visited |= chain
-    return None
 
 
 READER = Reader(

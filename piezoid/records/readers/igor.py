@@ -15,15 +15,8 @@ from piezoid.records.readers.source import Source, check_columns, unreadable
 from piezoid.records.table import RawTable, rate_of
 from piezoid.records.units import Dimension, unit_of
 
-_VERSIONS = (1, 2, 3, 5)  # a short integer of either byte order
+_VERSIONS = frozenset({1, 2, 3, 5})  # a short integer of either byte order
 _POINTS_PER_SECOND = re.compile(r"^NumPtsPerSec:\s*([\d.eE+]+)\s*$", re.MULTILINE)
-
-
-def recognises(source: Source) -> bool:
-    """Recognise a wave by its version in either byte order, and by its suffix."""
-    head = source.head[:2]
-    numbers = int.from_bytes(head, "little"), int.from_bytes(head, "big")
-    return source.suffix == ".ibw" and any(number in _VERSIONS for number in numbers)
 
 
 def read(source: Source) -> RawTable:
@@ -44,7 +37,14 @@ def read(source: Source) -> RawTable:
             "together as delimited text.",
         )
     check_columns(source.name, values.shape[1])
-    arrays = dict(zip(_column_names(wave, values.shape[1]), values.T, strict=True))
+    # A first, surplus label is that of the whole dimension.
+    count = values.shape[1]
+    labels = [_text(label) for label in (wave["labels"][1] if wave["labels"] else [])]
+    names = numbered = [f"column {k + 1}" for k in range(count)]
+    if len(labels) >= count:
+        names = [label or number for label, number in zip(labels[-count:], numbered, strict=True)]
+    names = names if len(set(names)) == count else numbered
+    arrays = dict(zip(names, values.T, strict=True))
     header = wave["wave_header"]
     units = dict.fromkeys(arrays, _text(header["dataUnits"]))
     # The rate is that of the row dimension, or the one in the note of a microscope.
@@ -56,16 +56,6 @@ def read(source: Source) -> RawTable:
     return table_of(source, arrays, units=units, sampling_rate_Hz=rate_Hz)
 
 
-def _column_names(wave: Any, count: int) -> list[str]:
-    """Return the labels of the columns; a first, surplus label is that of the whole dimension."""
-    labels = [_text(label) for label in (wave["labels"][1] if wave["labels"] else [])]
-    numbered = [f"column {k + 1}" for k in range(count)]
-    if len(labels) < count:
-        return numbered
-    names = [label or number for label, number in zip(labels[-count:], numbered, strict=True)]
-    return names if len(set(names)) == count else numbered
-
-
 def _text(field: Any) -> str:
     """Return a text of the file, which Igor pads with zeros."""
     content = field if isinstance(field, bytes) else np.asarray(field).tobytes()
@@ -75,7 +65,12 @@ def _text(field: Any) -> str:
 READER = Reader(
     name="Igor",
     usual_suffixes=(".ibw",),
-    recognises=recognises,
+    recognises=lambda source: (
+        source.suffix == ".ibw"
+        and not _VERSIONS.isdisjoint(
+            {int.from_bytes(source.head[:2], "little"), int.from_bytes(source.head[:2], "big")}
+        )
+    ),
     read=read,
     library=True,
     extra="afm",

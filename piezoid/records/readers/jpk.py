@@ -9,18 +9,11 @@ from typing import Any
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.readers.archive import ZIP, check_unpacked_size, members
+from piezoid.records.readers.archive import check_unpacked_size, members
 from piezoid.records.readers.named_arrays import table_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, unreadable
 from piezoid.records.table import RawTable
-
-
-def recognises(source: Source) -> bool:
-    """Recognise an archive by its header, which all JPK files have."""
-    return source.head.startswith(ZIP) and any(
-        name.rsplit("/", 1)[-1] == "header.properties" for name in members(source)
-    )
 
 
 def read(source: Source) -> RawTable:
@@ -87,7 +80,9 @@ def _channel(file: Any, number: int, column: str, *, slot: str, unit: str) -> Ar
 READER = Reader(
     name="JPK",
     usual_suffixes=(".jpk-force",),
-    recognises=recognises,
+    recognises=lambda source: any(
+        name.rsplit("/", 1)[-1] == "header.properties" for name in members(source)
+    ),
     read=read,
     library=True,
     extra="afm",

@@ -6,7 +6,6 @@ published description by National Instruments (Writer_Version 0.92 to 2).
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -14,37 +13,22 @@ import numpy as np
 from piezoid.numerics.arrays import Array
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
-from piezoid.records.readers.text_numbers import Layout, count_of, number_of, parse_numbers
+from piezoid.records.readers.text_numbers import (
+    Layout,
+    NumberTable,
+    count_of,
+    number_of,
+    parse_numbers,
+)
 from piezoid.records.readers.text_table import metadata_of
 from piezoid.records.table import Column, RawTable, rate_of
-from piezoid.statement import Statement, finding
+from piezoid.statement import finding
 
 HEADER_END = "***End_of_Header***"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Segment:
-    """One acquisition.
-
-    header  cells by key
-    values  (rows,) for each label
-    line    of the first row
-    """
-
-    labels: tuple[str, ...]
-    header: dict[str, list[str]]
-    values: tuple[Array, ...]
-    line: int
-    statements: tuple[Statement, ...]
-
-    @property
-    def rows(self) -> int:
-        return len(self.values[0])
-
-    @property
-    def declared_rows(self) -> int:
-        counts = map(count_of, self.header.get("Samples", []))
-        return max((count for count in counts if count is not None), default=0)
+# Cells of the header by key, labels of the columns, their numbers, and line of the first row.
+_Segment = tuple[dict[str, list[str]], list[str], NumberTable, int]
 
 
 def read(source: Source) -> RawTable:
@@ -104,28 +88,23 @@ def _read_segment(name: str, lines: list[str], start: int, end: int, layout: Lay
     layout = Layout(separator=separator, decimal=layout.decimal, fields=width)
     block = parse_numbers("\n".join(rows), layout, name, end + 3)
     pairs = [line.split(separator) for line in lines[start:end] if line.strip()]
-    return _Segment(
-        labels=tuple(labels),
-        header={key.strip(): [cell.strip() for cell in cells] for key, *cells in pairs},
-        values=block.columns,
-        line=end + 3,
-        statements=block.statements,
-    )
+    header = {key.strip(): [cell.strip() for cell in cells] for key, *cells in pairs}
+    return header, labels, block, end + 3
 
 
 def _join_segments(name: str, header: dict[str, str], segments: Sequence[_Segment]) -> RawTable:
-    first = segments[0]
-    for segment in segments[1:]:
-        if segment.labels != first.labels:
+    first_header, labels, first_block, first_line = segments[0]
+    for _, labels_of_segment, _, line in segments[1:]:
+        if labels_of_segment != labels:
             raise unreadable(
                 name,
-                f"the segment at line {segment.line} has channels {segment.labels}, the first "
-                f"{first.labels}",
+                f"the segment at line {line} has channels {tuple(labels_of_segment)}, the first "
+                f"{tuple(labels)}",
                 needed="the same channels in every segment",
                 remedy="Write the segments with different channels into separate files.",
-                line=segment.line,
+                line=line,
             )
-    intervals = sorted({cell for cell in first.header.get("Delta_X", []) if cell})
+    intervals = sorted({cell for cell in first_header.get("Delta_X", []) if cell})
     if len(intervals) > 1:
         raise unreadable(
             name,
@@ -133,48 +112,53 @@ def _join_segments(name: str, header: dict[str, str], segments: Sequence[_Segmen
             needed="one clock for all channels",
             remedy="Write the channels of each rate into a separate file.",
         )
-    starts = [int(k) for k in np.cumsum([segment.rows for segment in segments])[:-1]]
     has_clock = any(
         label == "X_Value" and np.isfinite(values).any()
-        for label, values in zip(first.labels, first.values, strict=True)
+        for label, values in zip(labels, first_block.columns, strict=True)
     )
-    # With ``Multi_Headings No`` a file of several segments has one header and a multiple of the
-    # declared samples. With a time column the segments are visible in the clock.
-    declared = first.declared_rows
-    if not starts and not has_clock and declared > 1 and first.rows % declared == 0:
-        starts = list(range(declared, first.rows, declared))
     decimal = header.get("Decimal_Separator", ".")
     numbers = (number_of(interval, decimal) for interval in intervals)
     interval_s = next((n for n in numbers if n is not None and np.isfinite(n)), 0.0)
+    rows = [len(block.columns[0]) for _, _, block, _ in segments]
+    declared = [
+        max((n for n in map(count_of, cells.get("Samples", [])) if n is not None), default=0)
+        for cells, _, _, _ in segments
+    ]
+    starts = [int(k) for k in np.cumsum(rows)[:-1]]
+    # With ``Multi_Headings No`` a file of several segments has one header and a multiple of the
+    # declared samples. With a time column the segments are visible in the clock.
+    if not starts and not has_clock and declared[0] > 1 and rows[0] % declared[0] == 0:
+        starts = list(range(declared[0], rows[0], declared[0]))
     truncated = [
         finding(
             "truncated",
-            f"the header declares {s.declared_rows} samples, the file holds {s.rows}",
-            place=f"line {s.line}",
+            f"the header declares {samples} samples, the file holds {count}",
+            place=f"line {line}",
         )
-        for s in segments
-        if s.declared_rows > max(s.rows, 1)
+        for samples, count, (_, _, _, line) in zip(declared, rows, segments, strict=True)
+        if samples > max(count, 1)
     ]
     return RawTable(
         columns=_columns(segments),
         sampling_rate_Hz=None if has_clock else rate_of(interval_s),
         segment_starts=tuple(starts),
-        first_line=first.line if len(segments) == 1 else 0,
+        first_line=first_line if len(segments) == 1 else 0,
         metadata=header,
-        statements=(*(s for segment in segments for s in segment.statements), *truncated),
+        statements=(*(s for _, _, block, _ in segments for s in block.statements), *truncated),
     )
 
 
 def _columns(segments: Sequence[_Segment]) -> tuple[Column, ...]:
     """Return the channels with their units, and only one of equal clocks."""
-    units = segments[0].header.get("Y_Unit_Label", [])
+    header, labels, first_block, _ = segments[0]
+    units = header.get("Y_Unit_Label", [])
     columns: list[Column] = []
     clocks: list[Array] = []
-    for k, label in enumerate(segments[0].labels):
-        values = np.concatenate([segment.values[k] for segment in segments])
+    for k, label in enumerate(labels):
+        values = np.concatenate([block.columns[k] for _, _, block, _ in segments])
         is_time = label == "X_Value"
         if is_time:
-            is_empty = not np.isfinite(segments[0].values[k]).any()
+            is_empty = not np.isfinite(first_block.columns[k]).any()
             if is_empty or (clocks and np.array_equal(values, clocks[0])):
                 continue
             clocks.append(values)

@@ -5,7 +5,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -30,14 +30,9 @@ COMPRESSED = 15  # type of an element that zlib compressed
 PIECE_SIZE = 1 << 20
 
 
-def recognises(source: Source) -> bool:
-    """Recognise the text at the start of a file, also before the HDF5 of version 7.3."""
-    is_bare_hdf5 = source.head.startswith(SIGNATURE) and source.suffix == ".mat"
-    return source.head.startswith(b"MATLAB ") or is_bare_hdf5
-
-
 def read(source: Source) -> RawTable:
     """Read every numeric vector, by the name of its variable or ``structure.field``."""
+    import h5py
     from pymatreader import read_mat
 
     if source.decompressed is not None:
@@ -47,14 +42,22 @@ def read(source: Source) -> RawTable:
             needed="the .mat file itself",
             remedy="Run: gunzip " + source.name,
         )
-    opaque: dict[str, str] = {}
+    opaque: dict[str, str] = {}  # class of every object, by its path
+
+    def note_object(path: str, item: Any) -> None:
+        kind = item.attrs.get("MATLAB_class", b"")
+        kind = kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
+        if "MATLAB_object_decode" in item.attrs and kind not in PLAIN_CLASSES and path[0] != "#":
+            opaque[path.replace("/", ".")] = kind or "object"
+
     if source.head.startswith(b"MATLAB 5"):
         _check_sizes(source)
         variables = dict(_flatten("", read_mat(str(source.path)), opaque))
     else:
         with source.open() as stream:
-            checked_datasets(source, stream)
-            opaque = _objects_of_hdf5(stream)
+            datasets = checked_datasets(stream)
+            check_growth(source, 8 * sum(dataset.size for dataset in datasets.values()))
+            h5py.File(stream, "r").visititems(note_object)
         # The order of variables in HDF5 is arbitrary.
         variables = dict(sorted(_flatten("", read_mat(str(source.path)), opaque)))
     arrays = {name: value for name, value in variables.items() if name not in opaque}
@@ -78,48 +81,25 @@ def _check_sizes(source: Source) -> None:
     """Refuse variables of implausible size, also in structures."""
     from scipy.io import whosmat
 
-    # SciPy fails for objects, which have no size; _decompressed_sizes includes their elements.
+    # SciPy fails for objects, which have no size; their elements are counted below.
     with suppress(TypeError):
         variables = whosmat(str(source.path))
         check_growth(source, 8 * sum(int(np.prod(s, dtype=object)) for _, s, _ in variables))
     total = 0
     with source.open() as stream:
-        for size in _decompressed_sizes(stream):
-            total += size
-            # Numbers are stored in the smallest possible type, and read as doubles.
-            check_growth(source, 8 * total)
-
-
-def _decompressed_sizes(stream: BinaryIO) -> Iterator[int]:
-    """Yield the decompressed size of each piece of the file's elements."""
-    order = ">" if stream.read(HEADER_SIZE)[126:128] == b"MI" else "<"
-    while len(tag := stream.read(8)) == 8:
-        kind, size = struct.unpack(f"{order}II", tag)
-        inflate = zlib.decompressobj()
-        while size > 0 and (content := stream.read(min(size, PIECE_SIZE))):
-            size -= len(content)
-            if kind != COMPRESSED:
-                yield len(content)
-                continue
-            while content and not inflate.eof:
-                yield len(inflate.decompress(content, PIECE_SIZE))
-                content = inflate.unconsumed_tail
-
-
-def _objects_of_hdf5(stream: BinaryIO) -> dict[str, str]:
-    """Return the class of every object, by its path."""
-    import h5py
-
-    classes: dict[str, str] = {}
-
-    def keep(path: str, item: Any) -> None:
-        kind = item.attrs.get("MATLAB_class", b"")
-        kind = kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
-        if "MATLAB_object_decode" in item.attrs and kind not in PLAIN_CLASSES and path[0] != "#":
-            classes[path.replace("/", ".")] = kind or "object"
-
-    h5py.File(stream, "r").visititems(keep)
-    return classes
+        order = ">" if stream.read(HEADER_SIZE)[126:128] == b"MI" else "<"
+        while len(tag := stream.read(8)) == 8:
+            kind, size = struct.unpack(f"{order}II", tag)
+            inflate = zlib.decompressobj()
+            while size > 0 and (content := stream.read(min(size, PIECE_SIZE))):
+                size -= len(content)
+                total += 0 if kind == COMPRESSED else len(content)
+                while kind == COMPRESSED and content and not inflate.eof:
+                    total += len(inflate.decompress(content, PIECE_SIZE))
+                    content = inflate.unconsumed_tail
+                    check_growth(source, 8 * total)
+                # Numbers are stored in the smallest possible type, and read as doubles.
+                check_growth(source, 8 * total)
 
 
 def _flatten(
@@ -131,25 +111,28 @@ def _flatten(
             continue
         name = f"{prefix}.{key}" if prefix else str(key)
         if isinstance(value, Mapping) and set(value) >= OBJECT_FIELDS:
-            object_name, kind = (_first_text(value[field]) for field in ("s0", "s2"))
-            opaque[object_name or name] = kind
+            texts = []
+            for content in (value["s0"], value["s2"]):
+                is_sequence = isinstance(content, list | tuple | np.ndarray) and len(content)
+                text = content[0] if is_sequence else content
+                texts.append(
+                    text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
+                )
+            opaque[texts[0] or name] = texts[1]
         elif isinstance(value, Mapping):
             yield from _flatten(name, value, opaque)
         else:
             yield name, value if isinstance(value, np.ndarray) else np.asarray(value)
 
 
-def _first_text(field: object) -> str:
-    """Return the text in a field of an object."""
-    is_sequence = isinstance(field, list | tuple | np.ndarray) and len(field)
-    text = field[0] if is_sequence else field  # type: ignore[index]
-    return text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
-
-
 READER = Reader(
     name="MATLAB",
     usual_suffixes=(".mat",),
-    recognises=recognises,
+    # The text at the start of a file stands also before the HDF5 of version 7.3.
+    recognises=lambda source: (
+        source.head.startswith(b"MATLAB ")
+        or (source.head.startswith(SIGNATURE) and source.suffix == ".mat")
+    ),
     read=read,
     library=True,
     extra="io",

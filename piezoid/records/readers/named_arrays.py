@@ -41,7 +41,10 @@ def table_of(
     for name, value in arrays.items():
         array = np.asarray(value)
         if array.dtype.kind in "mM" and array.size:
-            array, units[name] = _seconds_of(array), "s"
+            # Stamps resolve at most nanoseconds; rounding removes the errors of the product.
+            elapsed = array - array.reshape(-1)[0] if array.dtype.kind == "M" else array
+            seconds = (elapsed / np.timedelta64(1, "ns") * 1e-9).round(9)
+            array, units[name] = np.where(np.isnat(elapsed), np.nan, seconds), "s"
         if array.dtype.kind not in "biufc" or array.size <= 1:
             metadata[name] = str(value)[:200]
             continue
@@ -95,12 +98,12 @@ def tables_of_pieces(
             name: np.concatenate([pending[name], values]) if pending else values
             for name, values in piece.items()
         }
-        while _longest(pending) >= 2 * rows:
+        while max(map(len, pending.values()), default=0) >= 2 * rows:
             chunk = {name: values[:rows] for name, values in pending.items()}
             yield replace(table(chunk), first_row=first)
             pending = {name: values[rows - 1 :] for name, values in pending.items()}
             first += rows - 1
-    if _longest(pending) > int(first > 0):
+    if max(map(len, pending.values()), default=0) > int(first > 0):
         yield replace(table(pending), first_row=first)
 
 
@@ -110,19 +113,6 @@ def commonest_length(lengths: Iterable[int]) -> int:
     return max(sorted(counts), key=counts.__getitem__, default=0)
 
 
-def _longest(arrays: Arrays) -> int:
-    return max((len(values) for values in arrays.values()), default=0)
-
-
-def _seconds_of(array: NDArray[Any]) -> NDArray[Any]:
-    """Return dates, from the first of them, or durations in seconds."""
-    if array.dtype.kind == "M":
-        array = array - array.reshape(-1)[0]
-    # Stamps resolve at most nanoseconds; rounding removes the errors of the product.
-    seconds = (array / np.timedelta64(1, "ns") * 1e-9).round(9)
-    return np.where(np.isnat(array), np.nan, seconds)
-
-
 def _columns_of(
     source: Source, name: str, array: NDArray[Any], shapes: Mapping[str, tuple[int, ...]]
 ) -> tuple[list[tuple[str, NDArray[Any]]], list[Statement]]:
@@ -130,7 +120,14 @@ def _columns_of(
 
     shapes  of all arrays of the file
     """
-    paths = _response_paths(name, array)
+    # Paths of a response of several outputs and inputs, of shape (outputs, inputs, lines) as in
+    # MATLAB, or (lines, outputs, inputs) as mostly in NumPy.
+    paths: list[tuple[str, NDArray[Any]]] = []
+    for by_path in (array, np.moveaxis(array, 0, -1)) if array.ndim == 3 else ():
+        size, inputs, lines = by_path.shape
+        if not paths and 1 < size == inputs <= MAX_AXES and lines > size:
+            pairs = [(i, j) for i in range(size) for j in range(size)]
+            paths = [(f"{name}({i + 1},{j + 1})", by_path[i, j]) for i, j in pairs]
     if array.dtype.kind == "c":
         columns = [
             (f"{part}({label})", getattr(path, part))
@@ -164,20 +161,6 @@ def complex_statement(subject: str, place: str) -> Statement:
         "response, and of no recording over time"
     )
     return finding("complex", text, place=place)
-
-
-def _response_paths(name: str, array: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
-    """Return the paths of a response of several outputs and inputs; empty for other arrays.
-
-    The shape is (outputs, inputs, lines) in MATLAB, and usually (lines, outputs, inputs) in NumPy.
-    """
-    if array.ndim == 3:
-        for by_path in (array, np.moveaxis(array, 0, -1)):
-            size, inputs, lines = by_path.shape
-            if 1 < size == inputs <= MAX_AXES and lines > size:
-                pairs = [(i, j) for i in range(size) for j in range(size)]
-                return [(f"{name}({i + 1},{j + 1})", by_path[i, j]) for i, j in pairs]
-    return []
 
 
 def _is_transposed(

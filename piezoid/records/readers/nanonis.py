@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from piezoid.records.column_roles import Role, meaning_of
+from piezoid.records.column_roles import meaning_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import HEAD_SIZE, Source, text_of, unreadable
 from piezoid.records.readers.text_numbers import Layout
@@ -41,7 +41,7 @@ def read(source: Source) -> RawTable:
     swept = table.columns[0]
     return replace(
         table,
-        independent="" if meaning_of(swept.heading).role is Role.TIME else swept.label,
+        independent="" if meaning_of(swept.heading).is_time else swept.label,
         metadata=metadata_of(lines[:row]),
     )
 

@@ -51,12 +51,6 @@ def read_npz(source: Source) -> RawTable:
         return table_of(source, {name: archive[name] for name in archive.files})
 
 
-def _is_npz(source: Source) -> bool:
-    """Recognise an archive of arrays by its names, a damaged or empty archive by its suffix."""
-    is_zip = source.suffix == ".npz" and source.head.startswith((ZIP, b"PK\x05\x06"))
-    return is_zip or any(name.endswith(".npy") for name in members(source))
-
-
 NPY = Reader(
     name="npy",
     usual_suffixes=(".npy",),
@@ -64,4 +58,14 @@ NPY = Reader(
     read=read_npy,
     library=True,
 )
-NPZ = Reader(name="npz", usual_suffixes=(".npz",), recognises=_is_npz, read=read_npz, library=True)
+NPZ = Reader(
+    name="npz",
+    usual_suffixes=(".npz",),
+    # A damaged or empty archive is recognised by its suffix.
+    recognises=lambda source: (
+        (source.suffix == ".npz" and source.head.startswith((ZIP, b"PK\x05\x06")))
+        or any(name.endswith(".npy") for name in members(source))
+    ),
+    read=read_npz,
+    library=True,
+)

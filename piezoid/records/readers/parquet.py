@@ -1,6 +1,6 @@
 """Apache Parquet: named columns, units in the names or in a field's metadata."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from piezoid.records.readers.named_arrays import table_of, tables_of_pieces
@@ -18,9 +18,8 @@ def read(source: Source) -> RawTable:
 
     with source.open() as stream:
         file = ParquetFile(stream)
-        kinds = (_is_number, types.is_timestamp, types.is_duration)
-        units = _units_of(file, lambda kind: any(is_kind(kind) for is_kind in kinds))
-        _check_footer(source, file.metadata, len(units))
+        times = (types.is_timestamp, types.is_duration)
+        units = _checked_units(source, file, (types.is_floating, types.is_integer, *times))
         # Other columns are not read: a long text repeated in every row makes a small file.
         table = file.read(columns=list(units))
     columns = {name: table.column(name).combine_chunks() for name in units}
@@ -30,12 +29,13 @@ def read(source: Source) -> RawTable:
 
 def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     """Yield the columns of numbers batch by batch, with at most one batch in memory."""
+    import pyarrow.types as types
     from pyarrow.parquet import ParquetFile
 
     with source.open() as stream:
         file = ParquetFile(stream, buffer_size=_BUFFER, pre_buffer=False)
-        units = _units_of(file, _is_number)
-        _check_footer(source, file.metadata, len(units), in_memory=False)
+        numbers = (types.is_floating, types.is_integer)
+        units = _checked_units(source, file, numbers, in_memory=False)
         pieces = (
             {name: batch.column(name).to_numpy(zero_copy_only=False) for name in units}
             for batch in file.iter_batches(batch_size=rows, columns=list(units), use_threads=False)
@@ -43,27 +43,24 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         yield from tables_of_pieces(source, pieces, rows, units=units)
 
 
-def _is_number(kind: Any) -> bool:
-    import pyarrow.types as types
+def _checked_units(
+    source: Source, file: Any, kinds: Iterable[Callable[[Any], bool]], *, in_memory: bool = True
+) -> dict[str, str]:
+    """Return the units of the columns of some types by name; empty for an unknown unit.
 
-    return bool(types.is_floating(kind) or types.is_integer(kind))
-
-
-def _units_of(file: Any, is_read: Any) -> dict[str, str]:
-    """Return the units of the columns of some types by name; empty for an unknown unit."""
-    return {
+    Refuses files that would fill memory or disk, by the sizes in the footer.
+    """
+    units = {
         field.name: (field.metadata or {}).get(b"unit", b"").decode("utf-8")
         for field in file.schema_arrow
-        if is_read(field.type)
+        if any(is_kind(field.type) for is_kind in kinds)
     }
-
-
-def _check_footer(source: Source, metadata: Any, columns: int, *, in_memory: bool = True) -> None:
-    """Refuse files that would fill memory or disk, by the sizes in the footer."""
+    metadata = file.metadata
     check_columns(source.name, metadata.num_columns)
-    check_growth(source, 8 * metadata.num_rows * columns, in_memory=in_memory)
+    check_growth(source, 8 * metadata.num_rows * len(units), in_memory=in_memory)
     groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
     check_growth(source, sum(group.total_byte_size for group in groups), in_memory=in_memory)
+    return units
 
 
 READER = Reader(

@@ -97,25 +97,21 @@ class Source:
         in_memory = self.decompressed
         return self.path.open("rb") if in_memory is None else io.BytesIO(in_memory)
 
-    def content(self) -> bytes:
-        """Return the whole content."""
-        return self.path.read_bytes() if self.decompressed is None else self.decompressed
-
     def size(self) -> int:
         """Return the number of bytes of the content."""
         in_memory = self.decompressed
         return self.path.stat().st_size if in_memory is None else len(in_memory)
 
 
-def open_source(path: Path, *, limit: int = SIZE_LIMIT, in_memory: bool = True) -> Source:
-    """Open a file and decompress it if it is gzip, refusing more than ``limit`` bytes.
+def open_source(path: Path, *, in_memory: bool = True) -> Source:
+    """Open a file and decompress it if it is gzip, refusing more than ``SIZE_LIMIT`` bytes.
 
     in_memory  False: a file of any size, of which only the beginning is decompressed
     """
     try:
         size = regular_size(path)
         if in_memory:
-            check_size(path.name, size, limit)
+            check_size(path.name, size, SIZE_LIMIT)
         with path.open("rb") as stream:
             # Files of /proc have size 0 and may never end.
             head = stream.read(min(size, HEAD_SIZE))
@@ -136,9 +132,8 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, in_memory: bool = True) 
         ) from error
     decompressed, is_gzip = None, head.startswith(b"\x1f\x8b")
     if is_gzip:
-        decompressed = _decompress(
-            path, min(limit, growth_limit(size)) if in_memory else HEAD_SIZE, in_memory=in_memory
-        )
+        limit = growth_limit(size) if in_memory else HEAD_SIZE
+        decompressed = _decompress(path, limit, in_memory=in_memory)
         head = decompressed[:HEAD_SIZE]
     if not head:
         raise unreadable(
@@ -226,7 +221,7 @@ def available_bytes() -> int | None:
     return min(limits, default=None)
 
 
-def check_size(file: str, size: int, limit: int = SIZE_LIMIT) -> None:
+def check_size(file: str, size: int, limit: int) -> None:
     """Refuse content of more than ``limit`` decompressed bytes."""
     if size > limit:
         raise unreadable(
@@ -275,7 +270,8 @@ def text_of(source: Source) -> str:
     encoding = encoding_of(source.head)
     if not encoding.startswith("utf-16"):
         refuse_zero_bytes(source)
-    content = source.content()
+    with source.open() as stream:
+        content = stream.read()
     if encoding == "latin-1" or encoding.startswith("utf-16"):
         text = content.decode(encoding, errors="replace")
     else:

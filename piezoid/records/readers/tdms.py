@@ -15,8 +15,8 @@ def read(source: Source) -> RawTable:
         channels = _named_channels(source, file)
         check_growth(source, 8 * sum(len(channel) for channel in channels.values()))
         arrays = {name: channel[:] for name, channel in channels.items()}
-        rate_Hz = _stated_rate_Hz(source, channels)
-        return table_of(source, arrays, units=_units(channels), sampling_rate_Hz=rate_Hz)
+        units, rate_Hz = _units_and_rate_Hz(source, channels)
+        return table_of(source, arrays, units=units, sampling_rate_Hz=rate_Hz)
 
 
 def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
@@ -36,10 +36,8 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
             }
             for first in range(0, length, rows)
         )
-        rate_Hz = _stated_rate_Hz(source, channels)
-        yield from tables_of_pieces(
-            source, pieces, rows, units=_units(columns), sampling_rate_Hz=rate_Hz
-        )
+        units, rate_Hz = _units_and_rate_Hz(source, channels)
+        yield from tables_of_pieces(source, pieces, rows, units=units, sampling_rate_Hz=rate_Hz)
 
 
 def _open_file(stream: object) -> Any:
@@ -62,12 +60,11 @@ def _named_channels(source: Source, file: Any) -> dict[str, Any]:
     }
 
 
-def _units(channels: Mapping[str, Any]) -> dict[str, str]:
-    return {name: str(c.properties.get("unit_string", "")) for name, c in channels.items()}
-
-
-def _stated_rate_Hz(source: Source, channels: Mapping[str, Any]) -> float | None:
-    """Return the common sampling rate of the channels; None if they state none."""
+def _units_and_rate_Hz(
+    source: Source, channels: Mapping[str, Any]
+) -> tuple[dict[str, str], float | None]:
+    """Return the units of the channels, and their common sampling rate; None if not stated."""
+    units = {name: str(c.properties.get("unit_string", "")) for name, c in channels.items()}
     stated_s = [float(c.properties.get("wf_increment", 0)) for c in channels.values() if len(c)]
     intervals_s = {interval_s for interval_s in stated_s if interval_s > 0}
     if len(intervals_s) > 1:
@@ -77,7 +74,7 @@ def _stated_rate_Hz(source: Source, channels: Mapping[str, Any]) -> float | None
             needed="one clock for all channels",
             remedy="Write the channels of each rate into a separate file.",
         )
-    return rate_of(intervals_s.pop()) if intervals_s else None
+    return units, rate_of(intervals_s.pop()) if intervals_s else None
 
 
 READER = Reader(

@@ -4,9 +4,13 @@ import json
 import re
 from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
-from piezoid.errors import LabFileError, UnreadableFileError
-from piezoid.records.column_roles import Role, meaning_of
+import numpy as np
+
+from piezoid.errors import LabFileError
+from piezoid.numerics.arrays import Array
+from piezoid.records.column_roles import meaning_of
 from piezoid.records.readers.source import TextFormat, check_columns, unreadable
 from piezoid.records.readers.text_numbers import Layout, cells_of, number_of, refuse_prefix, split
 from piezoid.records.units import heading_of, unit_of
@@ -22,6 +26,7 @@ _THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 _SPLIT_NUMBER = re.compile(r"[+-]?\d{1,9},\d{3,9}(?=,)")
 _BELOW_THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}")
 _BRACKETS = frozenset("[](){}")
+UNIT_BRACKETS = "[]() "  # around a unit in a row of units
 _HEXADECIMAL = re.compile(r"\b0[xX][0-9a-fA-F]{1,16}\b")
 _COMMENT = re.compile(r"^\s*(?:#|%|//)+\s?")
 # No opening bracket inside: a line of opening brackets would take quadratic time.
@@ -48,7 +53,7 @@ class TableStart:
     strays: tuple[int, ...] = ()
 
 
-def find_table(lines: list[str], name: str, declared: TextFormat | None = None) -> TableStart:
+def find_table(lines: list[str], name: str, declared: TextFormat) -> TableStart:
     """Find the table among the first lines of a text, trying every layout.
 
     declared  layout as declared in lab.toml
@@ -56,8 +61,10 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
     The layout with the most rows of numbers is selected; among equals the first one with headings,
     else the first one in the list (a tab always separates, a blank often does not).
     """
-    declared = declared or TextFormat()
-    lines, count = _head_lines(lines), len(lines)
+    # At most MAX_TRIED_TEXT characters in possible rows.
+    sizes = accumulate(len(line) if len(line) <= MAX_LINE else 0 for line in lines)
+    tried = max(sum(size <= MAX_TRIED_TEXT for size in sizes), 1)
+    lines, count = lines[:tried], len(lines)
     if declared.heading_row is not None and declared.heading_row >= len(lines):
         raise LabFileError(
             f"lab.toml: heading_row of {name} is {declared.heading_row}, the headings of this "
@@ -69,7 +76,19 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
     best = _find_best_start(lines, 1.0, declared) or _find_best_start(lines, 0.5, declared)
     if best is None:
         check_columns(name, max((_column_count(x) for x in lines if len(x) > MAX_LINE), default=0))
-        raise _no_table(lines, count, name, declared)
+        entries = ", ".join(f"{key} = {value!r}" for key, value in declared.entries.items())
+        stated = f" with {entries} of lab.toml" if entries else ""
+        numbers = (match[0] for line in lines if (match := _HEXADECIMAL.search(line)))
+        hint = next((f", and {number!r} is a hexadecimal number" for number in numbers), "")
+        raise unreadable(
+            name,
+            f"its first {count} lines hold no row of numbers{stated}; line 1 is "
+            f"{lines[0][:60]!r}{hint}",
+            needed="a table of numbers separated by tabs, semicolons, bars, commas or blanks",
+            remedy="Export the recording as CSV, in decimal numbers, without units or words in "
+            "the cells.",
+            line=1,
+        )
     for row, line in enumerate(lines[: best.row], start=1):
         # A row of numbers above the table may contain a prefix in a cell.
         cells = cells_of(line, best.layout) if len(line) <= MAX_LINE else []
@@ -86,24 +105,6 @@ def find_table(lines: list[str], name: str, declared: TextFormat | None = None) 
     return best
 
 
-def _no_table(
-    lines: list[str], count: int, name: str, declared: TextFormat
-) -> UnreadableFileError:
-    entries = ", ".join(f"{key} = {value!r}" for key, value in declared.entries.items())
-    stated = f" with {entries} of lab.toml" if entries else ""
-    numbers = (match[0] for line in lines if (match := _HEXADECIMAL.search(line)))
-    hint = next((f", and {number!r} is a hexadecimal number" for number in numbers), "")
-    return unreadable(
-        name,
-        f"its first {count} lines hold no row of numbers{stated}; line 1 is "
-        f"{lines[0][:60]!r}{hint}",
-        needed="a table of numbers separated by tabs, semicolons, bars, commas or blanks",
-        remedy="Export the recording as CSV, in decimal numbers, without units or words in "
-        "the cells.",
-        line=1,
-    )
-
-
 def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name: str) -> None:
     """Refuse rows with another number of fields than the line of headings."""
     layout = start.layout
@@ -114,14 +115,16 @@ def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name
         cells = next((cut for cut in cuts if len(cut) > 1), [])
         heading_count = len([cell for cell in cells if cell])
         # ``rig, stage 42`` is not a line of headings; ``time [s], voltage`` is.
-        meanings = [meaning_of(heading_of(cell)).role for cell in cells]
-        if heading_count > 1 and any(role is not Role.UNREAD for role in meanings):
+        if heading_count > 1 and any(meaning_of(heading_of(cell)).is_read for cell in cells):
             break
     else:
         return
     if heading_count == layout.fields:
         return
-    if heading_count == layout.fields - 1 and _has_row_numbers(lines[start.row :], layout):
+    rows = [line for line in lines[start.row :] if line.strip() and not _COMMENT.match(line)]
+    first_cells = [cells_of(line, layout)[0] for line in rows[:3]]
+    counts = [[str(first + k) for k in range(len(first_cells))] for first in (0, 1)]
+    if heading_count == layout.fields - 1 and first_cells in counts:
         return  # a column of row numbers without a heading
     explanation, entry = "", 'decimal = "."'
     if heading_count < layout.fields and layout.separator == ",":
@@ -147,13 +150,6 @@ def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name
     )
 
 
-def _has_row_numbers(lines: list[str], layout: Layout) -> bool:
-    """Return whether the first cells of the rows are 0, 1, 2, ... or 1, 2, 3, ..."""
-    rows = [line for line in lines if line.strip() and not _COMMENT.match(line)]
-    cells = [cells_of(line, layout)[0] for line in rows[:3]]
-    return any(cells == [str(first + k) for k in range(len(cells))] for first in (0, 1))
-
-
 def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -> None:
     """Refuse numbers in which a comma may mark thousands or decimals.
 
@@ -164,7 +160,7 @@ def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -
         return
     for k in range(start.layout.fields):
         rows = (cells_of(line, start.layout) for line in lines[start.row :] if line.strip())
-        cells = [row[k] for row in rows if len(row) > k and _has_digit(row[k])]
+        cells = [row[k] for row in rows if len(row) > k and any(map(str.isdigit, row[k]))]
         marked = sum(_THOUSAND.fullmatch(cell) is not None for cell in cells)
         unmarked = sum(_BELOW_THOUSAND.fullmatch(cell) is not None for cell in cells)
         if marked and unmarked and marked + unmarked == len(cells):
@@ -177,16 +173,6 @@ def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -
                 remedy="Write into lab.toml which character marks decimals:\n\n[[recording]]\n"
                 f'file = {json.dumps(name)}\ndecimal = "."\n',
             )
-
-
-def _head_lines(lines: list[str]) -> list[str]:
-    """Return the first lines with at most ``MAX_TRIED_TEXT`` characters in possible rows."""
-    size = 0
-    for row, line in enumerate(lines):
-        size += len(line) if len(line) <= MAX_LINE else 0
-        if row and size > MAX_TRIED_TEXT:
-            return lines[:row]
-    return lines
 
 
 def _column_count(line: str) -> int:
@@ -215,8 +201,24 @@ def _find_best_start(lines: list[str], share: float, declared: TextFormat) -> Ta
             continue
         fields = Counter(rows.values()).most_common(1)[0][0]
         first = min(row for row, count in rows.items() if count == fields)
-        start = replace(
-            _with_headings(lines, first, replace(layout, fields=fields), declared.heading_row),
+        layout = replace(layout, fields=fields)
+        is_open = bool(layout.separator) and all(
+            split(line, layout.separator)[-1:] == [""] for line in lines[first : first + 20]
+        )
+        above = [lines[k] for k in range(declared.heading_row or first) if lines[k].strip()]
+        labels = units = ("",) * fields
+        lowest = _heading_fields(above[-1], layout, is_open) if above else None
+        names = _heading_fields(above[-2], layout, is_open) if len(above) > 1 else None
+        if lowest and names and _is_unit_row(lowest) and not _is_unit_row(names):
+            labels, units, above = names, lowest, above[:-2]
+        elif lowest and any(re.search(r"[^\W\d_]", cell) for cell in lowest):
+            labels, above = lowest, above[:-1]
+        start = TableStart(
+            layout=layout,
+            row=first,
+            labels=labels,
+            units=units,
+            above=tuple(above),
             strays=tuple(row + 1 for row in rows if row < first),
         )
         score = (sum(count == fields for count in rows.values()), any(start.labels))
@@ -241,46 +243,27 @@ def _numeric_rows(lines: list[str], layout: Layout, share: float, above: int) ->
             numbers
             and is_whole
             and numbers >= share * len(values)
-            and any(map(_has_digit, fields))
+            and any(map(str.isdigit, "".join(fields)))
         ):
             fields_of_row[row] = len(fields)
     return fields_of_row
 
 
-def _has_digit(field: str) -> bool:
-    return any(character.isdigit() for character in field)
+def with_headings_beside_row_numbers(start: TableStart, first_column: Array) -> TableStart:
+    """Return the start with headings if only a column of row numbers has none.
 
-
-def _with_headings(
-    lines: list[str], first: int, layout: Layout, heading_row: int | None
-) -> TableStart:
-    above = [k for k in range(heading_row or first) if lines[k].strip()]
-    labels = units = ("",) * layout.fields
-    if above:
-        is_open = bool(layout.separator) and all(
-            split(line, layout.separator)[-1:] == [""] for line in lines[first : first + 20]
-        )
-        lowest = _heading_fields(lines[above[-1]], layout, is_open)
-        names = _heading_fields(lines[above[-2]], layout, is_open) if len(above) > 1 else None
-        if lowest and names and _is_unit_row(lowest) and not _is_unit_row(names):
-            labels, units, above = names, lowest, above[:-2]
-        elif lowest and any(re.search(r"[^\W\d_]", cell) for cell in lowest):
-            labels, above = lowest, above[:-1]
-    preamble = tuple(lines[k] for k in above)
-    return TableStart(layout=layout, row=first, labels=labels, units=units, above=preamble)
-
-
-def headings_beside_row_numbers(start: TableStart) -> tuple[str, ...] | None:
-    """Return the headings of a line with one name less than the rows have fields, or None.
-
-    Programs write row numbers without a heading; the caller checks whether the first column
-    contains row numbers.
+    Programs write row numbers without a heading: the line of headings then has one name less than
+    the rows have fields.
     """
     if any(start.labels) or not start.above or start.layout.fields < 3:
-        return None
+        return start
     layout = replace(start.layout, fields=start.layout.fields - 1)
     cells = _heading_fields(start.above[-1], layout)
-    return None if cells is None or not all(cells) else ("", *cells)
+    if cells is None or not all(cells):
+        return start
+    if first_column[0] not in (0, 1) or not (np.diff(first_column) == 1).all():
+        return start
+    return replace(start, labels=("", *cells), above=start.above[:-1])
 
 
 def _heading_fields(line: str, layout: Layout, is_open: bool = False) -> tuple[str, ...] | None:
@@ -296,8 +279,15 @@ def _heading_fields(line: str, layout: Layout, is_open: bool = False) -> tuple[s
         cuts += [_NAME_AND_BRACKET.findall(heading), re.split(r"\s{2,}|\t", heading.strip())]
     cuts += [split(heading, separator) for separator in ("\t", ";", ",")]
     if layout.separator and layout.separator in heading and not _BRACKETS.isdisjoint(heading):
-        # ``position [um, filtered]``
-        cuts.append(_split_outside_brackets(heading, layout.separator))
+        # ``position [um, filtered]`` is split outside its brackets.
+        outside, depth = [""], 0
+        for part in re.split(rf"([\[\](){{}}]|{re.escape(layout.separator)})", heading):
+            depth = max(depth + (part in tuple("[({")) - (part in tuple("])}")), 0)
+            if part == layout.separator and depth == 0:
+                outside.append("")
+            else:
+                outside[-1] += part
+        cuts.append(outside)
     for cells in cuts:
         cells = [cell.strip().strip('"').strip() for cell in cells]
         if len(cells) > layout.fields and not any(cells[layout.fields :]):
@@ -307,18 +297,6 @@ def _heading_fields(line: str, layout: Layout, is_open: bool = False) -> tuple[s
         if is_open and len(cells) + 1 == layout.fields:
             return (*cells, "")
     return None
-
-
-def _split_outside_brackets(line: str, separator: str) -> list[str]:
-    """Split a line at the separators outside brackets."""
-    cells, depth = [""], 0
-    for part in re.split(rf"([\[\](){{}}]|{re.escape(separator)})", line):
-        if part == separator and depth == 0:
-            cells.append("")
-            continue
-        depth = max(depth + (part in "[({") - (part in "])}"), 0) if part in _BRACKETS else depth
-        cells[-1] += part
-    return cells
 
 
 def drop_repeated_headings(
@@ -337,7 +315,14 @@ def drop_repeated_headings(
     rows = 0
     labels = [(heading.stem.lower(), heading.unit) for heading in map(heading_of, start.labels)]
     for number, content in enumerate(text.split("\n"), start=line):
-        cells = _repeated_heading(content, start)
+        # A heading has as many words as there are columns, and no number.
+        cells: tuple[str, ...] = ()
+        if len(content) <= MAX_LINE and re.search(r"[^\W\d_]", content):
+            cells = _heading_fields(content.lstrip("\ufeff"), start.layout) or ()
+        if not any(cells) or any(
+            number_of(cell, start.layout.decimal) is not None for cell in cells if cell
+        ):
+            cells = ()
         headings = [heading_of(cell) for cell in cells]
         if cells and cells == start.units:
             continue
@@ -364,22 +349,7 @@ def drop_repeated_headings(
     )
 
 
-def _repeated_heading(line: str, start: TableStart) -> tuple[str, ...]:
-    """Return the cells of a line of as many words as columns, else an empty tuple."""
-    if len(line) > MAX_LINE or not re.search(r"[^\W\d_]", line):
-        return ()
-    cells = _heading_fields(line.lstrip("\ufeff"), start.layout) or ()
-    filled = [cell for cell in cells if cell]
-    is_heading = filled and all(number_of(cell, start.layout.decimal) is None for cell in filled)
-    return cells if is_heading else ()
-
-
 def _is_unit_row(cells: tuple[str, ...]) -> bool:
-    units = [unit_cell(cell) for cell in cells]
+    units = [cell.strip(UNIT_BRACKETS) for cell in cells]
     is_unit = [unit_of(unit) is not None for unit in units if unit]
     return bool(is_unit) and all(is_unit)
-
-
-def unit_cell(cell: str) -> str:
-    """Return a cell of a row of units without its brackets."""
-    return cell.strip("[]() ")

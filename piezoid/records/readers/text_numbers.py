@@ -159,14 +159,6 @@ def _refuse_prefixes(
                 refuse_prefix(cell, name, line, k + 1)
 
 
-def lines_are_rows(text: str) -> bool:
-    """Return whether no line of a table is blank or a comment."""
-    marked = any(mark in text for mark in ("#", "%", "//"))
-    return "\n\n" not in text.rstrip("\n") and not (
-        marked and any(map(_COMMENT.match, text.split("\n")))
-    )
-
-
 def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, ...]]:
     """Return a table without comments between its rows, and the statement about them."""
     if not any(mark in text for mark in ("#", "%", "//")):
@@ -291,26 +283,18 @@ def _parse_times(cells: "Series[str]") -> "Series[float] | None":
     stamps = pd.to_datetime(cells, format="ISO8601", errors="coerce", utc=True)
     if stamps.notna().all():
         return (stamps - stamps.iloc[0]).dt.total_seconds()
-    parts = cells.str.extract(f"^{_TIME_OF_DAY}$")
-    if not parts[["h", "m", "s"]].isna().to_numpy().any():
+    turn_s, parts = 86400.0, cells.str.extract(f"^{_TIME_OF_DAY}$")
+    if parts[["h", "m", "s"]].isna().to_numpy().any():
+        turn_s, parts = 3600.0, cells.str.extract(f"^{_MINUTES}$")
+        if parts.isna().to_numpy().any():
+            return None
+    second = parts["s"].str.replace(",", ".").astype(float)
+    seconds = 60 * parts["m"].astype(float) + second
+    if "h" in parts:
         hours = parts["h"].astype(float)
         if parts["half"].notna().any():
             hours = hours % 12 + 12 * parts["half"].str.lower().eq("p")
-        return _unwrap_clock(3600 * hours + _seconds_in_hour(parts), 86400.0)
-    parts = cells.str.extract(f"^{_MINUTES}$")
-    return (
-        None if parts.isna().to_numpy().any() else _unwrap_clock(_seconds_in_hour(parts), 3600.0)
-    )
-
-
-def _seconds_in_hour(parts: "DataFrame") -> "Series[float]":
-    """Return 60 m + s of columns of minutes ``m`` and seconds ``s``."""
-    second = parts["s"].str.replace(",", ".").astype(float)
-    return 60 * parts["m"].astype(float) + second
-
-
-def _unwrap_clock(seconds: "Series[float]", turn_s: float) -> "Series[float]":
-    """Unwrap a clock of period ``turn_s``, in seconds from the first sample."""
+        seconds = 3600 * hours + seconds
     step = seconds.diff()
     turns = step.lt(-turn_s / 2).astype(int).cumsum() - step.gt(turn_s / 2).astype(int).cumsum()
     running: Series[float] = seconds + turn_s * turns

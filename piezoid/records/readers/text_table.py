@@ -1,4 +1,7 @@
-"""Text tables: CSV, TSV, semicolons or blanks, decimal point or comma, with lines above."""
+"""Text tables: CSV, TSV, semicolons or blanks, decimal point or comma, with lines above.
+
+Cells may hold complex numbers: ``0.2-0.03i``, ``(0.2-0.03j)``, ``0.2+-0.03j``.
+"""
 
 import gzip
 import io
@@ -9,7 +12,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from piezoid.records.readers.complex_cells import join_complex_columns, real_and_imaginary_text
+from piezoid.records.readers.named_arrays import complex_statement
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import (
     Source,
@@ -22,22 +25,37 @@ from piezoid.records.readers.source import (
 )
 from piezoid.records.readers.text_layout import (
     HEAD_LINES,
+    UNIT_BRACKETS,
     TableStart,
     drop_repeated_headings,
     find_table,
-    headings_beside_row_numbers,
-    unit_cell,
+    with_headings_beside_row_numbers,
 )
 from piezoid.records.readers.text_numbers import (
     Layout,
     NumberTable,
-    lines_are_rows,
     parse_numbers,
     without_comments,
 )
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
+TESTED_LINES = 10  # at the end of the head, below comments and headings
+
+
+# Possessive quantifiers (++): a run of digits is searched once. A comma marks decimals only if the
+# fields have another separator. The sign has white space on both sides or on neither:
+# "1.0 -0.3i" are two fields.
+_WITH_POINTS, _WITH_COMMAS = (
+    re.compile(
+        rf"(?<![\w.])\(?(?P<real>[+-]?{digits})(?:\s{{1,9}}(?P<spaced>[+-])\s{{1,9}}|\+?(?P<sign>[+-]))"
+        rf"(?P<imaginary>{digits})\s?\*?[ijIJ](?![a-zA-Z\d])\)?"
+    )
+    for digits in (
+        r"(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][+-]?\d++)?",
+        r"(?:\d++(?:[.,]\d*+)?|[.,]\d++)(?:[eE][+-]?\d++)?",
+    )
+)
 # Lines without a zero byte. Binary formats with longer headers of text have their own readers.
 MIN_TEXT_LINES = 3
 _MAX_ZEROS = 0.05  # of the first bytes
@@ -46,17 +64,37 @@ MAX_LINE = 1 << 20  # characters; 4096 columns of whole doubles have a tenth of 
 MAX_HEAD = 1 << 24
 
 
-def read(source: Source) -> RawTable:
-    """Read the columns of numbers of a text table."""
-    return read_text(source, text_of(source))
-
-
 def read_text(source: Source, text: str) -> RawTable:
-    """Read the columns of numbers of the text of a table."""
-    parts = real_and_imaginary_text(text)
-    if parts is None:
+    """Read the columns of numbers of the text of a table.
+
+    A complex column becomes two columns, named like those of MATLAB files.
+    """
+    head = [line for line in text.split("\n", HEAD_LINES)[:HEAD_LINES] if line.strip()]
+    tested = head[-TESTED_LINES:]
+    pattern = _WITH_COMMAS if tested and {";", "\t"} & set(tested[-1]) else _WITH_POINTS
+    if not tested or not all(map(pattern.search, tested[1:] or tested)):
         return _read_numbers(source, text)
-    return join_complex_columns(*(_read_numbers(source, part) for part in parts))
+    # Only one of the two groups of the sign matches.
+    parts = (r"\g<real>", r"\g<spaced>\g<sign>\g<imaginary>")
+    real, imaginary = (_read_numbers(source, pattern.sub(part, text)) for part in parts)
+    columns: list[Column] = []
+    complex_columns: list[Column] = []
+    for column, imaginary_column in zip(real.columns, imaginary.columns, strict=True):
+        pieces = [column]
+        if not np.array_equal(column.values, imaginary_column.values, equal_nan=True):
+            complex_columns.append(column)
+            label = column.label or str(column.number)
+            pieces = [
+                replace(column, label=f"real({label})"),
+                replace(imaginary_column, label=f"imag({label})"),
+            ]
+        columns += [replace(piece, number=len(columns) + k + 1) for k, piece in enumerate(pieces)]
+    if not complex_columns:
+        return real
+    locations = ", ".join(column.place for column in complex_columns[:3])
+    suffix = ", ..." if len(complex_columns) > 3 else ""
+    statement = complex_statement(f"{locations}{suffix}", complex_columns[0].place)
+    return replace(real, columns=tuple(columns), statements=(*real.statements, statement))
 
 
 def _read_numbers(source: Source, text: str) -> RawTable:
@@ -65,7 +103,7 @@ def _read_numbers(source: Source, text: str) -> RawTable:
     body = text.split("\n", start.row)[-1] if start.row else text
     line = start.row + 1
     block, segment_starts, statements = parse_rows(body, start, source.name, line)
-    start = _with_row_number_headings(start, block)
+    start = with_headings_beside_row_numbers(start, block.columns[0])
     table = _table(start, body, line, block, segment_starts)
     return replace(
         table, statements=(*statements, *block.statements, *_statements_of_file(start, block))
@@ -82,7 +120,16 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         packed = io.BufferedReader(_BoundedGzip(source, raw)) if source.is_gzip else raw
         # ``text_of`` decodes in the same way, except for errors behind the file's beginning.
         stream = io.TextIOWrapper(packed, encoding=encoding_of(source.head), errors="replace")
-        start = _start_in_stream(stream, source)
+        lines: list[str] = []
+        while len(lines) < HEAD_LINES and sum(map(len, lines)) < MAX_HEAD:
+            head_line = stream.readline(MAX_LINE)
+            if not head_line:
+                break
+            lines.append(head_line.removesuffix("\n"))
+        start = find_table(lines, source.name, source.text)
+        stream.seek(0)
+        for _ in range(start.row):
+            stream.readline()
         textual: frozenset[int] | None = None
         line, first_row = start.row + 1, 0
         for text in _line_chunks(stream, rows, source):
@@ -97,7 +144,8 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
                     line=line,
                 )
             if textual is None:
-                start, textual = _with_row_number_headings(start, block), block.textual
+                start = with_headings_beside_row_numbers(start, block.columns[0])
+                textual = block.textual
                 statements = (*statements, *_statements_of_file(start, block))
             block = replace(
                 block,
@@ -138,28 +186,20 @@ def _table(
         Column(
             number=k + 1,
             label=start.labels[k],
-            declared_unit="s" if k in block.stamped else unit_cell(start.units[k]),
+            declared_unit="s" if k in block.stamped else start.units[k].strip(UNIT_BRACKETS),
             values=values,
         )
         for k, values in enumerate(block.columns)
         if k not in block.textual
     )
+    has_other_lines = "\n\n" in body.rstrip("\n") or bool(without_comments(body, line)[1])
     return RawTable(
         columns=columns,
         # With other lines between the rows the line of a row is unknown.
-        first_line=line if lines_are_rows(body) and not segment_starts else 0,
+        first_line=0 if has_other_lines or segment_starts else line,
         segment_starts=segment_starts,
         metadata=metadata_of(start.above),
     )
-
-
-def _with_row_number_headings(start: TableStart, block: NumberTable) -> TableStart:
-    """Return the start with headings if only the column of row numbers has none."""
-    labels = headings_beside_row_numbers(start)
-    numbers = block.columns[0]
-    if labels is None or numbers[0] not in (0, 1) or not (np.diff(numbers) == 1).all():
-        return start
-    return replace(start, labels=labels, above=start.above[:-1])
 
 
 def _statements_of_file(start: TableStart, block: NumberTable) -> list[Statement]:
@@ -232,21 +272,6 @@ class _BoundedGzip(gzip.GzipFile):
         return content
 
 
-def _start_in_stream(stream: io.TextIOWrapper, source: Source) -> TableStart:
-    """Find the table, and position the stream at its first row."""
-    lines: list[str] = []
-    while len(lines) < HEAD_LINES and sum(map(len, lines)) < MAX_HEAD:
-        line = stream.readline(MAX_LINE)
-        if not line:
-            break
-        lines.append(line.removesuffix("\n"))
-    start = find_table(lines, source.name, source.text)
-    stream.seek(0)
-    for _ in range(start.row):
-        stream.readline()
-    return start
-
-
 def _line_chunks(stream: io.TextIOWrapper, rows: int, source: Source) -> Iterator[str]:
     """Yield whole lines of about ``rows`` rows; each begins with the last line of the previous.
 
@@ -297,7 +322,7 @@ READER = Reader(
     name="text table",
     usual_suffixes=(".csv", ".tsv", ".txt", ".dat", ".asc"),
     recognises=recognises,
-    read=read,
+    read=lambda source: read_text(source, text_of(source)),
     read_chunks=read_chunks,
     reads_gzip=True,
     has_text_layout=True,
