@@ -20,7 +20,7 @@ from piezoid_datasets.virtual_lab.junction_campaign import draw_junction_campaig
 from piezoid_datasets.virtual_lab.rig import Rig
 from piezoid_datasets.virtual_lab.signals import Array
 from piezoid_datasets.virtual_lab.stage import Run, Stage, record
-from piezoid_datasets.virtual_lab.truths.preisach import draw_preisach
+from piezoid_datasets.virtual_lab.truths.return_point import draw_preisach
 from piezoid_datasets.virtual_lab.write import csv_text
 
 SEED, SEED_Y, SEED_Z = 517, 518, 7

@@ -2,11 +2,13 @@
 
 import numpy as np
 
-from piezoid_datasets.virtual_lab.truths.bouc_wen import BoucWen, bouc_wen_memory
-from piezoid_datasets.virtual_lab.truths.branches import branches
-from piezoid_datasets.virtual_lab.truths.preisach import Everett, preisach_memory
-from piezoid_datasets.virtual_lab.truths.truth import FLOOR
-from piezoid_datasets.virtual_lab.truths.wall_pinning import wall_pinning_memory
+from piezoid_datasets.virtual_lab.truths.closed_form import (
+    BoucWen,
+    bouc_wen_memory,
+    wall_pinning_memory,
+)
+from piezoid_datasets.virtual_lab.truths.return_point import Everett, preisach_memory
+from piezoid_datasets.virtual_lab.truths.truth import FLOOR, branches
 
 from .fields import walk
 

@@ -20,7 +20,7 @@ from piezoid_datasets.virtual_lab.effects.effect import (
 )
 from piezoid_datasets.virtual_lab.effects.sizing import proportional
 from piezoid_datasets.virtual_lab.signals import Array
-from piezoid_datasets.virtual_lab.truths.preisach import draw_preisach
+from piezoid_datasets.virtual_lab.truths.return_point import draw_preisach
 
 WHY = "no other axis is driven"
 AT_REST = np.array([1.0, -1.0])  # the other axis was cycled before the recording

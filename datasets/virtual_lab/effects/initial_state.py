@@ -19,7 +19,7 @@ from piezoid_datasets.virtual_lab.effects.effect import (
     Trace,
 )
 from piezoid_datasets.virtual_lab.signals import Array
-from piezoid_datasets.virtual_lab.truths.branches import branches, settled
+from piezoid_datasets.virtual_lab.truths.truth import branches, settled
 
 PASTS = 60  # simulated histories
 REACH = 1.0  # of the field: what a past saw beyond the drive range, no record would ever forget
