@@ -161,7 +161,8 @@ def draw_dahl(rng: np.random.Generator) -> Ceramic:
     The curvature b of the scale makes loops depend on bias.
 
     Source: Dahl, A solid friction model, Aerospace Corp. TOR-0158 (1968); for piezo stages Xu &
-    Li, J. Dyn. Syst. Meas. Control 132 (2010) 041011."""
+    Li, J. Dyn. Syst. Meas. Control 132 (2010) 041011.
+    """
     law = Dahl(
         stiffness=float(rng.uniform(1.6, 2.6)),
         exponent=float(rng.uniform(1.0, 1.4)),
@@ -209,7 +210,8 @@ def draw_duhem(rng: np.random.Generator) -> Ceramic:
     close, nothing is wiped out.
 
     Source: Duhem, Z. Phys. Chem. 22 (1897); Macki, Nistri & Zecca, SIAM Rev. 35 (1993) 94; for
-    piezo stages Lin & Lin, Comput. Math. Appl. 64 (2012) 766."""
+    piezo stages Lin & Lin, Comput. Math. Appl. 64 (2012) 766.
+    """
     rate = float(rng.uniform(1.6, 2.2))
     centre = float(rng.uniform(-0.15, 0.15))
     coercive = float(rng.uniform(0.55, 0.75)), float(rng.uniform(0.55, 0.75))

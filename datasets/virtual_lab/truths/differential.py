@@ -116,7 +116,8 @@ def draw_coleman_hodgdon(rng: np.random.Generator) -> Ceramic:
     knees, kink there, and drift towards the anhysteretic curve before they close.
 
     Source: Coleman & Hodgdon, Int. J. Eng. Sci. 24 (1986) 897; for piezo stages Banning, de
-    Koning, Adriaens & Koops, Automatica 37 (2001) 1883."""
+    Koning, Adriaens & Koops, Automatica 37 (2001) 1883.
+    """
     pull = float(rng.uniform(1.1, 1.7))
     share = float(rng.uniform(0.5, 0.58))
     centre = float(rng.uniform(-0.25, 0.25))
@@ -239,7 +240,8 @@ def draw_jiles_atherton(rng: np.random.Generator) -> Ceramic:
     Minor loops do not close exactly; a reversal is forgotten gradually.
 
     Source: Jiles & Atherton, J. Magn. Magn. Mater. 61 (1986) 48; for piezo ceramics and their
-    strain Smith & Ounaies, J. Intell. Mater. Syst. Struct. 11 (2000) 62."""
+    strain Smith & Ounaies, J. Intell. Mater. Syst. Struct. 11 (2000) 62.
+    """
     parameters = {
         "width": float(rng.uniform(0.5, 0.9)),
         "pinning": float(rng.uniform(0.3, 0.6)),

@@ -157,7 +157,8 @@ def draw_krasnoselskii_pokrovskii(rng: np.random.Generator) -> Ceramic:
     with bias.
 
     Source: Krasnosel'skii & Pokrovskii, Systems with Hysteresis (1989); Banks, Kurdila & Webb,
-    Math. Probl. Eng. 3 (1997) 287; for piezo stages Galinaitis, thesis, Virginia Tech (1999)."""
+    Math. Probl. Eng. 3 (1997) 287; for piezo stages Galinaitis, thesis, Virginia Tech (1999).
+    """
     middle, half = 0.5 * (THRESHOLDS[UP] + THRESHOLDS[DOWN]), THRESHOLDS[UP] - THRESHOLDS[DOWN]
     along = (middle + 0.5 * RIDGE - rng.uniform(-0.3, 0.3)) / rng.uniform(0.5, 0.9)
     across = half / rng.uniform(0.5, 0.9)
@@ -200,7 +201,8 @@ def draw_takacs(rng: np.random.Generator) -> Ceramic:
     branches cancel.
 
     Source: Takacs, COMPEL 20 (2001) 1002, and Mathematics of Hysteretic Phenomena (2003), chapter
-    2."""
+    2.
+    """
     steepness = float(rng.uniform(0.9, 1.4))
     shift = float(rng.uniform(0.3, 0.5)), float(rng.uniform(0.3, 0.5))
     centre = float(rng.uniform(-0.3, 0.3))
@@ -288,7 +290,8 @@ def draw_maxwell_slip(rng: np.random.Generator) -> Ceramic:
     increasing sides.
 
     Source: Goldfarb & Celanovic, IEEE Control Syst. 17 (1997) 69, and J. Dyn. Syst. Meas. Control
-    119 (1997) 478."""
+    119 (1997) 478.
+    """
     breaks = np.linspace(0.0, 1.0, ELEMENTS + 1)[1:]
     law = MaxwellSlip(
         breaks=breaks,
