@@ -13,7 +13,7 @@ from piezoid.identification.quality import Uncertainty
 from piezoid.numerics.robust import student_quantile
 from piezoid.numerics.uncertainty_budget import Contribution
 from piezoid_reports.chart import Canvas, axis_over
-from piezoid_reports.page import Page, SPIRAL_Hz, guaranteed_limit, tracking_error
+from piezoid_reports.page import Page, SPIRAL_Hz, guarantee, tracking_error
 from piezoid_reports.parts import (
     Figure,
     Heading,
@@ -120,7 +120,7 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
             "95 % of positions": positions,
             f"largest of {expected.positions} positions": largest,
             "bound of the hysteresis model alone, 95 %": bound,
-            "guaranteed error with feedback": guaranteed_limit(page, axis),
+            "guaranteed error with feedback": guarantee(page, axis),
         }
         for name, value in values.items():
             rows.setdefault(name, []).append(value)

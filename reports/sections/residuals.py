@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, runs_of
 from piezoid_reports.chart import Canvas, Layer, axis_over
-from piezoid_reports.page import Page
+from piezoid_reports.page import Page, Trace, rms
 from piezoid_reports.parts import Figure, Part, Section, axis_heading, count_of, folded
 from piezoid_reports.quantities import number, percent
-from piezoid_reports.traces import Trace, rms
 
 SIGMAS = 2.0
 TIME_HEIGHT = 240  # pixels

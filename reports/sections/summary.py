@@ -138,7 +138,7 @@ def _facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
             f"{quality.noise_bound}{number(noise_m, 'm')} rms; {closure}",
         ),
         speed,
-        ("Guaranteed error", guarantee(page, axis)),
+        ("Guaranteed error", guarantee(page, axis, has_speeds=True)),
         ("Ships", ships(page, axis.axis)),
     )
 
