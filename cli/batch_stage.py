@@ -183,7 +183,7 @@ def _axis(axis: "AxisModel", calibration: "Calibration") -> FleetAxis:
     from math import isfinite
 
     from piezoid.raw_counts import in_counts
-    from piezoid_reports.fleet.quantities import QUANTITIES
+    from piezoid_reports.fleet.statistics import QUANTITIES
 
     design = calibration.controllers.design
     designs = {} if design is None else {each.axis: each for each in design.axes}

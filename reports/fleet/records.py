@@ -8,10 +8,10 @@ import os
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import BinaryIO, Protocol, Self
+from typing import BinaryIO, Self
 from zlib import compress, decompress
 
 from msgspec import ValidationError, convert, json, msgpack
@@ -92,13 +92,6 @@ class FleetStage:
         return compress(msgpack.encode(self), level=1)
 
 
-class Stages(Protocol):
-    """Stages in the order of their names, which can be iterated repeatedly."""
-
-    def __len__(self) -> int: ...
-    def __iter__(self) -> Iterator[FleetStage]: ...
-
-
 class StagesOnDisk:
     """Stages by name, read one at a time from an unnamed temporary file.
 
@@ -141,10 +134,10 @@ class StagesOnDisk:
 
 @dataclass(frozen=True, kw_only=True)
 class Fleet:
-    """Results of a batch; its stages may be on disk."""
+    """Results of a batch; its stages, in the order of their names, may be on disk."""
 
     name: str
-    stages: Stages
+    stages: Sequence[FleetStage] | StagesOnDisk
 
     @cached_property
     def counts(self) -> Mapping[str, int]:

@@ -250,6 +250,7 @@ def _quantities(page: Page) -> Table:
         lag = with_half_width(*lag_s, "s")
         if axis.quality.is_lag_ambiguous and axis.lag.kind != "none":
             lag = "not separable from the loop width at a single speed"
+        amplifier_Hz, sensor_Hz = axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz
         values = {
             "width of the full loop": _loop_width(axis),
             "lag": lag,
@@ -257,8 +258,8 @@ def _quantities(page: Page) -> Table:
             "displacement offset": number(axis.hysteresis.displacement_offset_m, "m", 4),
             "valid drive": f"{number(low_V, 'V')} to {number(high_V, 'V')}",
             "polarity": "+1" if axis.polarity > 0 else f"{MINUS}1",
-            "amplifier bandwidth": _declared(axis.rig.amplifier_bandwidth_Hz),
-            "sensor bandwidth": _declared(axis.rig.sensor_bandwidth_Hz),
+            "amplifier bandwidth": "" if amplifier_Hz is None else number(amplifier_Hz, "Hz"),
+            "sensor bandwidth": "" if sensor_Hz is None else number(sensor_Hz, "Hz"),
         }
         for name, value in values.items():
             rows.setdefault(name, []).append(value)
@@ -267,7 +268,3 @@ def _quantities(page: Page) -> Table:
         columns=("quantity", *(f"axis {axis.axis}" for axis in page.axes)),
         rows=tuple((name, *values) for name, values in rows.items() if any(values)),
     )
-
-
-def _declared(bandwidth_Hz: float | None) -> str:
-    return "" if bandwidth_Hz is None else number(bandwidth_Hz, "Hz")

@@ -3,7 +3,6 @@
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, runs_of
@@ -87,8 +86,12 @@ def over_time(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = N
 def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
     voltage_V = np.concatenate([trace.voltage_V for trace in traces])
     residual_m = np.concatenate([trace.residual_m for trace in traces])
-    is_rising = np.concatenate([_is_rising(trace) for trace in traces])
-    is_finite = np.isfinite(residual_m)
+    rises = []  # for each sample whether the latest change of the drive was upwards
+    for trace in traces:
+        step = np.sign(np.diff(trace.voltage_V, prepend=trace.voltage_V[0]))
+        latest = np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), 0))
+        rises.append(step[latest] > 0)
+    is_rising, is_finite = np.concatenate(rises), np.isfinite(residual_m)
     edges_V = np.linspace(voltage_V.min(), voltage_V.max(), DRIVE_BINS + 1)
     rising, falling = (
         _quantiles(voltage_V[is_finite & branch], residual_m[is_finite & branch], edges_V)
@@ -108,13 +111,6 @@ def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
         canvas=canvas,
         layers=(*_bands(canvas, "rising", rising), *_bands(canvas, "falling", falling)),
     )
-
-
-def _is_rising(trace: Trace) -> NDArray[np.bool_]:
-    """Return for each sample whether the latest change of the drive was upwards."""
-    step = np.sign(np.diff(trace.voltage_V, prepend=trace.voltage_V[0]))
-    previous = np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), 0))
-    return np.asarray(step[previous] > 0)
 
 
 def _quantiles(voltage_V: Array, residual_m: Array, edges_V: Array) -> Array:

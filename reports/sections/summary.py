@@ -23,30 +23,7 @@ TONES = {
 
 def render(page: Page) -> Section:
     """Return verdict, error, limits and next step, and a card for each axis."""
-    cards = []
-    for axis in page.axes:
-        grade, traces = grade_of(axis), page.plotted_traces(axis)
-        figures: tuple[Figure, ...] = ()
-        if traces:
-            # Loop and residual of the recording with the largest residual are linked in time.
-            name = traces[0].recording.name
-            link = f"axis-{list(page.model.axes).index(axis.axis)}"
-            residual = residuals.over_time(traces[0], axis, size=RESIDUAL_SIZE)
-            span = float(traces[0].time_s[-1]) / residual.canvas.x.scale.factor
-            loop = loops.without_line(page, axis, traces[0], size=LOOP_SIZE)
-            figures = (
-                replace(loop, link=link, short_title=f"{name}: loop"),
-                replace(residual, link=link, span=span, short_title=f"{name}: residual"),
-            )
-        cards.append(
-            Card(
-                title=f"Axis {axis.axis}",
-                tone=TONES[grade],
-                word=grade.value,
-                figures=figures,
-                facts=_facts(page, axis),
-            )
-        )
+    cards = [_card(page, axis) for axis in page.axes]
     cards += _tip_card(page)
     tones = [card.tone for card in cards]
     if has_failed_controller(page):
@@ -116,30 +93,49 @@ def _names(axes: list[str]) -> str:
     return f"axes {', '.join(axes[:-1])} and {axes[-1]}"
 
 
-def _facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
-    quality, loop = axis.quality, page.loop_of(axis.axis)
-    noise_m = quality.noise_rms_m
-    closure = f"{significant(quality.held_out_rms_m / noise_m, 2)} times noise" if noise_m else ""
+def _card(page: Page, axis: AxisModel) -> Card:
+    """Return the card of an axis: grade, loop and residual, and the most important numbers."""
+    grade, traces = grade_of(axis), page.plotted_traces(axis)
+    figures: tuple[Figure, ...] = ()
+    if traces:
+        # Loop and residual of the recording with the largest residual are linked in time.
+        name = traces[0].recording.name
+        link = f"axis-{list(page.model.axes).index(axis.axis)}"
+        residual = residuals.over_time(traces[0], axis, size=RESIDUAL_SIZE)
+        span = float(traces[0].time_s[-1]) / residual.canvas.x.scale.factor
+        loop = loops.without_line(page, axis, traces[0], size=LOOP_SIZE)
+        figures = (
+            replace(loop, link=link, short_title=f"{name}: loop"),
+            replace(residual, link=link, span=span, short_title=f"{name}: residual"),
+        )
+    quality, design = axis.quality, page.loop_of(axis.axis)
+    noise_m, error_m = quality.noise_rms_m, quality.held_out_rms_m
+    closure = f"{significant(error_m / noise_m, 2)} times noise" if noise_m else ""
     speed = ("Bandwidth", "none")
-    if loop is not None:
-        bandwidth, error = number(loop.bandwidth_Hz, "Hz"), tracking_error(page, axis.axis)
+    if design is not None:
+        bandwidth, error = number(design.bandwidth_Hz, "Hz"), tracking_error(page, axis.axis)
         speed = ("Bandwidth of the feedback", bandwidth)
         if error:
             label = f"Bandwidth of the feedback; simulated error at {SPIRAL_Hz:g} Hz"
             speed = (label, f"{bandwidth}; {error} rms")
-    return (
-        (
-            "Held-out error" if quality.is_tested else "Error in sample",
-            f"{number(quality.held_out_rms_m, 'm')} rms, "
-            f"{percent(quality.held_out_rms_m / quality.range_m)}",
+    return Card(
+        title=f"Axis {axis.axis}",
+        tone=TONES[grade],
+        word=grade.value,
+        figures=figures,
+        facts=(
+            (
+                "Held-out error" if quality.is_tested else "Error in sample",
+                f"{number(error_m, 'm')} rms, {percent(error_m / quality.range_m)}",
+            ),
+            (
+                "Sensor noise; closure",
+                f"{quality.noise_bound}{number(noise_m, 'm')} rms; {closure}",
+            ),
+            speed,
+            ("Guaranteed error", guarantee(page, axis, has_speeds=True)),
+            ("Ships", ships(page, axis.axis)),
         ),
-        (
-            "Sensor noise; closure",
-            f"{quality.noise_bound}{number(noise_m, 'm')} rms; {closure}",
-        ),
-        speed,
-        ("Guaranteed error", guarantee(page, axis, has_speeds=True)),
-        ("Ships", ships(page, axis.axis)),
     )
 
 
@@ -180,5 +176,5 @@ def _tip_card(page: Page) -> tuple[Card, ...]:
         ("Bandwidth", "none" if loop is None else number(loop.recommended.bandwidth_Hz, "Hz")),
         ("Ships", ships(page, "z" if loop is None else loop.axis)),
     )
-    figures = tunnelling.small_figures(page, LOOP_SIZE, RESIDUAL_SIZE)
+    figures = tunnelling.law_figures(page, sizes=(LOOP_SIZE, RESIDUAL_SIZE))
     return (Card(title="Tip", tone=tone, word=word, figures=figures, facts=facts),)
