@@ -301,7 +301,18 @@ def _verification(verification: Verification, kind: str, *, ax: "Axes | None" = 
     """Draw the error of each method over frequency, or every verdict relative to its limit."""
     _check("verification", kind, ("comparison", "verdicts"))
     if kind == "verdicts" or not verification.comparison:
-        return _verdicts(verification, ax)
+        verdicts = [v for v in verification.verdicts if v.limit > 0.0]
+        height_inch = 0.9 + 0.2 * max(len(verdicts), 4)
+        axes = _axes(ax, width_inch=1.6 * WIDTH_inch, height_inch=height_inch)
+        shares = [max(v.value / v.limit, 1e-3) for v in verdicts]
+        colors = [THIRD if v.passed else MODEL for v in verdicts]
+        axes.barh(range(len(verdicts)), shares, height=0.6, color=colors)
+        axes.axvline(1.0, color=MEASURED, linewidth=1.0)
+        labels = [f"{v.name} ({v.scenario})" for v in verdicts]
+        axes.set_yticks(range(len(verdicts)), labels, fontsize="x-small")
+        axes.invert_yaxis()
+        axes.set(xscale="log", xlabel="value / limit (1)")
+        return axes
     axes = _axes(ax)
     scale, unit = _scaled(np.array([row.rms_m for row in verification.comparison]), "m")
     for index, method in enumerate(dict.fromkeys(row.method for row in verification.comparison)):
@@ -416,19 +427,3 @@ def _loop(model: AxisModel, share: float) -> tuple[Array, Array]:
     output_m, _ = operator.run(drive_V, memory_V)
     moved_m = model.polarity * (output_m - operator.displacement_offset_m)
     return drive_V, np.asarray(model.zero_m + moved_m)
-
-
-def _verdicts(verification: Verification, ax: "Axes | None") -> "Axes":
-    """Draw the ratio of value to limit for every verdict with a limit above 0."""
-    verdicts = [v for v in verification.verdicts if v.limit > 0.0]
-    height_inch = 0.9 + 0.2 * max(len(verdicts), 4)
-    axes = _axes(ax, width_inch=1.6 * WIDTH_inch, height_inch=height_inch)
-    shares = [max(v.value / v.limit, 1e-3) for v in verdicts]
-    colors = [THIRD if v.passed else MODEL for v in verdicts]
-    axes.barh(range(len(verdicts)), shares, height=0.6, color=colors)
-    axes.axvline(1.0, color=MEASURED, linewidth=1.0)
-    labels = [f"{v.name} ({v.scenario})" for v in verdicts]
-    axes.set_yticks(range(len(verdicts)), labels, fontsize="x-small")
-    axes.invert_yaxis()
-    axes.set(xscale="log", xlabel="value / limit (1)")
-    return axes

@@ -145,7 +145,11 @@ def write_file(
         mode = _mode_of(path)
         if mode is not None and not stat.S_ISREG(mode):
             raise refusal(f"{path} is not a regular file")
-        if mode is not None and not (force and _begins_with(path, opening)):
+        is_ours = False
+        if mode is not None and force:
+            with path.open("rb") as stream:
+                is_ours = stream.read(len(opening)) == opening
+        if mode is not None and not is_ours:
             raise OutputFolderError(
                 f"{path} already exists",
                 needed="the name of a new file",
@@ -215,11 +219,6 @@ def _listed_in(target: Path) -> Listed:
         if not listed and os.listdir(target):
             raise refusal(f"{target} is not empty and has no manifest of piezoid")
     return listed
-
-
-def _begins_with(path: Path, opening: bytes) -> bool:
-    with path.open("rb") as stream:
-        return stream.read(len(opening)) == opening
 
 
 def _check_names(target: Path, listed: Listed, names: Iterable[str], *, force: bool) -> None:

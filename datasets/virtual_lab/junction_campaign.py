@@ -154,28 +154,42 @@ def draw_spectroscopy(junction: Junction, rng: np.random.Generator) -> Spectrosc
 
 def junction_files(campaign: JunctionCampaign) -> dict[str, bytes]:
     """Return the contents of the files of a campaign by relative path."""
-    files = {
-        f"recordings/{name_of(n)}": _csv(record).encode()
-        for n, record in enumerate(campaign.records)
-    }
+    files = {}
+    for n, record in enumerate(campaign.records):
+        columns = (record.drive_V, 1e9 * record.current_A, record.reference_nepers)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        interval_s = 1.0 / record.sampling_rate_Hz
+        lines = [  # seven decimals resolve the steps of the drive
+            f"{k * interval_s:.5f},{u:.7f},{i:.6f},{r:.7f}" for k, (u, i, r) in enumerate(rows)
+        ]
+        text = "\n".join(["time [s],drive [V],current [nA],dither of ln set point", *lines])
+        files[f"recordings/{name_of(n)}"] = f"{text}\n".encode()
     files["recordings/spectroscopy.dat"] = campaign.spectroscopy.text().encode()
     files["recordings/lab.toml"] = _lab_toml(campaign).encode()
-    files["truth/truth.json"] = _truth(campaign).encode()
+    truth = {
+        "schema": SCHEMA,
+        "seed": campaign.seed,
+        "junctions": {
+            name_of(n): {
+                **asdict(junction),
+                "gain_nepers_per_V": junction.decay_per_m * junction.drive_gain_m_per_V,
+            }
+            for n, junction in enumerate(campaign.junctions)
+        },
+        "spectroscopy": {
+            "barrier_eV": campaign.junctions[0].barrier_eV,
+            "decay_per_m": campaign.junctions[0].decay_per_m,
+            "offset_A": campaign.spectroscopy.offset_A,
+            "shift_m": campaign.spectroscopy.shift_m,
+        },
+    }
+    files["truth/truth.json"] = f"{json.dumps(truth, indent=1, allow_nan=False)}\n".encode()
     return files
 
 
 def name_of(spot: int) -> str:
     """Return the file name of the closed loop of a spot, counted from 0."""
     return f"loop_{spot + 1}.csv"
-
-
-def _csv(record: JunctionRecord) -> str:
-    """Return drive, current and dither as CSV; seven decimals resolve the steps of the drive."""
-    columns = (record.drive_V, 1e9 * record.current_A, record.reference_nepers)
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    interval_s = 1.0 / record.sampling_rate_Hz
-    lines = [f"{k * interval_s:.5f},{u:.7f},{i:.6f},{r:.7f}" for k, (u, i, r) in enumerate(rows)]
-    return "\n".join(["time [s],drive [V],current [nA],dither of ln set point", *lines]) + "\n"
 
 
 def _lab_toml(campaign: JunctionCampaign) -> str:
@@ -214,24 +228,3 @@ axis = "z"
 columns = {{ time = "time [s]", {columns} }}
 """
     return text
-
-
-def _truth(campaign: JunctionCampaign) -> str:
-    content = {
-        "schema": SCHEMA,
-        "seed": campaign.seed,
-        "junctions": {
-            name_of(n): {
-                **asdict(junction),
-                "gain_nepers_per_V": junction.decay_per_m * junction.drive_gain_m_per_V,
-            }
-            for n, junction in enumerate(campaign.junctions)
-        },
-        "spectroscopy": {
-            "barrier_eV": campaign.junctions[0].barrier_eV,
-            "decay_per_m": campaign.junctions[0].decay_per_m,
-            "offset_A": campaign.spectroscopy.offset_A,
-            "shift_m": campaign.spectroscopy.shift_m,
-        },
-    }
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"

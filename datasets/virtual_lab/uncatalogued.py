@@ -42,29 +42,27 @@ def _sensed(name: str, change: Callable[[Array, Scene], Array]) -> Act:
     )
 
 
+def _line(name: str, size_m: float, frequency_Hz: float, phase_step: float) -> Act:
+    """Return a line of the reading; its phase increases by a step from recording to recording."""
+
+    def hum(reading_m: Array, scene: Scene) -> Array:
+        wave = np.sin(2.0 * np.pi * frequency_Hz * scene.time_s + phase_step * scene.order)
+        return np.asarray(reading_m + np.sqrt(2.0) * size_m * wave)
+
+    return _sensed(name, hum)
+
+
 def _tone(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
     """A pump, fan or chopper: a line at a fixed frequency away from the mains harmonics; rms."""
     candidates_Hz = np.exp(rng.uniform(np.log(12.0), np.log(180.0), 50)).tolist()
     lines_Hz = np.array([k * grid for k in range(1, 8) for grid in (50.0, 60.0)])
     frequency_Hz = next(f for f in candidates_Hz if np.min(np.abs(lines_Hz - f)) > AWAY_Hz)
-
-    def hum(reading_m: Array, scene: Scene) -> Array:
-        phase = 1.7 * scene.order
-        wave = np.sin(2.0 * np.pi * frequency_Hz * scene.time_s + phase)
-        return np.asarray(reading_m + np.sqrt(2.0) * size_m * wave)
-
-    return _sensed("tone", hum)
+    return _line("tone", size_m, frequency_Hz, 1.7)
 
 
 def _slow_tone(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
     """An air conditioner that switches on and off: a slow line; rms."""
-    frequency_Hz = float(rng.uniform(0.21, 0.45))
-
-    def breathe(reading_m: Array, scene: Scene) -> Array:
-        turn = 2.0 * np.pi * frequency_Hz * scene.time_s + 0.9 * scene.order
-        return np.asarray(reading_m + np.sqrt(2.0) * size_m * np.sin(turn))
-
-    return _sensed("slow_tone", breathe)
+    return _line("slow_tone", size_m, float(rng.uniform(0.21, 0.45)), 0.9)
 
 
 def _range_end(size_m: float, rig: Rig, _: np.random.Generator) -> Act:

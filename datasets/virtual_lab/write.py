@@ -23,7 +23,28 @@ def campaign_files(campaign: Campaign) -> dict[str, bytes]:
         for rows in campaign.recordings
     }
     files["recordings/lab.toml"] = lab_toml(campaign.rig).encode()
-    files["truth/truth.json"] = truth_json(campaign).encode()
+    answer = campaign.answer
+    truth = {  # sizes in percent of the stroke
+        "schema": SCHEMA,
+        "seed": answer.seed,
+        "truth": answer.truth,
+        "stroke_m": campaign.rig.stroke_m,
+        "noise_rms_m": answer.noise_rms_m,
+        "careless": answer.careless,
+        "recordings": [rows.run.name for rows in campaign.recordings],
+        "effects": [
+            {
+                "effect": effect.name,
+                "measure": effect.measure.value,
+                "asked_percent": effect.asked_percent,
+                "measured_percent": effect.measured_percent,
+                "rms_change_percent": dict(effect.change_percent),
+                "numbers": dict(effect.numbers),
+            }
+            for effect in answer.effects
+        ],
+    }
+    files["truth/truth.json"] = f"{json.dumps(truth, indent=1, allow_nan=False)}\n".encode()
     return files
 
 
@@ -62,32 +83,6 @@ def lab_toml(rig: Rig) -> str:
         f"[{name}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
         for name, keys in tables.items()
     )
-
-
-def truth_json(campaign: Campaign) -> str:
-    """Return the answer as JSON; sizes in percent of the stroke."""
-    answer = campaign.answer
-    content = {
-        "schema": SCHEMA,
-        "seed": answer.seed,
-        "truth": answer.truth,
-        "stroke_m": campaign.rig.stroke_m,
-        "noise_rms_m": answer.noise_rms_m,
-        "careless": answer.careless,
-        "recordings": [rows.run.name for rows in campaign.recordings],
-        "effects": [
-            {
-                "effect": effect.name,
-                "measure": effect.measure.value,
-                "asked_percent": effect.asked_percent,
-                "measured_percent": effect.measured_percent,
-                "rms_change_percent": dict(effect.change_percent),
-                "numbers": dict(effect.numbers),
-            }
-            for effect in answer.effects
-        ],
-    }
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def csv_text(rows: Rows, *, axis: str = "") -> str:

@@ -73,11 +73,6 @@ class FleetStage:
             raise ValueError(f"{self.name}: state is {self.state!r}")
 
     @property
-    def has_controller(self) -> bool:
-        """Whether a controller was exported."""
-        return "params.json" in self.outputs
-
-    @property
     def serial(self) -> int | None:
         """Serial number: the last number in the name."""
         numbers = re.findall(r"\d+", self.name)
@@ -152,7 +147,7 @@ class Fleet:
     @cached_property
     def without_controller(self) -> int:
         """Number of stages that passed without a controller, because none was requested."""
-        return sum(s.state == PASSED and not s.has_controller for s in self.stages)
+        return sum(s.state == PASSED and "params.json" not in s.outputs for s in self.stages)
 
     def write_json(self, stream: BinaryIO) -> None:
         """Write the sealed batch.json, one stage per line; parameters are in the Parquet file.

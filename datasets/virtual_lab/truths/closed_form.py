@@ -49,17 +49,22 @@ class BoucWen:
         """The slope of a branch that has just left saturation."""
         return 2.0 * self.beta / (self.beta + self.gamma)
 
-    def slope(self, state: Array) -> Array:
-        """Return dz/dp on a rising branch."""
-        grip = self.gamma + self.beta * np.sign(state)
-        return np.asarray(1.0 - grip * np.abs(state) ** self.sharpness)
-
 
 def bouc_wen_memory(law: BoucWen, path: Array) -> Array:
     """Return ``g p - z`` along a path of fields that starts saturated."""
     path = settled(path)
     drive = law.scale(path)
-    position, state = master_curve(law)
+    # Along the rising branch from one saturation to the other, steps crowd towards saturation,
+    # where the curve takes long to arrive.
+    top = NEARLY * law.saturation
+    state = top * np.tanh(np.linspace(-7.0, 7.0, STEPS + 1)) / np.tanh(7.0)
+    middle = 0.5 * (state[1:] + state[:-1])
+    ends, centres = (
+        1.0 - (law.gamma + law.beta * np.sign(s)) * np.abs(s) ** law.sharpness
+        for s in (state, middle)
+    )
+    cost = (1.0 / ends[1:] + 4.0 / centres + 1.0 / ends[:-1]) / 6
+    position = np.concatenate(([0.0], np.cumsum(cost * np.diff(state))))
     z = np.full_like(path, state[0])
     for start, end, rising in branches(path):
         sign = 1.0 if rising else -1.0
@@ -67,17 +72,6 @@ def bouc_wen_memory(law: BoucWen, path: Array) -> Array:
         reached = entry + sign * (drive[start : end + 1] - drive[start])
         z[start : end + 1] = sign * np.interp(reached, position, state)
     return law.steepest * drive - z
-
-
-def master_curve(law: BoucWen) -> tuple[Array, Array]:
-    """Return (p, z) along the rising branch from one saturation to the other."""
-    top = NEARLY * law.saturation
-    # steps crowd towards saturation, where the curve takes long to arrive
-    state = top * np.tanh(np.linspace(-7.0, 7.0, STEPS + 1)) / np.tanh(7.0)
-    middle = 0.5 * (state[1:] + state[:-1])
-    cost = (1.0 / law.slope(state[1:]) + 4.0 / law.slope(middle) + 1.0 / law.slope(state[:-1])) / 6
-    position = np.concatenate(([0.0], np.cumsum(cost * np.diff(state))))
-    return position, state
 
 
 def draw_bouc_wen(rng: np.random.Generator) -> Ceramic:
@@ -123,26 +117,23 @@ class Dahl:
         """The slope of a branch that turns back from full friction."""
         return float(self.stiffness * 2.0**self.exponent)
 
-    def slack(self, begun: float, travelled: Array) -> Array:
-        """Return the distance 1 - s z to full friction after a distance along one branch."""
-        power = 1.0 - self.exponent
-        if abs(power) < LINEAR:
-            return np.asarray(begun * np.exp(-self.stiffness * travelled))
-        left = begun**power - power * self.stiffness * travelled
-        return np.asarray(np.maximum(left, 0.0) ** (1.0 / power))
-
 
 def dahl_memory(law: Dahl, path: Array) -> Array:
     """Return ``g x - z`` along a path that starts at full friction."""
     path = settled(path)
-    place = law.scale(path)
+    scale, power = law.scale(path), 1.0 - law.exponent
     friction = np.full_like(path, -1.0)
     for start, end, rising in branches(path):
         sign = 1.0 if rising else -1.0
-        travelled = sign * (place[start : end + 1] - place[start])
-        slack = law.slack(1.0 - sign * float(friction[start]), travelled)
-        friction[start : end + 1] = sign * (1.0 - slack)
-    return law.steepest * place - friction
+        distance = sign * (scale[start : end + 1] - scale[start])
+        slack = 1.0 - sign * float(friction[start])  # distance w to full friction
+        if abs(power) < LINEAR:
+            slacks = slack * np.exp(-law.stiffness * distance)
+        else:
+            remaining = slack**power - power * law.stiffness * distance
+            slacks = np.maximum(remaining, 0.0) ** (1.0 / power)
+        friction[start : end + 1] = sign * (1.0 - slacks)
+    return law.steepest * scale - friction
 
 
 def draw_dahl(rng: np.random.Generator) -> Ceramic:

@@ -146,19 +146,12 @@ class GeneralisedBoucWen:
         return 1.0 - float(abs(state) ** self.sharpness) * psi
 
     @property
-    def rest(self) -> float:
-        """Sum of all shape factors but the first; it must be smaller than the first."""
-        return sum(map(abs, self.shape[1:]))
-
-    @property
-    def saturation(self) -> float:
-        """A bound of the state."""
-        return float((self.shape[0] - self.rest) ** (-1.0 / self.sharpness))
-
-    @property
     def steepest(self) -> float:
         """A bound of the slope."""
-        return 1.0 + float(self.saturation**self.sharpness) * (self.shape[0] + self.rest)
+        # The sum of the other shape factors must be smaller than the first.
+        first, others = self.shape[0], sum(map(abs, self.shape[1:]))
+        saturation = float((first - others) ** (-1.0 / self.sharpness))  # a bound of the state
+        return 1.0 + float(saturation**self.sharpness) * (first + others)
 
 
 def generalised_bouc_wen_memory(law: GeneralisedBoucWen, path: Array) -> Array:
