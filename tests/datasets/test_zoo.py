@@ -10,10 +10,8 @@ import pytest
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.laboratory import draw_laboratory
 from piezoid_datasets.virtual_lab.truths import TRUTHS, ZOO
-from piezoid_datasets.virtual_lab.truths.closed_form import Dahl, dahl_memory, duhem_memory
+from piezoid_datasets.virtual_lab.truths.closed_form import bent_scale, dahl_memory, duhem_memory
 from piezoid_datasets.virtual_lab.truths.differential import (
-    GeneralisedBoucWen,
-    LuGre,
     coleman_hodgdon_memory,
     generalised_bouc_wen_memory,
     jiles_atherton_memory,
@@ -131,11 +129,11 @@ def test_no_law_is_a_sum_of_plays(law: Truth) -> None:
 
 
 PATH = walk(FLOOR, 0.9, -0.6, 0.3, -0.9, 0.7, points=8000)
-BOUC_WEN = GeneralisedBoucWen(
-    sharpness=1.4, shape=(2.0, 0.1, -0.12, 0.09, 0.14, -0.07), centre=0.1
-)
-DAHL = Dahl(stiffness=1.5, exponent=1.3, bend=0.2)
-LUGRE = LuGre(stiffness=1.9, tilt=0.2, hump=0.15, centre=0.1, width=0.8)
+BOUC_WEN = SimpleNamespace(sharpness=1.4, shape=(2.0, 0.1, -0.12, 0.09, 0.14, -0.07), centre=0.1)
+DAHL = SimpleNamespace(stiffness=1.5, exponent=1.3, bend=0.2)
+LUGRE = SimpleNamespace(stiffness=1.9, tilt=0.2, hump=0.15, centre=0.1, width=0.8)
+BOUC_WEN_STEEPEST = 1.0 + (2.0 + 0.52) / (2.0 - 0.52)
+LUGRE_STEEPEST = 1.9 * (1.0 + 1.35 / 0.8)
 COLEMAN = SimpleNamespace(pull=1.3, share=0.55, centre=0.1, knee=0.9, beyond=0.7)
 JILES = SimpleNamespace(
     width=0.7, pinning=0.4, mean_field=0.3, reversible=0.2, bias=0.1, electrostriction=0.2
@@ -210,8 +208,8 @@ def jiles_slope(e: float, m: float, s: float) -> float:
 
 def test_the_steepest_slope_bounds_a_friction() -> None:
     for steepest, output in (
-        (BOUC_WEN.steepest, generalised_bouc_wen_memory(BOUC_WEN, PATH)),
-        (LUGRE.steepest, lugre_memory(LUGRE, PATH)),
+        (BOUC_WEN_STEEPEST, generalised_bouc_wen_memory(PATH, **vars(BOUC_WEN))),
+        (LUGRE_STEEPEST, lugre_memory(PATH, **vars(LUGRE))),
     ):
         friction = steepest * PATH - output
         assert np.max(np.abs(np.diff(friction))) <= steepest * np.max(np.abs(np.diff(PATH)))
@@ -221,12 +219,19 @@ def test_the_steepest_slope_bounds_a_friction() -> None:
     ("state", "slope", "error"),
     [
         (
-            lambda p: BOUC_WEN.steepest * p - generalised_bouc_wen_memory(BOUC_WEN, p),
+            lambda p: BOUC_WEN_STEEPEST * p - generalised_bouc_wen_memory(p, **vars(BOUC_WEN)),
             bouc_wen_slope,
             3e-4,  # the rule's own error at the kinks
         ),
-        (lambda p: LUGRE.steepest * p - lugre_memory(LUGRE, p), lugre_slope, 3e-4),
-        (lambda p: DAHL.steepest * DAHL.scale(p) - dahl_memory(DAHL, p), dahl_slope, 1e-5),
+        (lambda p: LUGRE_STEEPEST * p - lugre_memory(p, **vars(LUGRE)), lugre_slope, 3e-4),
+        (
+            lambda p: (
+                DAHL.stiffness * 2.0**DAHL.exponent * bent_scale(p, DAHL.bend)
+                - dahl_memory(p, **vars(DAHL))
+            ),
+            dahl_slope,
+            1e-5,
+        ),
         (lambda p: coleman_hodgdon_memory(p, **vars(COLEMAN)), coleman_slope, 3e-4),
         (lambda p: duhem_memory(p, **vars(DUHEM)), duhem_slope, 1e-5),
     ],

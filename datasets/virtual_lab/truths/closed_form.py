@@ -3,8 +3,6 @@
 A reversal is forgotten gradually, and minor loops move from cycle to cycle before they close.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.special import erf
 
@@ -26,42 +24,29 @@ GRID_PER_FIELD = 4000
 FAR = -FLOOR  # fields tabulated: from -FAR to FAR
 
 
-@dataclass(frozen=True, kw_only=True)
-class BoucWen:
-    """Sharpness n, loading and unloading (beta > 0, |gamma| < beta), bend b of the scale."""
-
-    sharpness: float
-    beta: float
-    gamma: float
-    bend: float
-
-    def scale(self, field: Array) -> Array:
-        """Return p of a field."""
-        return field + self.bend * (np.sqrt(1.0 + field**2) - 1.0)
-
-    @property
-    def saturation(self) -> float:
-        """Upper limit of the state on rising branches."""
-        return float((self.beta + self.gamma) ** (-1.0 / self.sharpness))
-
-    @property
-    def steepest(self) -> float:
-        """The slope of a branch that has just left saturation."""
-        return 2.0 * self.beta / (self.beta + self.gamma)
+def bent_scale(field: Array, bend: float) -> Array:
+    """Return ``E + b (sqrt(1 + E^2) - 1)``, which increases with the field for |b| < 1."""
+    return field + bend * (np.sqrt(1.0 + field**2) - 1.0)
 
 
-def bouc_wen_memory(law: BoucWen, path: Array) -> Array:
-    """Return ``g p - z`` along a path of fields that starts saturated."""
+def bouc_wen_memory(
+    path: Array, sharpness: float, beta: float, gamma: float, bend: float
+) -> Array:
+    """Return ``g p - z`` along a path of fields that starts saturated.
+
+    sharpness    n
+    beta, gamma  of loading and unloading, beta > |gamma|
+    bend         b of the scale
+    """
     path = settled(path)
-    drive = law.scale(path)
+    drive = bent_scale(path, bend)
     # Along the rising branch from one saturation to the other, steps crowd towards saturation,
     # where the curve takes long to arrive.
-    top = NEARLY * law.saturation
+    top = NEARLY * float((beta + gamma) ** (-1.0 / sharpness))
     state = top * np.tanh(np.linspace(-7.0, 7.0, STEPS + 1)) / np.tanh(7.0)
     middle = 0.5 * (state[1:] + state[:-1])
     ends, centres = (
-        1.0 - (law.gamma + law.beta * np.sign(s)) * np.abs(s) ** law.sharpness
-        for s in (state, middle)
+        1.0 - (gamma + beta * np.sign(s)) * np.abs(s) ** sharpness for s in (state, middle)
     )
     cost = (1.0 / ends[1:] + 4.0 / centres + 1.0 / ends[:-1]) / 6
     position = np.concatenate(([0.0], np.cumsum(cost * np.diff(state))))
@@ -71,7 +56,8 @@ def bouc_wen_memory(law: BoucWen, path: Array) -> Array:
         entry = np.interp(sign * z[start], state, position)
         reached = entry + sign * (drive[start : end + 1] - drive[start])
         z[start : end + 1] = sign * np.interp(reached, position, state)
-    return law.steepest * drive - z
+    steepest = 2.0 * beta / (beta + gamma)  # slope of a branch that has just left saturation
+    return steepest * drive - z
 
 
 def draw_bouc_wen(rng: np.random.Generator) -> Ceramic:
@@ -91,49 +77,35 @@ def draw_bouc_wen(rng: np.random.Generator) -> Ceramic:
     Source: Wen, J. Eng. Mech. 102 (1976); for piezo stages Low & Guo, J. MEMS 4 (1995).
     """
     beta = float(rng.uniform(1.2, 2.5))
-    law = BoucWen(
-        sharpness=float(rng.uniform(1.0, 1.8)),
-        beta=beta,
-        gamma=beta * float(rng.uniform(-0.1, 0.5)),
-        bend=float(rng.uniform(-0.3, 0.3)),
-    )
-    return draw_ceramic(rng, lambda path: bouc_wen_memory(law, path))
+    sharpness = float(rng.uniform(1.0, 1.8))
+    gamma = beta * float(rng.uniform(-0.1, 0.5))
+    bend = float(rng.uniform(-0.3, 0.3))
+    return draw_ceramic(rng, lambda path: bouc_wen_memory(path, sharpness, beta, gamma, bend))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Dahl:
-    """Stiffness sigma per unit of the scale, exponent i, bend b of the scale."""
+def dahl_memory(path: Array, stiffness: float, exponent: float, bend: float) -> Array:
+    """Return ``g x - z`` along a path that starts at full friction.
 
-    stiffness: float
-    exponent: float
-    bend: float
-
-    def scale(self, field: Array) -> Array:
-        """Return x of a field."""
-        return field + self.bend * (np.sqrt(1.0 + field**2) - 1.0)
-
-    @property
-    def steepest(self) -> float:
-        """The slope of a branch that turns back from full friction."""
-        return float(self.stiffness * 2.0**self.exponent)
-
-
-def dahl_memory(law: Dahl, path: Array) -> Array:
-    """Return ``g x - z`` along a path that starts at full friction."""
+    stiffness  sigma per unit of the scale
+    exponent   i
+    bend       b of the scale
+    """
     path = settled(path)
-    scale, power = law.scale(path), 1.0 - law.exponent
+    scale, power = bent_scale(path, bend), 1.0 - exponent
     friction = np.full_like(path, -1.0)
     for start, end, rising in branches(path):
         sign = 1.0 if rising else -1.0
         distance = sign * (scale[start : end + 1] - scale[start])
         slack = 1.0 - sign * float(friction[start])  # distance w to full friction
         if abs(power) < LINEAR:
-            slacks = slack * np.exp(-law.stiffness * distance)
+            slacks = slack * np.exp(-stiffness * distance)
         else:
-            remaining = slack**power - power * law.stiffness * distance
+            remaining = slack**power - power * stiffness * distance
             slacks = np.maximum(remaining, 0.0) ** (1.0 / power)
         friction[start : end + 1] = sign * (1.0 - slacks)
-    return law.steepest * scale - friction
+    # The slope of a branch that turns back from full friction.
+    steepest = float(stiffness * 2.0**exponent)
+    return steepest * scale - friction
 
 
 def draw_dahl(rng: np.random.Generator) -> Ceramic:
@@ -154,12 +126,12 @@ def draw_dahl(rng: np.random.Generator) -> Ceramic:
     Source: Dahl, A solid friction model, Aerospace Corp. TOR-0158 (1968); for piezo stages Xu &
     Li, J. Dyn. Syst. Meas. Control 132 (2010) 041011.
     """
-    law = Dahl(
-        stiffness=float(rng.uniform(1.6, 2.6)),
-        exponent=float(rng.uniform(1.0, 1.4)),
-        bend=float(rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.35)),
+    stiffness = float(rng.uniform(1.6, 2.6))
+    exponent = float(rng.uniform(1.0, 1.4))
+    bend = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.35))
+    return draw_ceramic(
+        rng, lambda path: dahl_memory(path, stiffness, exponent, bend), (0.08, 0.13)
     )
-    return draw_ceramic(rng, lambda path: dahl_memory(law, path), (0.08, 0.13))
 
 
 def duhem_memory(

@@ -10,7 +10,6 @@ so that the state does not depend on the sampling of the path.
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -130,36 +129,31 @@ def draw_coleman_hodgdon(rng: np.random.Generator) -> Ceramic:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class GeneralisedBoucWen:
-    """Sharpness n, the six shape factors b1 to b6, and the centre E0 of the scale."""
+def generalised_bouc_wen_memory(
+    path: Array,
+    sharpness: float,
+    shape: tuple[float, float, float, float, float, float],
+    centre: float,
+) -> Array:
+    """Return ``g x - z`` along a path that starts saturated.
 
-    sharpness: float
-    shape: tuple[float, float, float, float, float, float]
-    centre: float
-
-    def slope(self, field: float, state: float, sign: float) -> float:
-        """Return dz/dx."""
-        b1, b2, b3, b4, b5, b6 = self.shape
-        z, x = math.copysign(1.0, state), math.copysign(1.0, field - self.centre)
-        psi = b1 * sign * z + b2 * sign * x + b3 * x * z + b4 * sign + b5 * z + b6 * x
-        return 1.0 - float(abs(state) ** self.sharpness) * psi
-
-    @property
-    def steepest(self) -> float:
-        """A bound of the slope."""
-        # The sum of the other shape factors must be smaller than the first.
-        first, others = self.shape[0], sum(map(abs, self.shape[1:]))
-        saturation = float((first - others) ** (-1.0 / self.sharpness))  # a bound of the state
-        return 1.0 + float(saturation**self.sharpness) * (first + others)
-
-
-def generalised_bouc_wen_memory(law: GeneralisedBoucWen, path: Array) -> Array:
-    """Return ``g x - z`` along a path that starts saturated."""
+    sharpness  n
+    shape      b1 to b6; b1 exceeds the sum of the others
+    centre     E0 of the scale
+    """
     path = settled(path)
-    b1, b2, b3, b4, b5, b6 = law.shape
-    first = -float((b1 - b2 + b3 + b4 - b5 - b6) ** (-1.0 / law.sharpness))
-    return law.steepest * path - states_along(law.slope, path, first, jumps=(law.centre,))
+    b1, b2, b3, b4, b5, b6 = shape
+
+    def slope(field: float, state: float, sign: float) -> float:
+        z, x = math.copysign(1.0, state), math.copysign(1.0, field - centre)
+        psi = b1 * sign * z + b2 * sign * x + b3 * x * z + b4 * sign + b5 * z + b6 * x
+        return 1.0 - float(abs(state) ** sharpness) * psi
+
+    others = sum(map(abs, shape[1:]))
+    saturation = float((b1 - others) ** (-1.0 / sharpness))  # a bound of the state
+    steepest = 1.0 + float(saturation**sharpness) * (b1 + others)  # a bound of the slope
+    first = -float((b1 - b2 + b3 + b4 - b5 - b6) ** (-1.0 / sharpness))
+    return steepest * path - states_along(slope, path, first, jumps=(centre,))
 
 
 def draw_generalised_bouc_wen(rng: np.random.Generator) -> Ceramic:
@@ -176,12 +170,11 @@ def draw_generalised_bouc_wen(rng: np.random.Generator) -> Ceramic:
     """
     first = float(rng.uniform(1.6, 2.8))
     b2, b3, b4, b5, b6 = (first * rng.uniform(-0.08, 0.08, 5)).tolist()
-    law = GeneralisedBoucWen(
-        sharpness=float(rng.uniform(1.0, 1.8)),
-        shape=(first, b2, b3, b4, b5, b6),
-        centre=float(rng.uniform(-0.3, 0.3)),
+    sharpness, shape = float(rng.uniform(1.0, 1.8)), (first, b2, b3, b4, b5, b6)
+    centre = float(rng.uniform(-0.3, 0.3))
+    return draw_ceramic(
+        rng, lambda path: generalised_bouc_wen_memory(path, sharpness, shape, centre)
     )
-    return draw_ceramic(rng, lambda path: generalised_bouc_wen_memory(law, path))
 
 
 def jiles_atherton_memory(
@@ -246,36 +239,29 @@ def draw_jiles_atherton(rng: np.random.Generator) -> Ceramic:
     return draw_ceramic(rng, lambda path: jiles_atherton_memory(path, **parameters))
 
 
-@dataclass(frozen=True, kw_only=True)
-class LuGre:
-    """Bristle stiffness, and the Coulomb level: its tilt, its hump, their centre and width."""
+def lugre_memory(
+    path: Array, stiffness: float, tilt: float, hump: float, centre: float, width: float
+) -> Array:
+    """Return ``g E - z`` along a path that starts at full friction.
 
-    stiffness: float
-    tilt: float
-    hump: float
-    centre: float
-    width: float
-
-    def level(self, field: float) -> float:
-        """Return the friction after a long motion in one direction."""
-        place = (field - self.centre) / self.width
-        return 1.0 + self.tilt * math.tanh(place) + self.hump * math.exp(-place * place)
-
-    def slope(self, field: float, state: float, sign: float) -> float:
-        """Return dz/dE."""
-        return self.stiffness * (1.0 - sign * state / self.level(field))
-
-    @property
-    def steepest(self) -> float:
-        """A bound of the slope: full friction of the highest level against the lowest."""
-        most, least = 1.0 + abs(self.tilt) + max(self.hump, 0.0), 1.0 - abs(self.tilt)
-        return self.stiffness * (1.0 + most / (least + min(self.hump, 0.0)))
-
-
-def lugre_memory(law: LuGre, path: Array) -> Array:
-    """Return ``g E - z`` along a path that starts at full friction."""
+    stiffness      sigma of the bristles
+    tilt, hump     a and b of the Coulomb level
+    centre, width  E0 and w of the Coulomb level
+    """
     path = settled(path)
-    return law.steepest * path - states_along(law.slope, path, -law.level(float(path[0])))
+
+    def level(field: float) -> float:
+        """Return the friction after a long motion in one direction."""
+        x = (field - centre) / width
+        return 1.0 + tilt * math.tanh(x) + hump * math.exp(-x * x)
+
+    def slope(field: float, state: float, sign: float) -> float:
+        return stiffness * (1.0 - sign * state / level(field))
+
+    # A bound of the slope: full friction of the highest level against the lowest.
+    highest, lowest = 1.0 + abs(tilt) + max(hump, 0.0), 1.0 - abs(tilt) + min(hump, 0.0)
+    steepest = stiffness * (1.0 + highest / lowest)
+    return steepest * path - states_along(slope, path, -level(float(path[0])))
 
 
 def draw_lugre(rng: np.random.Generator) -> Ceramic:
@@ -292,14 +278,13 @@ def draw_lugre(rng: np.random.Generator) -> Ceramic:
     Source: Canudas de Wit, Olsson, Astrom & Lischinsky, IEEE Trans. Autom. Control 40 (1995) 419;
     a level that varies with position as in Hensen, van de Molengraft & Steinbuch, ibid. 47 (2002).
     """
-    law = LuGre(
-        stiffness=float(rng.uniform(1.8, 2.8)),
-        tilt=float(rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.25)),
-        hump=float(rng.uniform(-0.15, 0.25)),
-        centre=float(rng.uniform(-0.4, 0.4)),
-        width=float(rng.uniform(0.6, 1.2)),
+    stiffness = float(rng.uniform(1.8, 2.8))
+    tilt = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.25))
+    hump, centre = float(rng.uniform(-0.15, 0.25)), float(rng.uniform(-0.4, 0.4))
+    width = float(rng.uniform(0.6, 1.2))
+    return draw_ceramic(
+        rng, lambda path: lugre_memory(path, stiffness, tilt, hump, centre, width), (0.08, 0.11)
     )
-    return draw_ceramic(rng, lambda path: lugre_memory(law, path), (0.08, 0.11))
 
 
 COLEMAN_HODGDON = Truth(name="coleman_hodgdon", draw=draw_coleman_hodgdon)
