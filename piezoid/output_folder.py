@@ -175,29 +175,24 @@ def _target_of(folder: str | Path) -> Path:
         raise refusal(f"{folder} is a link to {os.readlink(target)}, which is not followed")
     if os.path.lexists(target) and not target.is_dir():
         raise refusal(f"{folder} is a file")
-    if reason := _protection_of(target):
-        raise refusal(f"{folder} {reason}")
-    return target
-
-
-def _protection_of(target: Path) -> str:
-    """Return the reason why a folder is never written, or empty."""
-    if os.path.ismount(target):
-        return "is the root of a disk"
     homes = [os.path.expanduser("~")]
     with suppress(ImportError, KeyError):  # no pwd on this system, or no entry for this user
         import pwd
 
         homes.append(pwd.getpwuid(os.getuid()).pw_dir)
-    if any(Path(os.path.realpath(home)).is_relative_to(target) for home in homes):
-        return "is or contains a home folder"
+    contains_directory = False
     with suppress(FileNotFoundError):
-        if Path.cwd().is_relative_to(target):
-            return "is or contains the working directory"
-    for name in _REPOSITORIES:
-        if os.path.lexists(target / name):
-            return f"is a repository: it contains {name}"
-    return ""
+        contains_directory = Path.cwd().is_relative_to(target)
+    repository = next((name for name in _REPOSITORIES if os.path.lexists(target / name)), None)
+    if os.path.ismount(target):
+        raise refusal(f"{folder} is the root of a disk")
+    if any(Path(os.path.realpath(home)).is_relative_to(target) for home in homes):
+        raise refusal(f"{folder} is or contains a home folder")
+    if contains_directory:
+        raise refusal(f"{folder} is or contains the working directory")
+    if repository is not None:
+        raise refusal(f"{folder} is a repository: it contains {repository}")
+    return target
 
 
 def refusal(reason: str) -> OutputFolderError:

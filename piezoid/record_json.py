@@ -55,10 +55,10 @@ def to_json(
     if layout is not None:
         return to_json(layout.write(value), layouts)
     if is_dataclass(value) and not isinstance(value, type):
-        infinite = _fields_that_may_be_infinite(type(value))
+        hints = _hints(type(value))
         return {
-            name: to_json(field_value, layouts, may_be_infinite=name in infinite)
-            for name, field_value in fields_of(value).items()
+            name: to_json(item, layouts, may_be_infinite=_may_be_infinite(hints[name]))
+            for name, item in fields_of(value).items()
         }
     if isinstance(value, np.ndarray):
         value = value.tolist()
@@ -194,10 +194,6 @@ def _hints(kind: type) -> dict[str, Any]:
 
 
 @cache
-def _fields_that_may_be_infinite(kind: type) -> frozenset[str]:
-    return frozenset(name for name, hint in _hints(kind).items() if _may_be_infinite(hint))
-
-
 def _may_be_infinite(hint: Any) -> bool:
     if hint == Unbounded or (float in get_args(hint) and NoneType in get_args(hint)):
         return True

@@ -73,10 +73,6 @@ def _sensitivity_error(axis: AxisModel) -> float | None:
     return half_m / reach_V / _quantile(axis) if reach_V > 0.0 else None
 
 
-def _loop_width_error(axis: AxisModel) -> float | None:
-    return 100.0 * axis.uncertainty.loop_width_m[1] / axis.quality.range_m / _quantile(axis)
-
-
 def _lag_error(axis: AxisModel) -> float | None:
     names, covariance = axis.uncertainty.names, axis.uncertainty.covariance
     if "lag_s" not in names:
@@ -99,7 +95,9 @@ QUANTITIES = (
         label="loop width, of the range",
         unit="%",
         of=lambda axis, _: 100.0 * axis.uncertainty.loop_width_m[0] / axis.quality.range_m,
-        error=_loop_width_error,
+        error=lambda axis: (
+            100.0 * axis.uncertainty.loop_width_m[1] / axis.quality.range_m / _quantile(axis)
+        ),
         cause="another ceramic, a depoled stack, friction, or a lag that looks like hysteresis",
     ),
     Quantity(

@@ -23,6 +23,7 @@ from piezoid_reports.parts import (
     Section,
     Table,
     count_of,
+    side_by_side,
     with_rows,
 )
 from piezoid_reports.quantities import number, percent, significant, with_interval
@@ -130,27 +131,26 @@ def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Directio
 
 def _table(junction: TunnellingModel, page: Page) -> Table:
     laws = _laws(junction, page)
-    columns = [(direction.value, law) for law, direction in laws]
+    by_direction = [(direction.value, law) for law, direction in laws]
     note = ""
     if len(laws) > 1 and junction.gap_law is not None:
-        columns.insert(0, ("both directions", junction.gap_law))
+        by_direction.insert(0, ("both directions", junction.gap_law))
         note = " Only the law of both directions is free of height drift."
-    rows: dict[str, list[str]] = {}
-    for _, law in columns:
+    columns = []
+    for _, law in by_direction:
         low, high = law.decay_interval_per_m
-        values = {
+        column = {
             "barrier": with_interval(law.barrier_eV, law.barrier_interval_eV, "eV"),
             "decay k [1/nm]": with_interval(1e-9 * law.decay_per_m, (1e-9 * low, 1e-9 * high), ""),
             "noise without current, rms": number(law.floor_A, "A"),
             "jitter of the gap, rms at most": number(law.gap_jitter_m, "m"),
         }
-        for name, value in values.items():
-            rows.setdefault(name, []).append(value)
+        columns.append(column)
     return Table(
         caption="Gap law i = ± I0 exp(\N{MINUS SIGN}k z) + offset, z growing as the tip "
         f"retracts; 95 % intervals. The barrier is (k / 10.246 per nm)², in eV.{note}",
-        columns=("", *(heading for heading, _ in columns)),
-        rows=tuple((name, *values) for name, values in rows.items()),
+        columns=("", *(heading for heading, _ in by_direction)),
+        rows=side_by_side(columns),
     )
 
 
