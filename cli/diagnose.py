@@ -93,15 +93,15 @@ def _diagnose_files(
     from piezoid_reports.render import render_diagnosis
 
     declared = None if lab is None else read_lab(lab)
-    earlier, digest, recording_files = None, "", files
+    earlier, digest, coupled = None, "", None
     if files[0].suffix.lower() == ".json":  # a model before the recordings
         if len(files) == 1:
             raise typer.BadParameter(f"{files[0]} is a model; name recordings after it")
-        content = content_of(files[0])
-        earlier, digest = read_model(content, str(files[0])), digest_in(content)
-        recording_files = files[1:]
-    collected = collect(recording_files, declared).recordings
-    coupled = None if earlier is None else earlier.coupled
+        model_file, *files = files
+        content = content_of(model_file)
+        earlier, digest = read_model(content, str(model_file)), digest_in(content)
+        coupled = earlier.coupled
+    collected = collect(files, declared).recordings
     recordings = as_single_axes(collected, declared, coupled, progress=progress)
     refuse_unusable(recordings)
     earlier_axes = {} if earlier is None else earlier.axes

@@ -206,7 +206,17 @@ def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Ax
         axes.loglog(frequency_Hz, scale * magnitude, color=MODEL, linewidth=1.0)
         axes.set(xlabel="frequency (Hz)", ylabel=f"response of {model.axis} ({unit}/V)")
         return in_units_of(axes, model.counted)
-    loops = [_loop(model, share) for share in _LOOPS]
+    # Closed loops over fractions of the range around its middle, falling first.
+    low_V, high_V = model.voltage_V
+    operator, loops = model.operator, []
+    share_of = np.concatenate([np.linspace(1.0, -1.0, _SAMPLES), np.linspace(-1.0, 1.0, _SAMPLES)])
+    for share in _LOOPS:
+        half_V = 0.5 * share * (high_V - low_V)
+        drive_V = 0.5 * (low_V + high_V) + half_V * share_of
+        _, memory_V = operator.run(drive_V, operator.virgin_memory())
+        output_m, _ = operator.run(drive_V, memory_V)
+        moved_m = model.polarity * (output_m - operator.displacement_offset_m)
+        loops.append((drive_V, model.zero_m + moved_m))
     scale, unit = _scaled(loops[0][1], "m")
     uncertainty, (voltage_V, moved_m) = model.uncertainty, loops[0]
     from_middle_V = np.abs(voltage_V - 0.5 * sum(model.voltage_V))
@@ -414,16 +424,3 @@ def _error_line(axes: "Axes", time_s: Array, error: Array, base: str) -> None:
     _line(axes, time_s, scale * error, color=MODEL, linewidth=0.8)
     axes.axhline(0.0, color=FAINT, linewidth=0.6)
     axes.set(xlabel="time (s)")
-
-
-def _loop(model: AxisModel, share: float) -> tuple[Array, Array]:
-    """Return a closed loop over a fraction of the range around its middle, falling first."""
-    low_V, high_V = model.voltage_V
-    middle_V, half_V = 0.5 * (low_V + high_V), 0.5 * share * (high_V - low_V)
-    share_of = np.concatenate([np.linspace(1.0, -1.0, _SAMPLES), np.linspace(-1.0, 1.0, _SAMPLES)])
-    drive_V = middle_V + half_V * share_of
-    operator = model.operator
-    _, memory_V = operator.run(drive_V, operator.virgin_memory())
-    output_m, _ = operator.run(drive_V, memory_V)
-    moved_m = model.polarity * (output_m - operator.displacement_offset_m)
-    return drive_V, np.asarray(model.zero_m + moved_m)

@@ -227,10 +227,10 @@ def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
                     (
                         row.moved,
                         row.answers,
-                        f"{significant(row.percent)} %",
-                        "does not settle"
-                        if row.without_percent is None
-                        else f"{significant(row.without_percent)} %",
+                        *(
+                            "does not settle" if value is None else f"{significant(value)} %"
+                            for value in (row.percent, row.without_percent)
+                        ),
                     )
                     for row in rows
                 ),

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from piezoid.diagnosis.coordinate_descriptions import CONTROL_ADVICE
-from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding, NotDetected
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
 from piezoid.diagnosis.diagnosis_statements import largest_first
 from piezoid.diagnosis.effects import effect_named, thermal_drift
 from piezoid.formatting import p_value, words
@@ -121,24 +121,19 @@ def _not_detected_tables(page: Page) -> list[Part]:
     for names_of_table, caption in tables:
         rows = []
         for name in names_of_table:
-            cells = {axis: _limits_of(by_name.get((name, axis))) for axis in axes}
-            if name == thermal_drift.EFFECT.name:
-                for axis in drifting & cells.keys():
-                    cells[axis] += ", in addition to the drift in the fit"
-            rows.append((words(name), *cells.values()))
+            cells = []  # bound and detection limit, or why the effect could not be tested
+            for axis in axes:
+                absence, cell = by_name.get((name, axis)), "found"
+                if absence is not None and absence.detection_limit_m is None:
+                    cell = f"not tested: {absence.reason}"
+                elif absence is not None and absence.detection_limit_m is not None:
+                    cell = number(absence.detection_limit_m, "m")
+                    if name in effects and absence.upper_bound_m is not None:
+                        cell = f"{number(absence.upper_bound_m, 'm')}, {cell}"
+                if name == thermal_drift.EFFECT.name and axis in drifting:
+                    cell += ", in addition to the drift in the fit"
+                cells.append(cell)
+            rows.append((words(name), *cells))
         columns = ("effect", *(f"axis {axis}" for axis in axes))
         parts += with_rows(Table(caption=caption, columns=columns, rows=tuple(rows)))
     return parts
-
-
-def _limits_of(absence: NotDetected | None) -> str:
-    """Return bound and detection limit of an effect, or why it could not be tested."""
-    if absence is None:
-        return "found"
-    if absence.detection_limit_m is None:
-        return f"not tested: {absence.reason}"
-    limit = number(absence.detection_limit_m, "m")
-    is_fault = effect_named(absence.effect).fault is not None
-    if is_fault or absence.upper_bound_m is None:
-        return limit
-    return f"{number(absence.upper_bound_m, 'm')}, {limit}"

@@ -93,10 +93,22 @@ def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
         rises.append(step[latest] > 0)
     is_rising, is_finite = np.concatenate(rises), np.isfinite(residual_m)
     edges_V = np.linspace(voltage_V.min(), voltage_V.max(), DRIVE_BINS + 1)
-    rising, falling = (
-        _quantiles(voltage_V[is_finite & branch], residual_m[is_finite & branch], edges_V)
-        for branch in (is_rising, ~is_rising)
-    )
+    branches = []  # centre of the bin and 5 %, 50 % and 95 % quantiles, (bins, 4)
+    for branch in (is_rising, ~is_rising):
+        drive_V, error_m = voltage_V[is_finite & branch], residual_m[is_finite & branch]
+        index = np.clip(np.searchsorted(edges_V, drive_V, side="right") - 1, 0, DRIVE_BINS - 1)
+        order = np.argsort(index, kind="stable")
+        cuts = np.searchsorted(index[order], np.arange(DRIVE_BINS + 1))
+        rows = [
+            [
+                (edges_V[k] + edges_V[k + 1]) / 2,
+                *np.quantile(error_m[order[a:b]], [0.05, 0.5, 0.95]),
+            ]
+            for k, (a, b) in enumerate(itertools.pairwise(cuts))
+            if b - a >= MIN_BIN_SAMPLES
+        ]
+        branches.append(np.array(rows).reshape(-1, 4))
+    rising, falling = branches
     x = axis_over("drive", [voltage_V], "V")
     curves = [rising[:, 1:].ravel(), falling[:, 1:].ravel()]
     canvas = Canvas(x=x, y=axis_over("residual", curves, "m", symmetric=True))
@@ -111,22 +123,6 @@ def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
         canvas=canvas,
         layers=(*_bands(canvas, "rising", rising), *_bands(canvas, "falling", falling)),
     )
-
-
-def _quantiles(voltage_V: Array, residual_m: Array, edges_V: Array) -> Array:
-    """Return centre of the bin and 5 %, 50 % and 95 % quantiles, (bins, 4)."""
-    index = np.clip(np.searchsorted(edges_V, voltage_V, side="right") - 1, 0, DRIVE_BINS - 1)
-    order = np.argsort(index, kind="stable")
-    cuts = np.searchsorted(index[order], np.arange(DRIVE_BINS + 1))
-    rows = [
-        [
-            (edges_V[k] + edges_V[k + 1]) / 2,
-            *np.quantile(residual_m[order[a:b]], [0.05, 0.5, 0.95]),
-        ]
-        for k, (a, b) in enumerate(itertools.pairwise(cuts))
-        if b - a >= MIN_BIN_SAMPLES
-    ]
-    return np.array(rows).reshape(-1, 4)
 
 
 def _bands(canvas: Canvas, role: str, bins: Array) -> tuple[Layer, ...]:

@@ -58,8 +58,19 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
         share = number(quality.held_out_rms_percent, "%")
         text = f"{kind}: {error} rms{where}, {share} of the {number(quality.range_m, 'm')} range."
         accuracy.append(("Error", text))
+    verification, result = page.verification, ""
+    if verification is not None:
+        checks = count_of(len(verification.verdicts), "check")
+        n_failed = sum(not verdict.passed for verdict in verification.verdicts)
+        if n_failed:
+            result = f"; its controllers failed {n_failed} of {checks}, so that none ships"
+        elif not verification.passed:
+            result = "; the controllers compiled again did not give the same bits"
+        else:
+            result = f"; its controllers passed all {checks}"
+    missing = "".join(f"; axis {name} has no controller" for name in page.unshipped)
     return (
-        (word, f"{verdict}{_verification_clause(page)}."),
+        (word, f"{verdict}{result}{missing}."),
         *accuracy,
         *((labels[fact.level], page.text_of(fact)) for fact in reversed(page.headline)),
     )
@@ -69,22 +80,6 @@ def has_failed_controller(page: Page) -> bool:
     """Return whether a designed controller does not ship."""
     verification = page.verification
     return bool(page.unshipped) or (verification is not None and not verification.passed)
-
-
-def _verification_clause(page: Page) -> str:
-    """Return the result of the verification, as a clause of the first sentence."""
-    missing = "".join(f"; axis {name} has no controller" for name in page.unshipped)
-    verification = page.verification
-    if verification is None:
-        return missing
-    n_all = len(verification.verdicts)
-    n_failed = sum(not verdict.passed for verdict in verification.verdicts)
-    if n_failed:
-        checks = count_of(n_all, "check")
-        return f"; its controllers failed {n_failed} of {checks}, so that none ships{missing}"
-    if not verification.passed:
-        return f"; the controllers compiled again did not give the same bits{missing}"
-    return f"; its controllers passed all {count_of(n_all, 'check')}{missing}"
 
 
 def _names(axes: list[str]) -> str:

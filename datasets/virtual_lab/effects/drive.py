@@ -52,22 +52,20 @@ def _past(size_m: float, bench: Bench, trace: Trace, rng: np.random.Generator) -
     even = range(0, len(field), max(len(field) // LOOKED_AT, 1))
     field = field[np.unique([*reversals, *even])]
     reference = np.add(*bench.ceramic.respond(field, trace.history))
-    candidates = [_random_turns(float(field[0]), rng) for _ in range(PASTS)]
-    misses = []
-    for past in candidates:
+    first = float(field[0])
+    candidates, misses = [], []
+    for _ in range(PASTS):
+        # Turning points that alternate around the start of the recording and approach it.
+        count = int(rng.integers(1, 6))
+        reach = np.sort(rng.uniform(0.05, 1.0, count))[::-1]
+        side = float(rng.choice([-1.0, 1.0])) * (-1.0) ** np.arange(count)
+        edge = np.where(side > 0.0, REACH - first, REACH + first)
+        past = first + side * edge * reach
+        candidates.append(past)
         strain = np.add(*bench.ceramic.respond(field, past))
         change_m = bench.rig.stroke_m * (strain - reference)
         misses.append(abs(INITIAL_STATE.measure.of(change_m) - size_m))
     return candidates[int(np.argmin(misses))]
-
-
-def _random_turns(first: float, rng: np.random.Generator) -> Array:
-    """Return turning points that alternate around the start of the recording and approach it."""
-    count = int(rng.integers(1, 6))
-    reach = np.sort(rng.uniform(0.05, 1.0, count))[::-1]
-    side = float(rng.choice([-1.0, 1.0])) * (-1.0) ** np.arange(count)
-    edge = np.where(side > 0.0, REACH - first, REACH + first)
-    return np.asarray(first + side * edge * reach)
 
 
 INITIAL_STATE = Effect(
