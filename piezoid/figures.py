@@ -120,9 +120,7 @@ def in_units_of(axes: "Axes", counted: Collection[str]) -> "Axes":
     return axes
 
 
-def _recording(
-    recording: Recording, kind: str, *, axis: str | None, ax: "Axes | None" = None
-) -> "Axes":
+def _recording(recording: Recording, kind: str, *, axis: str | None, ax: "Axes | None") -> "Axes":
     """Draw a recording: displacement over drive, or both over time on two scales."""
     _check("recording", kind, ("loop", "time"))
     axis = axis or recording.axis
@@ -158,7 +156,7 @@ def _comparison(
     kind: str,
     *,
     recording: Recording | None,
-    ax: "Axes | None" = None,
+    ax: "Axes | None",
 ) -> "Axes":
     """Draw measured and predicted displacement over the drive, or the error over time."""
     if isinstance(comparison, AxisModel):
@@ -184,7 +182,7 @@ def _comparison(
     return in_units_of(axes, comparison.counted)
 
 
-def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Axes":
+def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None") -> "Axes":
     """Draw the loops of a model at three ranges of the drive, or the response of its linear part.
 
     The loops are quasi-static loops of the hysteresis after one full cycle. The band around the
@@ -234,7 +232,7 @@ def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Ax
     return in_units_of(axes, model.counted)
 
 
-def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
+def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None") -> "Axes":
     """Draw the rms contribution of each effect: bars for findings, bounds for the others."""
     effects = [(f.effect, f.share * diagnosis.stroke_m) for f in diagnosis.findings]
     absent = [(n.effect, n.upper_bound_m) for n in diagnosis.not_detected if n.upper_bound_m]
@@ -270,7 +268,7 @@ def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
     return in_units_of(axes, diagnosis.counted)
 
 
-def _design(design: Design, *, axis: str | None, ax: "Axes | None" = None) -> "Axes":
+def _design(design: Design, *, axis: str | None, ax: "Axes | None") -> "Axes":
     """Draw |S_yp| of the nominal plant with the band of the plant family."""
     names = [axis_design.axis for axis_design in design.axes]
     if axis is not None and axis not in names:
@@ -307,7 +305,7 @@ def _design(design: Design, *, axis: str | None, ax: "Axes | None" = None) -> "A
     return axes
 
 
-def _verification(verification: Verification, kind: str, *, ax: "Axes | None" = None) -> "Axes":
+def _verification(verification: Verification, kind: str, *, ax: "Axes | None") -> "Axes":
     """Draw the error of each method over frequency, or every verdict relative to its limit."""
     _check("verification", kind, ("comparison", "verdicts"))
     if kind == "verdicts" or not verification.comparison:
@@ -344,7 +342,7 @@ def _verification(verification: Verification, kind: str, *, ax: "Axes | None" = 
     return axes
 
 
-def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None" = None) -> "Axes":
+def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None") -> "Axes":
     """Draw reference and position of a closed loop over time, or the error."""
     _check("closed loop", kind, ("path", "error"))
     axes, quantity = _axes(ax), "current" if loop.unit == "A" else "position"
@@ -362,7 +360,7 @@ def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None" = None) -> "A
     return axes
 
 
-def _plan(plan: Plan, *, ax: "Axes | None" = None) -> "Axes":
+def _plan(plan: Plan, *, ax: "Axes | None") -> "Axes":
     """Draw the planned drive over time with its limits."""
     axes, drive = _axes(ax), plan.drive
     time_s = np.arange(len(drive.voltage_V)) / drive.sampling_rate_Hz

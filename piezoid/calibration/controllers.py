@@ -159,8 +159,8 @@ def export_and_verify(
     *,
     design_digest: str,
     lab: Lab | None,
-    progress: Progress = lambda _: None,
-    threads: int = 1,
+    progress: Progress,
+    threads: int,
 ) -> Shipping:
     """Export a design, verify it against the stage, and release the axes that pass.
 

@@ -38,7 +38,7 @@ def servo_stage(bandwidth_Hz: float, *, seed: int = 0, ceramic: Ceramic | None =
     return Stage(rig=rig, ceramic=ceramic or held, acts=(follow,), seed=seed)
 
 
-def triangles(stage: Stage, frequencies_Hz: tuple[float, ...], *, order: int = 0) -> Rows:
+def triangles(stage: Stage, frequencies_Hz: tuple[float, ...]) -> Rows:
     """Record triangles over the full range, ``CYCLES`` cycles of each frequency in turn."""
     shape = drives.rates(RATE_Hz, tuple((f, CYCLES) for f in frequencies_Hz), triangle=True)
     rig = stage.rig
@@ -48,4 +48,4 @@ def triangles(stage: Stage, frequencies_Hz: tuple[float, ...], *, order: int = 0
         command_V=volts_of(rig, shape),
         history_V=np.array([rig.drive_max_V, rig.drive_min_V]),
     )
-    return record(stage, run, order)
+    return record(stage, run)
