@@ -148,8 +148,8 @@ def _generator(seed: int, part: str) -> np.random.Generator:
 
 def _size(effect: Effect, size_percent: float | None, seed: int) -> float:
     if size_percent is None:
-        drawn = np.exp(_generator(seed, f"size of {effect.name}").uniform(*np.log(TIMES_VISIBLE)))
-        return float(drawn) * effect.visible_percent
+        factor = np.exp(_generator(seed, f"size of {effect.name}").uniform(*np.log(TIMES_VISIBLE)))
+        return float(factor) * effect.visible_percent
     if not size_percent >= 0.0:
         raise ValueError(f"the size of {effect.name} is {size_percent} %, it must not be negative")
     return size_percent

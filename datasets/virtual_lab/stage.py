@@ -126,8 +126,8 @@ def follow(stage: Stage, run: Run, order: int = 0) -> Trace:
             for axis, u in run.others_V.items()
         },
     )
-    asked_V = _act(stage, Place.AMPLIFIER, _amplified(rig, run, run.command_V), scene)
-    amplifier_V = _act(stage, Place.OUTPUT, _bandwidth(rig, run, asked_V, rate_Hz), scene)
+    command_V = _act(stage, Place.AMPLIFIER, _amplified(rig, run, run.command_V), scene)
+    amplifier_V = _act(stage, Place.OUTPUT, _bandwidth(rig, run, command_V, rate_Hz), scene)
     scene = replace(scene, field=rig.field_of(amplifier_V))
     history = rig.field_of(rig.amplifier_gain_V_per_V * run.history_V)
     history = _act(stage, Place.HISTORY, history, scene)
@@ -169,8 +169,8 @@ def _converted(rig: Rig, command_V: Array) -> Array:
     return rig.dac_step_V * np.round(command_V / rig.dac_step_V)
 
 
-def _bandwidth(rig: Rig, run: Run, asked_V: Array, rate_Hz: float) -> Array:
+def _bandwidth(rig: Rig, run: Run, command_V: Array, rate_Hz: float) -> Array:
     lag_s = 1.0 / (2.0 * np.pi * rig.amplifier_bandwidth_Hz)
     if _finer(rig, run) > 1:
-        return held_first_order(asked_V, lag_s, rate_Hz)
-    return first_order(asked_V, lag_s, rate_Hz, float(asked_V[0]))
+        return held_first_order(command_V, lag_s, rate_Hz)
+    return first_order(command_V, lag_s, rate_Hz, float(command_V[0]))

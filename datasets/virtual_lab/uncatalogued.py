@@ -45,11 +45,11 @@ def _sensed(name: str, change: Callable[[Array, Scene], Array]) -> Act:
 def _line(name: str, size_m: float, frequency_Hz: float, phase_step: float) -> Act:
     """Return a line of the reading; its phase increases by a step from recording to recording."""
 
-    def hum(reading_m: Array, scene: Scene) -> Array:
+    def change(reading_m: Array, scene: Scene) -> Array:
         wave = np.sin(2.0 * np.pi * frequency_Hz * scene.time_s + phase_step * scene.order)
         return np.asarray(reading_m + np.sqrt(2.0) * size_m * wave)
 
-    return _sensed(name, hum)
+    return _sensed(name, change)
 
 
 def _tone(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
@@ -99,31 +99,31 @@ def _every_nth(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
     """A converter with a shared reference: an error in every n-th reading; peak."""
     period = int(rng.integers(3, 40))
 
-    def off(reading_m: Array, scene: Scene, _: np.random.Generator) -> Array:  # noqa: ARG001
+    def change(reading_m: Array, scene: Scene, _: np.random.Generator) -> Array:  # noqa: ARG001
         out = reading_m.copy()
         out[::period] += size_m
         return out
 
-    return Act(name="every_nth", place=Place.CONVERTER, change=off)
+    return Act(name="every_nth", place=Place.CONVERTER, change=change)
 
 
 def _knock(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
     """A temporary load on the table; peak."""
     share = float(rng.uniform(0.25, 0.6))
 
-    def leant(reading_m: Array, scene: Scene) -> Array:
+    def change(reading_m: Array, scene: Scene) -> Array:
         span_s = float(scene.time_s[-1])
         begun, ended = share * span_s, (share + 0.17) * span_s
         return reading_m + size_m * ((scene.time_s > begun) & (scene.time_s < ended))
 
-    return _sensed("knock", leant)
+    return _sensed("knock", change)
 
 
 def _after_turn(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
     """A bearing that snaps: a bump of one sign after every turning point; peak."""
     tau_s = float(rng.uniform(0.02, 0.06))
 
-    def snapped(reading_m: Array, scene: Scene) -> Array:
+    def change(reading_m: Array, scene: Scene) -> Array:
         step = np.sign(np.diff(scene.field))
         moving = np.flatnonzero(step)
         turns = moving[np.flatnonzero(np.diff(step[moving])) + 1]
@@ -134,44 +134,44 @@ def _after_turn(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
         since_s = (sample - latest) / scene.rate_Hz
         return reading_m + size_m * np.where(sample >= turns[0], np.exp(-since_s / tau_s), 0.0)
 
-    return _sensed("after_turn", snapped)
+    return _sensed("after_turn", change)
 
 
 def _speed_bump(size_m: float, rig: Rig, _: np.random.Generator) -> Act:
     """A sensor with an error that rises with the speed up to six strokes per second; peak."""
 
-    def moved(reading_m: Array, scene: Scene) -> Array:
+    def change(reading_m: Array, scene: Scene) -> Array:
         speed = np.abs(np.gradient(reading_m)) * scene.rate_Hz / rig.stroke_m
         fast = np.minimum(speed / 6.0, 1.0)
         return reading_m + size_m * first_order(fast, 1e-3, scene.rate_Hz, 0.0)
 
-    return _sensed("speed_bump", moved)
+    return _sensed("speed_bump", change)
 
 
 def _travel_wave(size_m: float, rig: Rig, rng: np.random.Generator) -> Act:
     """A ball that is not round: an error periodic in the distance travelled; rms."""
     period_m = float(rng.uniform(0.5, 1.5)) * rig.stroke_m
 
-    def rolled(reading_m: Array, scene: Scene) -> Array:  # noqa: ARG001
+    def change(reading_m: Array, scene: Scene) -> Array:  # noqa: ARG001
         travelled_m = np.cumsum(np.abs(np.diff(reading_m, prepend=reading_m[0])))
         wave = np.sin(2.0 * np.pi * travelled_m / period_m)
         return np.asarray(reading_m + np.sqrt(2.0) * size_m * wave)
 
-    return _sensed("travel_wave", rolled)
+    return _sensed("travel_wave", change)
 
 
 def _other_axis_hump(size_m: float, _: Rig, rng: np.random.Generator) -> Act:
     """The other axis touches a cable near one position of its range; peak."""
     middle = float(rng.uniform(0.35, 0.65))
 
-    def touched(reading_m: Array, scene: Scene) -> Array:
+    def change(reading_m: Array, scene: Scene) -> Array:
         out = reading_m
         for other_V in scene.others_V.values():
             place = (other_V - other_V.min()) / max(float(np.ptp(other_V)), 1e-9)
             out = out + size_m * np.exp(-0.5 * ((place - middle) / 0.08) ** 2)
         return out
 
-    return _sensed("other_axis_hump", touched)
+    return _sensed("other_axis_hump", change)
 
 
 def _line_spikes(size_m: float, _: Rig, rng: np.random.Generator) -> Act:

@@ -61,13 +61,13 @@ def install_outliers(size_m: float, _: Bench, rng: np.random.Generator) -> Fault
     """
     share = float(np.exp(rng.uniform(*np.log(SHARES))))
 
-    def spike(sampled_m: Array, _: Scene, chance: np.random.Generator) -> Array:
+    def spike(sampled_m: Array, _: Scene, rng: np.random.Generator) -> Array:
         count = max(round(share * len(sampled_m)), AT_LEAST)
-        rows = chance.choice(len(sampled_m), size=count, replace=False)
-        height_m = size_m * np.linspace(0.5, 1.0, count) * chance.choice([-1.0, 1.0], count)
-        hit = sampled_m.copy()
-        hit[rows] += height_m
-        return hit
+        rows = rng.choice(len(sampled_m), size=count, replace=False)
+        height_m = size_m * np.linspace(0.5, 1.0, count) * rng.choice([-1.0, 1.0], count)
+        disturbed_m = sampled_m.copy()
+        disturbed_m[rows] += height_m
+        return disturbed_m
 
     numbers = {"share_of_rows": share, "largest_m": size_m}
     return fault_of(OUTLIERS.name, Place.RECORD, spike, numbers)
@@ -100,32 +100,32 @@ def install_timestamp_fault(size_m: float, bench: Bench, rng: np.random.Generato
         delay_s, still_m = rows / trace.scene.record_rate_Hz, trace.displacement_m
         return shifted(still_m, delay_s, trace.scene.rate_Hz) - still_m
 
-    worth_m = np.array([TIMESTAMP_FAULT.measure.of(late_m(t, 1.0)) for t in bench.traces])
+    row_size_m = np.array([TIMESTAMP_FAULT.measure.of(late_m(t, 1.0)) for t in bench.traces])
     # one row must not be worth more than the size, or no number of rows has it
-    liveliest = int(np.argmax(np.where(worth_m <= size_m, worth_m, -worth_m)))
-    hit = (worth_m <= worth_m[liveliest]) & (rng.random(len(worth_m)) < 0.5)
-    hit[liveliest] = True
-    places = {int(order): float(rng.uniform(0.2, 0.6)) for order in np.flatnonzero(hit)}
-    struck = [bench.traces[order] for order in places]
+    largest = int(np.argmax(np.where(row_size_m <= size_m, row_size_m, -row_size_m)))
+    is_affected = (row_size_m <= row_size_m[largest]) & (rng.random(len(row_size_m)) < 0.5)
+    is_affected[largest] = True
+    positions = {int(order): float(rng.uniform(0.2, 0.6)) for order in np.flatnonzero(is_affected)}
+    affected = [bench.traces[order] for order in positions]
 
     def change(trace: Trace, rows: float) -> Array:
         change_m = late_m(trace, rows)
-        is_after = np.arange(len(change_m)) > places[trace.scene.order] * len(change_m)
+        is_after = np.arange(len(change_m)) > positions[trace.scene.order] * len(change_m)
         return np.asarray(np.where(is_after, change_m, 0.0))
 
-    rows = max(round(bisected(size_m, TIMESTAMP_FAULT.measure, struck, change, ROWS)), 1)
+    rows = max(round(bisected(size_m, TIMESTAMP_FAULT.measure, affected, change, ROWS)), 1)
 
     def slip(sampled_m: Array, scene: Scene, _: np.random.Generator) -> Array:
-        if scene.order not in places:
+        if scene.order not in positions:
             return sampled_m
-        row = math.floor(places[scene.order] * len(sampled_m))
+        row = math.floor(positions[scene.order] * len(sampled_m))
         if kind == "lost":
             return np.delete(sampled_m, slice(row, row + rows))
         repeated = np.full(rows, sampled_m[row])
         return np.concatenate((sampled_m[:row], repeated, sampled_m[row:]))[: len(sampled_m)]
 
     numbers: dict[str, float | str] = {"kind": kind, "rows": float(rows)}
-    numbers |= {f"place_in_recording_{order}": place for order, place in places.items()}
+    numbers |= {f"place_in_recording_{order}": position for order, position in positions.items()}
     return fault_of(TIMESTAMP_FAULT.name, Place.RECORD, slip, numbers)
 
 

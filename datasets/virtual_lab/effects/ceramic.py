@@ -50,30 +50,30 @@ def install_rate_dependence(size_m: float, bench: Bench, rng: np.random.Generato
     scale = float(rng.uniform(0.005, 0.03))
 
     def change(trace: Trace, tau_s: float) -> Array:
-        kept = max(round(trace.scene.rate_Hz / FINE_ENOUGH_Hz), 1)
-        still = trace.irreversible[::kept]
-        moved = follow_slowly(still, tau_s, scale, trace.scene.rate_Hz / kept)
-        return bench.rig.stroke_m * (moved - still)
+        stride = max(round(trace.scene.rate_Hz / FINE_ENOUGH_Hz), 1)
+        quasi_static = trace.irreversible[::stride]
+        lagging = follow_slowly(quasi_static, tau_s, scale, trace.scene.rate_Hz / stride)
+        return bench.rig.stroke_m * (lagging - quasi_static)
 
     tau_s = bisected(size_m, RATE_DEPENDENCE.measure, bench.traces, change, TIME_CONSTANTS_s)
     return fault_of(
         RATE_DEPENDENCE.name,
         Place.IRREVERSIBLE,
-        lambda still, scene, _: follow_slowly(still, tau_s, scale, scene.rate_Hz),
+        lambda quasi_static, scene, _: follow_slowly(quasi_static, tau_s, scale, scene.rate_Hz),
         {"time_constant_s": tau_s, "barrier_strain": scale},
     )
 
 
-def follow_slowly(still: Array, tau_s: float, scale: float, rate_Hz: float) -> Array:
+def follow_slowly(quasi_static: Array, tau_s: float, scale: float, rate_Hz: float) -> Array:
     """Return the irreversible strain that lags behind its quasi-static value."""
     decay = math.exp(-1.0 / (tau_s * rate_Hz))
-    moved = np.empty_like(still)
-    wall = float(still[0])
-    for k, target in enumerate(still.tolist()):
+    lagging = np.empty_like(quasi_static)
+    wall = float(quasi_static[0])
+    for k, target in enumerate(quasi_static.tolist()):
         lag = target - wall
         wall = target - 2.0 * scale * math.atanh(decay * math.tanh(lag / (2.0 * scale)))
-        moved[k] = wall
-    return moved
+        lagging[k] = wall
+    return lagging
 
 
 RATE_DEPENDENCE = Effect(
@@ -120,7 +120,7 @@ def install_non_congruence(size_m: float, bench: Bench, _: np.random.Generator) 
     return fault_of(
         NON_CONGRUENCE.name,
         Place.IRREVERSIBLE,
-        lambda still, scene, _: still + freedom * opened(still, scene.field),
+        lambda quasi_static, scene, _: quasi_static + freedom * opened(quasi_static, scene.field),
         {"opening_per_field": freedom},
     )
 

@@ -93,10 +93,10 @@ def install_slew_limit(size_m: float, bench: Bench, _: np.random.Generator) -> F
     range_V = rig.amplifier_gain_V_per_V * (rig.drive_max_V - rig.drive_min_V)
 
     def change(trace: Trace, slowness_s_per_V: float) -> Array:
-        kept = max(round(trace.scene.rate_Hz / FINE_ENOUGH_Hz), 1)
-        asked_V = trace.amplifier_V[::kept]
-        step_V = kept / (slowness_s_per_V * trace.scene.rate_Hz)
-        return rig.stroke_m / range_V * (limited(asked_V, step_V) - asked_V)
+        stride = max(round(trace.scene.rate_Hz / FINE_ENOUGH_Hz), 1)
+        command_V = trace.amplifier_V[::stride]
+        step_V = stride / (slowness_s_per_V * trace.scene.rate_Hz)
+        return rig.stroke_m / range_V * (limited(command_V, step_V) - command_V)
 
     fastest = max(
         float(np.max(np.abs(np.diff(trace.amplifier_V)))) * trace.scene.rate_Hz
@@ -108,21 +108,21 @@ def install_slew_limit(size_m: float, bench: Bench, _: np.random.Generator) -> F
     return fault_of(
         SLEW_LIMIT.name,
         Place.OUTPUT,
-        lambda asked_V, scene, _: limited(asked_V, 1.0 / (slowness * scene.rate_Hz)),
+        lambda command_V, scene, _: limited(command_V, 1.0 / (slowness * scene.rate_Hz)),
         {"slew_V_per_s": 1.0 / slowness},
     )
 
 
-def limited(asked_V: Array, step_V: float) -> Array:
+def limited(command_V: Array, step_V: float) -> Array:
     """Return a voltage that follows the command by at most one step per sample."""
-    if np.max(np.abs(np.diff(asked_V)), initial=0.0) <= step_V:
-        return asked_V
-    output_V = float(asked_V[0])
-    followed = np.empty_like(asked_V)
-    for k, target_V in enumerate(asked_V.tolist()):
+    if np.max(np.abs(np.diff(command_V)), initial=0.0) <= step_V:
+        return command_V
+    output_V = float(command_V[0])
+    output = np.empty_like(command_V)
+    for k, target_V in enumerate(command_V.tolist()):
         output_V += min(max(target_V - output_V, -step_V), step_V)
-        followed[k] = output_V
-    return followed
+        output[k] = output_V
+    return output
 
 
 SLEW_LIMIT = Effect(
@@ -159,7 +159,7 @@ def install_amplifier_saturation(size_m: float, bench: Bench, rng: np.random.Gen
     return fault_of(
         AMPLIFIER_SATURATION.name,
         Place.OUTPUT,
-        lambda asked_V, _scene, _: np.clip(asked_V, limits["low"], limits["high"]),
+        lambda command_V, _scene, _: np.clip(command_V, limits["low"], limits["high"]),
         {f"{side}_V": limits[side] for side in sides},
     )
 

@@ -168,14 +168,14 @@ def install_mains_interference(size_m: float, _: Bench, rng: np.random.Generator
     strength *= np.sqrt(2.0) * size_m / np.sqrt(np.sum(strength**2))
     phases = rng.uniform(0.0, 2.0 * np.pi, 4)
 
-    def hum(reading_m: Array, scene: Scene, chance: np.random.Generator) -> Array:
-        wander = coloured_noise(len(reading_m), scene.rate_Hz, WANDER_CORNER_Hz, 0.0, chance)
-        turns = np.cumsum(grid_Hz + WANDER_Hz * wander) / scene.rate_Hz + chance.random()
+    def hum(reading_m: Array, scene: Scene, rng: np.random.Generator) -> Array:
+        wander = coloured_noise(len(reading_m), scene.rate_Hz, WANDER_CORNER_Hz, 0.0, rng)
+        cycles = np.cumsum(grid_Hz + WANDER_Hz * wander) / scene.rate_Hz + rng.random()
         lines = zip(HARMONICS, strength, phases, strict=True)
-        heard = reading_m.copy()
+        disturbed_m = reading_m.copy()
         for k, amplitude_m, phase in lines:
-            heard += amplitude_m * np.sin(2.0 * np.pi * k * turns + phase)
-        return heard
+            disturbed_m += amplitude_m * np.sin(2.0 * np.pi * k * cycles + phase)
+        return disturbed_m
 
     numbers: dict[str, float | str] = {"grid_Hz": grid_Hz}
     numbers |= {f"amplitude_{k:.0f}_m": float(a) for k, a in zip(HARMONICS, strength, strict=True)}

@@ -86,15 +86,15 @@ def preisach_memory(everett: EverettFunction, path: Array) -> Array:
         direction = 1.0 if rising else -1.0
         ahead = direction * path[start + 1 : end + 1]
         sign[start + 1 : end + 1] = direction
-        done = 0
-        while done < len(ahead):
+        offset = 0
+        while offset < len(ahead):
             limit = direction * stack[-2][0] if len(stack) > 1 else np.inf
             stop = int(np.searchsorted(ahead, limit, side="left"))
-            anchor[start + 1 + done : start + 1 + stop] = stack[-1][0]
-            base[start + 1 + done : start + 1 + stop] = stack[-1][1]
+            anchor[start + 1 + offset : start + 1 + stop] = stack[-1][0]
+            base[start + 1 + offset : start + 1 + stop] = stack[-1][1]
             if stop < len(ahead):
                 del stack[-2:]
-            done = stop
+            offset = stop
         field, (root, value) = float(path[end]), stack[-1]
         high_low = np.array([max(field, root)]), np.array([min(field, root)])
         stack.append((field, value + direction * float(everett(*high_low)[0])))
@@ -222,20 +222,22 @@ def takacs_memory(
     for start, end, rising in branches(path):
         if start > 0:
             turns.append((float(path[start]), float(output[start])))
-        sign, lead = (1.0, shift[0]) if rising else (-1.0, -shift[1])
+        sign, branch_shift = (1.0, shift[0]) if rising else (-1.0, -shift[1])
         ahead = sign * path[start + 1 : end + 1]
         done = 0
         while done < len(ahead):
-            (to, arrive), (begun, left) = turns[-2:]
+            (end_field, end_value), (start_field, start_value) = turns[-2:]
             stop = (
-                int(np.searchsorted(ahead, sign * to, side="left"))
+                int(np.searchsorted(ahead, sign * end_field, side="left"))
                 if len(turns) > 2
                 else len(ahead)
             )
             piece = slice(start + 1 + done, start + 1 + stop)
-            fields = np.concatenate(([begun, to], path[piece]))
-            low, high, *_ = curve = np.tanh(steepness * (fields - centre - lead))
-            output[piece] = left + (arrive - left) * (curve[2:] - low) / (high - low)
+            fields = np.concatenate(([start_field, end_field], path[piece]))
+            curve = np.tanh(steepness * (fields - centre - branch_shift))
+            low, high = curve[:2].tolist()
+            rise = end_value - start_value
+            output[piece] = start_value + rise * (curve[2:] - low) / (high - low)
             if stop < len(ahead):
                 del turns[-2:]
             done = stop
