@@ -15,7 +15,6 @@ from time import process_time
 import numpy as np
 
 from piezoid_cli.batch import write_table
-from piezoid_reports.fleet.quantities import QUANTITIES
 from piezoid_reports.fleet.records import (
     FAILED,
     PASSED,
@@ -25,6 +24,7 @@ from piezoid_reports.fleet.records import (
     StagesOnDisk,
 )
 from piezoid_reports.fleet.sections import render_fleet
+from piezoid_reports.fleet.statistics import QUANTITIES
 
 NAMES = [quantity.name for quantity in QUANTITIES]
 

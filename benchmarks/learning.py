@@ -35,8 +35,7 @@ from piezoid.verification.plant import AxisPlant, lateral_plant
 from piezoid.verification.scenarios import raster
 from piezoid.verification.verify_stage import plant_of
 from piezoid_cli.calibration import calibrate
-from piezoid_datasets.virtual_lab.campaign import draw_campaign
-from piezoid_datasets.virtual_lab.names import named
+from piezoid_datasets.virtual_lab.campaign import draw_campaign, named
 from piezoid_datasets.virtual_lab.stage import Run, Stage, record
 from piezoid_datasets.virtual_lab.truths import ZOO
 from piezoid_datasets.virtual_lab.write import campaign_files

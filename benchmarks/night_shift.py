@@ -27,7 +27,7 @@ import numpy as np
 from piezoid_datasets.virtual_lab import drives
 from piezoid_datasets.virtual_lab.rig import Rig
 from piezoid_datasets.virtual_lab.stage import Run, Stage, record
-from piezoid_datasets.virtual_lab.truths.preisach import draw_preisach
+from piezoid_datasets.virtual_lab.truths.return_point import draw_preisach
 from piezoid_datasets.virtual_lab.write import csv_text, lab_toml
 
 RATE_Hz, SWEEP_Hz, CYCLES = 1000.0, 5.0, 4

@@ -7,7 +7,7 @@ import numpy as np
 from seed_paper_design import LATERAL_m_per_V
 
 from piezoid.numerics.arrays import Array
-from piezoid_datasets.virtual_lab.truths.preisach import Everett, preisach_memory
+from piezoid_datasets.virtual_lab.truths.return_point import Everett, preisach_memory
 from piezoid_datasets.virtual_lab.truths.truth import FLOOR, Ceramic, ceramic_with_opening
 
 VOLTS = 10.0  # field 1

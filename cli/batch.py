@@ -214,7 +214,7 @@ def write_table(fleet: "Fleet", stream: BinaryIO) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from piezoid_reports.fleet.quantities import QUANTITIES
+    from piezoid_reports.fleet.statistics import QUANTITIES
 
     types = {float: pa.float64(), list: pa.list_(pa.float64())}
     parameters: dict[str, type] = {}

@@ -148,8 +148,7 @@ def record_without_results(
 
 def _record(task: StageTask, inputs: Mapping[str, str], calibration: "Calibration") -> FleetStage:
     """Return the record of a calibrated stage; its reason lists everything that failed."""
-    from json import loads
-
+    from piezoid.digests import digest_in
     from piezoid.verification.criteria import describe_failure
 
     reasons = [
@@ -173,7 +172,7 @@ def _record(task: StageTask, inputs: Mapping[str, str], calibration: "Calibratio
         reason="; ".join(reasons),
         version=task.version,
         inputs=inputs,
-        outputs={name: loads(text)["digest"] for name, text in sealed.items()},
+        outputs={name: digest_in(text) for name, text in sealed.items()},
         axes=tuple(_axis(axis, calibration) for axis in calibration.model.axes.values()),
     )
 
@@ -183,7 +182,7 @@ def _axis(axis: "AxisModel", calibration: "Calibration") -> FleetAxis:
     from math import isfinite
 
     from piezoid.raw_counts import in_counts
-    from piezoid_reports.fleet.quantities import QUANTITIES
+    from piezoid_reports.fleet.statistics import QUANTITIES
 
     design = calibration.controllers.design
     designs = {} if design is None else {each.axis: each for each in design.axes}

@@ -1,6 +1,8 @@
 """Calibrate one stage, its axes in parallel processes, and write its report."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +26,8 @@ def calibrate(
     from piezoid_cli.workers import map_jobs, worker_pool
 
     # Workers load modules while this process reads. A single file has one axis: no worker.
-    with worker_pool(processes - 1 if len(files) > 1 else 0, _preload) as pool:
+    preload = partial(import_module, "piezoid.calibration.axis_jobs")
+    with worker_pool(processes - 1 if len(files) > 1 else 0, preload) as pool:
         from piezoid.records.collection import collect
         from piezoid.records.lab import read_lab
 
@@ -41,8 +44,3 @@ def calibrate(
     calibration = finish(model, results, declared, progress, processes)
     progress("writing the report")
     return with_report(calibration, collection, declared)
-
-
-def _preload() -> None:
-    """Load the modules that a job needs."""
-    import piezoid.calibration.axis_jobs  # noqa: F401

@@ -1,18 +1,14 @@
 """`piezoid design`: design the controllers of a fitted stage."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from piezoid_cli.statements import show_statements
 from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, say, table
 
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from piezoid.design.design import Design
-    from piezoid.identification.actuator_model import ActuatorModel
+HEADINGS = ("axis", "method", "bandwidth", "modulus margin", "delay margin", "guaranteed")
 
 
 def design(
@@ -43,8 +39,10 @@ def design(
     from rich.console import Console
 
     from piezoid.design.design_stage import SpecificationText, design_stage
-    from piezoid.design.design_statements import design_statements
+    from piezoid.design.design_statements import design_statements, guaranteed_error_m
+    from piezoid.formatting import with_unit
     from piezoid.output_folder import add_to_folder, check_folder
+    from piezoid.runtime.schema import METHOD_NAMES
     from piezoid.statement import Level
     from piezoid_cli.export import show_unshipped
     from piezoid_cli.progress import show_progress
@@ -70,30 +68,22 @@ def design(
     if json:
         print_raw(content)
     elif not quiet:
-        Console().print(_table(result, model))
+        rows = []
+        for axis in result.axes:
+            for loop in axis.loops:
+                delay_s, margin = loop.worst_delay_margin_s, f"{loop.worst_modulus_margin:.3f}"
+                delay = "any" if delay_s is None else with_unit(delay_s, "s")
+                bandwidth = with_unit(loop.bandwidth_Hz, "Hz")
+                bound_m: float | str = "none"
+                if axis.axis in model.axes:
+                    bound_m = guaranteed_error_m(loop.certificate, model.axes[axis.axis])
+                bound = bound_m if isinstance(bound_m, str) else with_unit(bound_m, "m")
+                method = METHOD_NAMES[loop.method]
+                rows.append((axis.axis, method, bandwidth, margin, delay, bound))
+        Console().print(table("controllers, worst case over each plant family", HEADINGS, rows))
         show_statements(design_statements(result, model), Level.WARNING)
         show_unshipped(result.refused)
         say(f"design: {stage / 'design.json'}, {stage / 'design.html'}")
         say(f"params.json and bundle/ contain the earlier design until: piezoid export {stage}")
     if result.refused:
         raise typer.Exit(1)
-
-
-def _table(design: "Design", model: "ActuatorModel") -> "Table":
-    from piezoid.design.design_statements import guaranteed_error_m
-    from piezoid.formatting import with_unit
-    from piezoid.runtime.schema import METHOD_NAMES
-
-    rows = []
-    for axis in design.axes:
-        for loop in axis.loops:
-            delay_s, margin = loop.worst_delay_margin_s, f"{loop.worst_modulus_margin:.3f}"
-            delay = "any" if delay_s is None else with_unit(delay_s, "s")
-            bandwidth = with_unit(loop.bandwidth_Hz, "Hz")
-            bound_m: float | str = "none"
-            if axis.axis in model.axes:
-                bound_m = guaranteed_error_m(loop.certificate, model.axes[axis.axis])
-            bound = bound_m if isinstance(bound_m, str) else with_unit(bound_m, "m")
-            rows.append((axis.axis, METHOD_NAMES[loop.method], bandwidth, margin, delay, bound))
-    headings = ("axis", "method", "bandwidth", "modulus margin", "delay margin", "guaranteed")
-    return table("controllers, worst case over each plant family", headings, rows)

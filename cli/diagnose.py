@@ -22,7 +22,6 @@ from piezoid_cli.terminal import (
 if TYPE_CHECKING:
     from piezoid.diagnosis.compare import ModelComparison
     from piezoid.diagnosis.diagnosis import Diagnosis
-    from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.records.recording import Recording
 
 
@@ -79,6 +78,7 @@ def _diagnose_files(
     from piezoid.diagnosis.compare import compare
     from piezoid.diagnosis.diagnose import diagnose as find_effects
     from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
+    from piezoid.digests import digest_in
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.identification.coupled.from_recordings import as_single_axes
     from piezoid.identification.fit import driven_recordings
@@ -87,13 +87,21 @@ def _diagnose_files(
     from piezoid.records.collection import collect
     from piezoid.records.lab import read_lab
     from piezoid.records.recording import counted_in
+    from piezoid.sealed_files import read_model
+    from piezoid_cli.stage_files import content_of
     from piezoid_cli.workers import usable_cores
     from piezoid_reports.render import render_diagnosis
 
     declared = None if lab is None else read_lab(lab)
-    earlier, digest, recording_files = _split_model(files)
-    collected = collect(recording_files, declared).recordings
-    coupled = None if earlier is None else earlier.coupled
+    earlier, digest, coupled = None, "", None
+    if files[0].suffix.lower() == ".json":  # a model before the recordings
+        if len(files) == 1:
+            raise typer.BadParameter(f"{files[0]} is a model; name recordings after it")
+        model_file, *files = files
+        content = content_of(model_file)
+        earlier, digest = read_model(content, str(model_file)), digest_in(content)
+        coupled = earlier.coupled
+    collected = collect(files, declared).recordings
     recordings = as_single_axes(collected, declared, coupled, progress=progress)
     refuse_unusable(recordings)
     earlier_axes = {} if earlier is None else earlier.axes
@@ -128,19 +136,6 @@ def _diagnose_files(
     page = render_diagnosis(model, recordings, diagnosis, comparison=comparison, written=content)
     contents = {"diagnosis.json": content, "diagnosis.html": page.encode()}
     return recordings, diagnosis, comparison, contents
-
-
-def _split_model(files: list[Path]) -> "tuple[ActuatorModel | None, str, list[Path]]":
-    """Return the model before the recordings and its digest, if any, and the recordings."""
-    from piezoid.sealed_files import read_model
-    from piezoid_cli.stage_files import content_of, digest_in
-
-    if files[0].suffix.lower() != ".json":
-        return None, "", files
-    if len(files) == 1:
-        raise typer.BadParameter(f"{files[0]} is a model; name recordings after it")
-    content = content_of(files[0])
-    return read_model(content, str(files[0])), digest_in(content), files[1:]
 
 
 def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:

@@ -49,11 +49,12 @@ def export(
     piezoid export stage42/ --json | jq .methods
     """
     from piezoid.calibration.controllers import REFUSED, export_and_verify, shipping_files
+    from piezoid.digests import digest_in
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.targets.controller_hardware import ControllerHardware, read_hardware
     from piezoid.targets.targets import FOLDERS, check_targets, target_files
     from piezoid_cli.progress import show_progress
-    from piezoid_cli.stage_files import StageFolder, content_of, digest_in
+    from piezoid_cli.stage_files import StageFolder, content_of
     from piezoid_cli.workers import usable_cores
 
     targets = check_targets(target or ())

@@ -214,7 +214,18 @@ def response_lines(inspection: "Inspection") -> list[str]:
         f"  a frequency response, {band}, {response.lines} lines, which includes the poles of "
         f"{through}",
     ]
-    lines += [_path(path, response.lines) for path in response.paths if path.output == path.drive]
+    for path in (path for path in response.paths if path.output == path.drive):
+        coherent = f"{path.coherent} of {response.lines} lines coherent"
+        resonances = []
+        for peak in path.peaks[:MAX_PEAKS]:
+            quality = "" if peak.quality is None else f" (Q about {significant(peak.quality, 2)})"
+            resonances.append(f"{with_unit(peak.frequency_Hz, 'Hz')}{quality}")
+        peaks = f"possible resonances at {', '.join(resonances)}" if resonances else "no peak"
+        if len(path.peaks) > MAX_PEAKS:
+            peaks += f" and {len(path.peaks) - MAX_PEAKS} more"
+        gain = f"{with_unit(path.gain_m_per_V, 'm')}/V at low frequency"
+        coherence = coherent if path.has_coherence else "no coherence"
+        lines.append(f"  axis {path.output}: {gain}, {coherence}, {peaks}")
     if not inspection.axis_is_named:
         lines.append("  no axis named in the file, x assumed")
     for coupling in response.couplings:
@@ -228,20 +239,3 @@ def response_lines(inspection: "Inspection") -> list[str]:
     if response.couplings:
         lines.append("  each axis has its own response; coupling is reported, not controlled")
     return lines
-
-
-def _path(path: "PathSummary", lines: int) -> str:
-    from piezoid.formatting import significant, with_unit
-
-    coherent = (
-        f"{path.coherent} of {lines} lines coherent" if path.has_coherence else "no coherence"
-    )
-    resonances = []
-    for peak in path.peaks[:MAX_PEAKS]:
-        quality = "" if peak.quality is None else f" (Q about {significant(peak.quality, 2)})"
-        resonances.append(f"{with_unit(peak.frequency_Hz, 'Hz')}{quality}")
-    peaks = f"possible resonances at {', '.join(resonances)}" if resonances else "no peak"
-    if len(path.peaks) > MAX_PEAKS:
-        peaks += f" and {len(path.peaks) - MAX_PEAKS} more"
-    gain = f"{with_unit(path.gain_m_per_V, 'm')}/V at low frequency"
-    return f"  axis {path.output}: {gain}, {coherent}, {peaks}"

@@ -49,9 +49,10 @@ def plan(
     a better one ("answers": false in plan.json). Exit status 3 means that no drive shows the
     effect.
     """
+    from piezoid.digests import digest_in
     from piezoid.output_folder import add_to_folder, check_folder, write_folder
     from piezoid_cli.progress import show_progress
-    from piezoid_cli.stage_files import StageFolder, content_of, digest_in
+    from piezoid_cli.stage_files import StageFolder, content_of
 
     if out is None:
         check_folder(stage, force=force, names=("drive.csv", "plan.json"))

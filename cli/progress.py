@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import partial
 from threading import Event, Lock, Thread
 
 from piezoid_cli.terminal import one_line, say, step_column
@@ -26,24 +27,19 @@ def show_progress(
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 
-    console = Console(stderr=True, quiet=quiet)
+    console, write = Console(stderr=True, quiet=quiet), partial(say, err=True)
     if quiet:
         yield lambda _: None
     elif VERBOSE.get():
-        yield Log(say_line).begin
+        yield Log(write).begin
     elif console.is_terminal:
         columns = (SpinnerColumn(), step_column(), TimeElapsedColumn())
         with Progress(*columns, console=console, transient=True) as progress:
             task = progress.add_task("starting", total=None)
             yield lambda text: progress.update(task, description=one_line(text))
     else:
-        with Log(say_line).at_intervals(interval_s) as report:
+        with Log(write).at_intervals(interval_s) as report:
             yield report
-
-
-def say_line(line: str) -> None:
-    """Write one line of the log."""
-    say(line, err=True)
 
 
 class Log:

@@ -6,6 +6,7 @@ from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from piezoid.digests import digest_in
 from piezoid.errors import LabFileError, ParameterFileError
 from piezoid.manifest import is_as_written
 
@@ -105,11 +106,6 @@ def content_of(path: Path) -> bytes:
         )
     with path.open("rb") as stream:
         return stream.read(size)
-
-
-def digest_in(content: bytes) -> str:
-    """Return the digest in a sealed file."""
-    return str(loads(content).get("digest"))
 
 
 def _missing(path: Path) -> ParameterFileError:

@@ -10,8 +10,6 @@ from piezoid_cli.statements import MAX_SHOWN
 from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, rich_text, say, table
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from piezoid.design.design import Design
     from piezoid.export.parameter_file import ParameterFile
     from piezoid.verification.rebuild import Proof
@@ -126,8 +124,9 @@ def verify(
 def _design(folder: "StageFolder") -> "Design":
     """Return the design of the parameters; raise if the design or the rig has changed since."""
     from piezoid.design.design import design_from_json
+    from piezoid.digests import digest_in
     from piezoid.errors import ParameterFileError
-    from piezoid_cli.stage_files import content_of, digest_in
+    from piezoid_cli.stage_files import content_of
 
     path, lab = folder.folder / "design.json", folder.lab
     content = content_of(path)
@@ -153,11 +152,23 @@ def show(verification: "Verification", file: "ParameterFile") -> None:
     from rich.console import Console
 
     from piezoid.formatting import with_unit
+    from piezoid.runtime.schema import METHOD_NAMES
     from piezoid.verification.criteria import describe_failure
 
     console = Console()
     if verification.comparison:
-        console.print(_comparison(verification))
+        # The rms error of each method on spirals, with one column per rate.
+        rows_of = verification.comparison
+        rates_Hz = sorted({row.frequency_Hz for row in rows_of})
+        errors = {(row.method, row.frequency_Hz): with_unit(row.rms_m, "m") for row in rows_of}
+        rows = [
+            (METHOD_NAMES[method], *(errors.get((method, rate_Hz), "") for rate_Hz in rates_Hz))
+            for method in dict.fromkeys(row.method for row in rows_of)
+        ]
+        radius = with_unit(verification.radius_m, "m")
+        title = f"spirals of radius {radius}: simulated rms error by frequency"
+        headings = ("method", *(with_unit(rate, "Hz") for rate in rates_Hz))
+        console.print(table(title, headings, rows, n_words=1))
     for row in verification.bounds:
         bounded = "none" if row.bound_m is None else with_unit(row.bound_m, "m")
         if row.is_exceeded:
@@ -187,23 +198,6 @@ def show(verification: "Verification", file: "ParameterFile") -> None:
         console.print(rich_text(f"{len(failed) - MAX_SHOWN} more failed: see verification.json"))
     n_all = len(verification.verdicts)
     console.print(rich_text(f"{n_all - len(failed)} of {n_all} checks passed"))
-
-
-def _comparison(verification: "Verification") -> "Table":
-    """Return the rms error of each method on spirals, with one column per rate."""
-    from piezoid.formatting import with_unit
-    from piezoid.runtime.schema import METHOD_NAMES
-
-    rows_of = verification.comparison
-    rates_Hz = sorted({row.frequency_Hz for row in rows_of})
-    errors = {(row.method, row.frequency_Hz): with_unit(row.rms_m, "m") for row in rows_of}
-    rows = [
-        (METHOD_NAMES[method], *(errors.get((method, rate_Hz), "") for rate_Hz in rates_Hz))
-        for method in dict.fromkeys(row.method for row in rows_of)
-    ]
-    radius = with_unit(verification.radius_m, "m")
-    title = f"spirals of radius {radius}: simulated rms error by frequency"
-    return table(title, ("method", *(with_unit(rate, "Hz") for rate in rates_Hz)), rows, n_words=1)
 
 
 def _proof_line(proof: "Proof", file: "ParameterFile") -> str:

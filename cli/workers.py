@@ -58,7 +58,7 @@ def unreachable_by_interrupts() -> Iterator[None]:
 class WorkerPool:
     """Worker processes, and the pipe for their progress."""
 
-    def __init__(self, count: int, preload: Callable[[], None]) -> None:
+    def __init__(self, count: int, preload: Callable[[], object]) -> None:
         """Prepare ``count`` workers; each runs ``preload`` first."""
         context = get_context("spawn")
         self._reader, self._writer = context.Pipe(duplex=False)
@@ -104,7 +104,7 @@ class WorkerPool:
 
 
 @contextmanager
-def worker_pool(count: int, preload: Callable[[], None]) -> Iterator[WorkerPool | None]:
+def worker_pool(count: int, preload: Callable[[], object]) -> Iterator[WorkerPool | None]:
     """Yield a pool of workers that import the modules of the jobs, or None for no worker."""
     if count < 1:
         yield None
@@ -144,7 +144,10 @@ def map_jobs(
             results[index] = _result_of(work, jobs[index], partial(pool.say, index))
             pool.say(index, "")
     for index, job in enumerate(jobs):
-        result = results[index] if index in results else _result_from(futures[index])
+        result = results.get(index)
+        if index not in results:
+            with suppress(Exception):  # the worker was killed or failed
+                result = loads(futures[index].result())
         if result is None:
             result = _result_of(work, job, report)
         if isinstance(result, PiezoidError):
@@ -160,15 +163,7 @@ def _result_of(work: Work[Job, Result], job: Job, report: Progress) -> Result | 
         return refusal
 
 
-def _result_from(future: "Future[bytes]") -> Any:
-    """Return the result of a worker, or None if the worker was killed or failed."""
-    try:
-        return loads(future.result())
-    except Exception:
-        return None
-
-
-def _start_worker(writer: Connection, preload: Callable[[], None]) -> None:
+def _start_worker(writer: Connection, preload: Callable[[], object]) -> None:
     """Prepare a worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(dict.fromkeys(_THREADS, "1"))  # before linear algebra is imported

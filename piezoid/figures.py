@@ -120,9 +120,7 @@ def in_units_of(axes: "Axes", counted: Collection[str]) -> "Axes":
     return axes
 
 
-def _recording(
-    recording: Recording, kind: str, *, axis: str | None, ax: "Axes | None" = None
-) -> "Axes":
+def _recording(recording: Recording, kind: str, *, axis: str | None, ax: "Axes | None") -> "Axes":
     """Draw a recording: displacement over drive, or both over time on two scales."""
     _check("recording", kind, ("loop", "time"))
     axis = axis or recording.axis
@@ -158,7 +156,7 @@ def _comparison(
     kind: str,
     *,
     recording: Recording | None,
-    ax: "Axes | None" = None,
+    ax: "Axes | None",
 ) -> "Axes":
     """Draw measured and predicted displacement over the drive, or the error over time."""
     if isinstance(comparison, AxisModel):
@@ -184,7 +182,7 @@ def _comparison(
     return in_units_of(axes, comparison.counted)
 
 
-def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Axes":
+def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None") -> "Axes":
     """Draw the loops of a model at three ranges of the drive, or the response of its linear part.
 
     The loops are quasi-static loops of the hysteresis after one full cycle. The band around the
@@ -206,7 +204,17 @@ def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Ax
         axes.loglog(frequency_Hz, scale * magnitude, color=MODEL, linewidth=1.0)
         axes.set(xlabel="frequency (Hz)", ylabel=f"response of {model.axis} ({unit}/V)")
         return in_units_of(axes, model.counted)
-    loops = [_loop(model, share) for share in _LOOPS]
+    # Closed loops over fractions of the range around its middle, falling first.
+    low_V, high_V = model.voltage_V
+    operator, loops = model.operator, []
+    share_of = np.concatenate([np.linspace(1.0, -1.0, _SAMPLES), np.linspace(-1.0, 1.0, _SAMPLES)])
+    for share in _LOOPS:
+        half_V = 0.5 * share * (high_V - low_V)
+        drive_V = 0.5 * (low_V + high_V) + half_V * share_of
+        _, memory_V = operator.run(drive_V, operator.virgin_memory())
+        output_m, _ = operator.run(drive_V, memory_V)
+        moved_m = model.polarity * (output_m - operator.displacement_offset_m)
+        loops.append((drive_V, model.zero_m + moved_m))
     scale, unit = _scaled(loops[0][1], "m")
     uncertainty, (voltage_V, moved_m) = model.uncertainty, loops[0]
     from_middle_V = np.abs(voltage_V - 0.5 * sum(model.voltage_V))
@@ -224,7 +232,7 @@ def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Ax
     return in_units_of(axes, model.counted)
 
 
-def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
+def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None") -> "Axes":
     """Draw the rms contribution of each effect: bars for findings, bounds for the others."""
     effects = [(f.effect, f.share * diagnosis.stroke_m) for f in diagnosis.findings]
     absent = [(n.effect, n.upper_bound_m) for n in diagnosis.not_detected if n.upper_bound_m]
@@ -260,7 +268,7 @@ def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
     return in_units_of(axes, diagnosis.counted)
 
 
-def _design(design: Design, *, axis: str | None, ax: "Axes | None" = None) -> "Axes":
+def _design(design: Design, *, axis: str | None, ax: "Axes | None") -> "Axes":
     """Draw |S_yp| of the nominal plant with the band of the plant family."""
     names = [axis_design.axis for axis_design in design.axes]
     if axis is not None and axis not in names:
@@ -297,11 +305,22 @@ def _design(design: Design, *, axis: str | None, ax: "Axes | None" = None) -> "A
     return axes
 
 
-def _verification(verification: Verification, kind: str, *, ax: "Axes | None" = None) -> "Axes":
+def _verification(verification: Verification, kind: str, *, ax: "Axes | None") -> "Axes":
     """Draw the error of each method over frequency, or every verdict relative to its limit."""
     _check("verification", kind, ("comparison", "verdicts"))
     if kind == "verdicts" or not verification.comparison:
-        return _verdicts(verification, ax)
+        verdicts = [v for v in verification.verdicts if v.limit > 0.0]
+        height_inch = 0.9 + 0.2 * max(len(verdicts), 4)
+        axes = _axes(ax, width_inch=1.6 * WIDTH_inch, height_inch=height_inch)
+        shares = [max(v.value / v.limit, 1e-3) for v in verdicts]
+        colors = [THIRD if v.passed else MODEL for v in verdicts]
+        axes.barh(range(len(verdicts)), shares, height=0.6, color=colors)
+        axes.axvline(1.0, color=MEASURED, linewidth=1.0)
+        labels = [f"{v.name} ({v.scenario})" for v in verdicts]
+        axes.set_yticks(range(len(verdicts)), labels, fontsize="x-small")
+        axes.invert_yaxis()
+        axes.set(xscale="log", xlabel="value / limit (1)")
+        return axes
     axes = _axes(ax)
     scale, unit = _scaled(np.array([row.rms_m for row in verification.comparison]), "m")
     for index, method in enumerate(dict.fromkeys(row.method for row in verification.comparison)):
@@ -323,7 +342,7 @@ def _verification(verification: Verification, kind: str, *, ax: "Axes | None" = 
     return axes
 
 
-def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None" = None) -> "Axes":
+def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None") -> "Axes":
     """Draw reference and position of a closed loop over time, or the error."""
     _check("closed loop", kind, ("path", "error"))
     axes, quantity = _axes(ax), "current" if loop.unit == "A" else "position"
@@ -341,7 +360,7 @@ def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None" = None) -> "A
     return axes
 
 
-def _plan(plan: Plan, *, ax: "Axes | None" = None) -> "Axes":
+def _plan(plan: Plan, *, ax: "Axes | None") -> "Axes":
     """Draw the planned drive over time with its limits."""
     axes, drive = _axes(ax), plan.drive
     time_s = np.arange(len(drive.voltage_V)) / drive.sampling_rate_Hz
@@ -403,32 +422,3 @@ def _error_line(axes: "Axes", time_s: Array, error: Array, base: str) -> None:
     _line(axes, time_s, scale * error, color=MODEL, linewidth=0.8)
     axes.axhline(0.0, color=FAINT, linewidth=0.6)
     axes.set(xlabel="time (s)")
-
-
-def _loop(model: AxisModel, share: float) -> tuple[Array, Array]:
-    """Return a closed loop over a fraction of the range around its middle, falling first."""
-    low_V, high_V = model.voltage_V
-    middle_V, half_V = 0.5 * (low_V + high_V), 0.5 * share * (high_V - low_V)
-    share_of = np.concatenate([np.linspace(1.0, -1.0, _SAMPLES), np.linspace(-1.0, 1.0, _SAMPLES)])
-    drive_V = middle_V + half_V * share_of
-    operator = model.operator
-    _, memory_V = operator.run(drive_V, operator.virgin_memory())
-    output_m, _ = operator.run(drive_V, memory_V)
-    moved_m = model.polarity * (output_m - operator.displacement_offset_m)
-    return drive_V, np.asarray(model.zero_m + moved_m)
-
-
-def _verdicts(verification: Verification, ax: "Axes | None") -> "Axes":
-    """Draw the ratio of value to limit for every verdict with a limit above 0."""
-    verdicts = [v for v in verification.verdicts if v.limit > 0.0]
-    height_inch = 0.9 + 0.2 * max(len(verdicts), 4)
-    axes = _axes(ax, width_inch=1.6 * WIDTH_inch, height_inch=height_inch)
-    shares = [max(v.value / v.limit, 1e-3) for v in verdicts]
-    colors = [THIRD if v.passed else MODEL for v in verdicts]
-    axes.barh(range(len(verdicts)), shares, height=0.6, color=colors)
-    axes.axvline(1.0, color=MEASURED, linewidth=1.0)
-    labels = [f"{v.name} ({v.scenario})" for v in verdicts]
-    axes.set_yticks(range(len(verdicts)), labels, fontsize="x-small")
-    axes.invert_yaxis()
-    axes.set(xscale="log", xlabel="value / limit (1)")
-    return axes

@@ -7,6 +7,7 @@ previous digests of each file.
 import os
 import stat
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from json import loads
 from pathlib import Path, PurePosixPath
 
@@ -64,29 +65,25 @@ def read_manifest(content: bytes) -> dict[str, set[str]] | None:
 
 def files_without_manifest(target: Path) -> dict[str, set[str]]:
     """Return files of piezoid in a folder without a manifest: sealed files and companions."""
-    names = [n for n in os.listdir(target) if n.endswith(".json") and n != MANIFEST]
-    sealed = {n: _read_small(target / n) for n in names}
-    listed = {n: {digest_of_bytes(c)} for n, c in sealed.items() if _is_sealed(c)}
+    listed = {}
+    for name in os.listdir(target):
+        if not name.endswith(".json") or name == MANIFEST:
+            continue
+        content = _read_small(target / name)
+        with suppress(PiezoidError, ValueError, KeyError, TypeError, RecursionError):
+            schema = str(loads(content)["schema"])
+            unseal(content, schema, "")  # raises if the file is not sealed
+            if schema.startswith("piezoid."):
+                listed[name] = {digest_of_bytes(content)}
     unknown: dict[str, set[str]] = {n: set() for n in UNSEALED if is_regular(target / n)}
     return listed | unknown if listed else {}
 
 
-def _is_sealed(content: bytes) -> bool:
-    try:
-        schema = str(loads(content)["schema"])
-        unseal(content, schema, "")
-    except (PiezoidError, ValueError, KeyError, TypeError, RecursionError):
-        return False
-    return schema.startswith("piezoid.")
-
-
 def _read_small(path: Path) -> bytes:
     """Return the content of a regular file; empty for links, pipes and large files."""
-    try:
+    with suppress(OSError):
         if is_regular(path) and path.lstat().st_size <= _MAX_SEALED_bytes:
             return path.read_bytes()
-    except OSError:
-        pass
     return b""
 
 

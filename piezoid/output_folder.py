@@ -145,7 +145,11 @@ def write_file(
         mode = _mode_of(path)
         if mode is not None and not stat.S_ISREG(mode):
             raise refusal(f"{path} is not a regular file")
-        if mode is not None and not (force and _begins_with(path, opening)):
+        is_ours = False
+        if mode is not None and force:
+            with path.open("rb") as stream:
+                is_ours = stream.read(len(opening)) == opening
+        if mode is not None and not is_ours:
             raise OutputFolderError(
                 f"{path} already exists",
                 needed="the name of a new file",
@@ -171,29 +175,24 @@ def _target_of(folder: str | Path) -> Path:
         raise refusal(f"{folder} is a link to {os.readlink(target)}, which is not followed")
     if os.path.lexists(target) and not target.is_dir():
         raise refusal(f"{folder} is a file")
-    if reason := _protection_of(target):
-        raise refusal(f"{folder} {reason}")
-    return target
-
-
-def _protection_of(target: Path) -> str:
-    """Return the reason why a folder is never written, or empty."""
-    if os.path.ismount(target):
-        return "is the root of a disk"
     homes = [os.path.expanduser("~")]
     with suppress(ImportError, KeyError):  # no pwd on this system, or no entry for this user
         import pwd
 
         homes.append(pwd.getpwuid(os.getuid()).pw_dir)
-    if any(Path(os.path.realpath(home)).is_relative_to(target) for home in homes):
-        return "is or contains a home folder"
+    contains_directory = False
     with suppress(FileNotFoundError):
-        if Path.cwd().is_relative_to(target):
-            return "is or contains the working directory"
-    for name in _REPOSITORIES:
-        if os.path.lexists(target / name):
-            return f"is a repository: it contains {name}"
-    return ""
+        contains_directory = Path.cwd().is_relative_to(target)
+    repository = next((name for name in _REPOSITORIES if os.path.lexists(target / name)), None)
+    if os.path.ismount(target):
+        raise refusal(f"{folder} is the root of a disk")
+    if any(Path(os.path.realpath(home)).is_relative_to(target) for home in homes):
+        raise refusal(f"{folder} is or contains a home folder")
+    if contains_directory:
+        raise refusal(f"{folder} is or contains the working directory")
+    if repository is not None:
+        raise refusal(f"{folder} is a repository: it contains {repository}")
+    return target
 
 
 def refusal(reason: str) -> OutputFolderError:
@@ -215,11 +214,6 @@ def _listed_in(target: Path) -> Listed:
         if not listed and os.listdir(target):
             raise refusal(f"{target} is not empty and has no manifest of piezoid")
     return listed
-
-
-def _begins_with(path: Path, opening: bytes) -> bool:
-    with path.open("rb") as stream:
-        return stream.read(len(opening)) == opening
 
 
 def _check_names(target: Path, listed: Listed, names: Iterable[str], *, force: bool) -> None:

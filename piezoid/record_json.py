@@ -41,13 +41,37 @@ class RecordLayout:
     read: Callable[[Any], Any] | None = None
 
 
-def to_json(value: Any, layouts: Sequence[RecordLayout] = ()) -> Any:
+def to_json(
+    value: Any, layouts: Sequence[RecordLayout] = (), *, may_be_infinite: bool = False
+) -> Any:
     """Convert a record, an array, or a container of these to JSON values.
 
     An infinite number becomes None if the type of its field allows infinity or None; otherwise
     ``seal`` refuses it.
+
+    may_be_infinite  whether the field of the value allows infinity or None
     """
-    return _to_json(value, layouts, may_be_infinite=False)
+    layout = next((candidate for candidate in layouts if isinstance(value, candidate.kind)), None)
+    if layout is not None:
+        return to_json(layout.write(value), layouts)
+    if is_dataclass(value) and not isinstance(value, type):
+        hints = _hints(type(value))
+        return {
+            name: to_json(item, layouts, may_be_infinite=_may_be_infinite(hints[name]))
+            for name, item in fields_of(value).items()
+        }
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, tuple | list):
+        return [to_json(item, layouts, may_be_infinite=may_be_infinite) for item in value]
+    if isinstance(value, Mapping):
+        return {
+            name: to_json(item, layouts, may_be_infinite=may_be_infinite)
+            for name, item in value.items()
+        }
+    if isinstance(value, Enum):
+        return value.value
+    return None if may_be_infinite and isinstance(value, float) and isinf(value) else value
 
 
 def fields_of(record: Any) -> dict[str, Any]:
@@ -60,16 +84,37 @@ def from_json(kind: type[Record], value: Any, layouts: Sequence[RecordLayout] = 
     return cast(Record, _read(kind, value, layouts, ""))
 
 
-def from_fields(kind: type[Record], value: Any, layouts: Sequence[RecordLayout] = ()) -> Record:
+def from_fields(
+    kind: type[Record], value: Any, layouts: Sequence[RecordLayout] = (), path: str = ""
+) -> Record:
     """Build a record from a table of its fields, without the layout of its class.
 
     A field with a default may be missing, because earlier versions did not write it. Entries for
     properties of the class are ignored.
 
     Raises ``ValueError`` with the path of the entry for any other missing or unknown name, and for
-    a value of a wrong type.
+    a value of a wrong type; ``path`` is the path of the table.
     """
-    return _by_fields(kind, value, layouts, "")
+    table = _leaf(dict[str, Any], value, path)
+    by_name = {field.name: field for field in fields(cast(Any, kind))}
+    needed = {
+        name
+        for name, field in by_name.items()
+        if field.default is MISSING and field.default_factory is MISSING
+    }
+    unknown = {name for name in table if name not in by_name and not hasattr(kind, name)}
+    if unknown or not needed <= set(table):
+        raise ValueError(
+            f"{path or 'the top'}: the fields are {sorted(table)}, not {sorted(by_name)}"
+        )
+    hints = _hints(cast(Any, kind))
+    return kind(
+        **{
+            name: _read(hints[name], item, layouts, f"{path}.{name}")
+            for name, item in table.items()
+            if name in by_name
+        }
+    )
 
 
 def read_sealed(
@@ -107,30 +152,6 @@ def refusing(schema: str, file: str, *, remedy: str) -> Iterator[None]:
         ) from error
 
 
-def _to_json(value: Any, layouts: Sequence[RecordLayout], *, may_be_infinite: bool) -> Any:
-    layout = next((candidate for candidate in layouts if isinstance(value, candidate.kind)), None)
-    if layout is not None:
-        return to_json(layout.write(value), layouts)
-    if is_dataclass(value) and not isinstance(value, type):
-        infinite = _fields_that_may_be_infinite(type(value))
-        return {
-            name: _to_json(field_value, layouts, may_be_infinite=name in infinite)
-            for name, field_value in fields_of(value).items()
-        }
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if isinstance(value, tuple | list):
-        return [_to_json(item, layouts, may_be_infinite=may_be_infinite) for item in value]
-    if isinstance(value, Mapping):
-        return {
-            name: _to_json(item, layouts, may_be_infinite=may_be_infinite)
-            for name, item in value.items()
-        }
-    if isinstance(value, Enum):
-        return value.value
-    return None if may_be_infinite and isinstance(value, float) and isinf(value) else value
-
-
 def _read(kind: Any, value: Any, layouts: Sequence[RecordLayout], path: str) -> Any:
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
@@ -157,32 +178,7 @@ def _read(kind: Any, value: Any, layouts: Sequence[RecordLayout], path: str) -> 
     )
     if layout is not None and layout.read is not None:
         return layout.read(value)
-    return _by_fields(cast(type, kind), value, layouts, path)
-
-
-def _by_fields(
-    kind: type[Record], value: Any, layouts: Sequence[RecordLayout], path: str
-) -> Record:
-    table = _leaf(dict[str, Any], value, path)
-    by_name = {field.name: field for field in fields(cast(Any, kind))}
-    needed = {
-        name
-        for name, field in by_name.items()
-        if field.default is MISSING and field.default_factory is MISSING
-    }
-    unknown = {name for name in table if name not in by_name and not hasattr(kind, name)}
-    if unknown or not needed <= set(table):
-        raise ValueError(
-            f"{path or 'the top'}: the fields are {sorted(table)}, not {sorted(by_name)}"
-        )
-    hints = _hints(cast(Any, kind))
-    return kind(
-        **{
-            name: _read(hints[name], item, layouts, f"{path}.{name}")
-            for name, item in table.items()
-            if name in by_name
-        }
-    )
+    return from_fields(cast(type, kind), value, layouts, path)
 
 
 def _leaf(kind: Any, value: Any, path: str) -> Any:
@@ -198,10 +194,6 @@ def _hints(kind: type) -> dict[str, Any]:
 
 
 @cache
-def _fields_that_may_be_infinite(kind: type) -> frozenset[str]:
-    return frozenset(name for name, hint in _hints(kind).items() if _may_be_infinite(hint))
-
-
 def _may_be_infinite(hint: Any) -> bool:
     if hint == Unbounded or (float in get_args(hint) and NoneType in get_args(hint)):
         return True

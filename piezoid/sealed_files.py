@@ -11,6 +11,7 @@ import piezoid.diagnosis.effects  # noqa: F401 - defines the extensions of some 
 from piezoid.design.design import Design, design_from_json
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
+from piezoid.digests import digest_in
 from piezoid.errors import ParameterFileError, RecordingError
 from piezoid.export import parameter_file
 from piezoid.export.parameter_file import ParameterFile
@@ -120,7 +121,7 @@ def sealed(record: object) -> bytes:
 
 def digest_of(record: object) -> str:
     """Return the digest in the sealed file of a record."""
-    return str(loads(sealed(record))["digest"])
+    return digest_in(sealed(record))
 
 
 def path_of(path: object) -> Path:

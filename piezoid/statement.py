@@ -8,8 +8,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
-from piezoid.formatting import with_unit
-
 
 class Kind(StrEnum):
     """Subject of a statement."""
@@ -50,8 +48,8 @@ class Statement:
     ...     recording="sweep.csv",
     ...     value=128e-9,
     ...     unit="m",
-    ... ).formatted_value
-    '128 nm'
+    ... ).level.name
+    'WARNING'
     """
 
     kind: Kind
@@ -63,11 +61,6 @@ class Statement:
     recording: str = ""
     value: float | None = None
     unit: str = ""
-
-    @property
-    def formatted_value(self) -> str:
-        """The value with its unit and a prefix; empty without a value."""
-        return "" if self.value is None else with_unit(self.value, self.unit)
 
 
 def finding(
@@ -95,16 +88,13 @@ def finding(
 
 
 def select(
-    statements: Iterable[Statement], *, axis: str | None = None, minimum: Level = Level.NOTE
+    statements: Iterable[Statement], *, minimum: Level = Level.NOTE
 ) -> tuple[Statement, ...]:
-    """Return the statements of an axis at or above a level, most important first, without repeats.
+    """Return the statements at or above a level, most important first, without repeats.
 
     Args:
         statements: statements in the order in which they were made.
-        axis: keep only the statements about this axis; None keeps all.
         minimum: lowest level that is kept.
     """
-    selected = dict.fromkeys(
-        s for s in statements if s.level >= minimum and axis in (None, s.axis)
-    )
+    selected = dict.fromkeys(s for s in statements if s.level >= minimum)
     return tuple(sorted(selected, key=lambda statement: -statement.level))

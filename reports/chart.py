@@ -190,7 +190,10 @@ class Canvas:
 
 def even_ticks(low: float, high: float) -> Ticks:
     """Return round numbers from low to high."""
-    step = round_step((high - low) / MAX_INTERVALS)
+    # The smallest of 1, 2, 5 times a power of ten that gives few enough intervals.
+    size = (high - low) / MAX_INTERVALS
+    power = 10.0 ** math.floor(math.log10(size))
+    step = next((d * power for d in (1.0, 2.0, 5.0) if size <= d * power * 1.0000001), 10 * power)
     first, stop = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     return tuple(
@@ -213,15 +216,6 @@ def decade_ticks(low: float, high: float) -> Ticks:
             return tuple((value, _power(m, k)) for value, m, k in numbers if k % spacing == 0)
     ticks = even_ticks(10.0**low, 10.0**high)
     return tuple((math.log10(value), label) for value, label in ticks if value > 0.0)
-
-
-def round_step(size: float) -> float:
-    """Return the smallest of 1, 2, 5 times a power of ten that is not below a step."""
-    power = 10.0 ** math.floor(math.log10(size))
-    for digit in (1.0, 2.0, 5.0):
-        if size <= digit * power * 1.0000001:
-            return digit * power
-    return 10.0 * power
 
 
 def _power(mantissa: int, power: int) -> str:

@@ -7,19 +7,18 @@ is then the remaining residual plus the contribution of the effect.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
 from piezoid.diagnosis.drive_response import (
-    DriveResponse,
     driven_recording,
     null_columns,
     rows_of,
 )
-from piezoid.diagnosis.effect import Tangent
+from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.planning.open_questions import suspect_of
 from piezoid.diagnosis.planning.separation import basis_of, block_of, scale_of
@@ -27,11 +26,16 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Channel, Quantity
-from piezoid_reports.traces import Trace, rms
+from piezoid_reports.page import Trace, rms
 
 ROWS = 3000  # of each recording
 MIN_SHARE = 1e-6  # of the stroke: a smaller effect is not simulated
 MAX_RECORDINGS = 6  # with the largest residuals
+
+# Tangents fitted to one recording: indices of the samples, residual with every tangent fitted
+# (rows,), and by effect the contribution that the parameters of the model cannot imitate (rows,)
+# and the total contribution (samples,).
+TangentFit = tuple[NDArray[np.int_], Array, Mapping[str, Array], Mapping[str, Array]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,11 +66,12 @@ def compare_effects(
     missing = [
         f for f in effects if effect_named(f.effect).without(axis, worst[0].recording) is None
     ]
-    fitted = _fit_tangents(axis, worst, missing, diagnosis.stroke_m)
+    fits = _fit_tangents(axis, worst, missing, diagnosis.stroke_m)
     comparisons = {}
     for finding in effects:
         simulations = [
-            _simulate(axis, finding, trace, fit) for trace, fit in zip(worst, fitted, strict=True)
+            _simulate(axis, finding.effect, trace, fit)
+            for trace, fit in zip(worst, fits, strict=True)
         ]
         # The look-alike gets the sign of the effect.
         correlation = 0.0
@@ -82,57 +87,42 @@ def compare_effects(
     return comparisons
 
 
-def _simulate(
-    axis: AxisModel, finding: Finding, trace: Trace, fit: "TangentFit"
-) -> EffectSimulation:
-    if effect_named(finding.effect).shows.kind == "spectrum":
+def _simulate(axis: AxisModel, name: str, trace: Trace, fit: TangentFit) -> EffectSimulation:
+    rows, with_m, parts_m, totals_m = fit
+    effect = effect_named(name)
+    # Contribution of the extension of the model, minus its mean.
+    without = effect.without(axis, trace.recording)
+    extension_m = np.zeros(len(trace.time_s))
+    if without is not None:
+        part_m = trace.modelled_m - simulate_recording(without, trace.recording)
+        extension_m = part_m - np.nanmean(part_m)
+    if effect.shows.kind == "spectrum":
         rows = np.flatnonzero(np.isfinite(trace.modelled_m))
-        total_m = fit.total_m.get(finding.effect)
-        linear_m = np.zeros(len(rows)) if total_m is None else total_m[rows]
-        part_m = linear_m + extension_part(axis, finding.effect, trace)[rows]
+        linear_m = totals_m[name][rows] if name in totals_m else np.zeros(len(rows))
+        part_m = linear_m + extension_m[rows]
         with_m = trace.residual_m[rows] - linear_m
     else:
-        rows, with_m = fit.rows, fit.with_m
-        tangent_m = fit.part_m.get(finding.effect)
-        part_m = (
-            extension_part(axis, finding.effect, trace)[rows] if tangent_m is None else tangent_m
-        )
+        part_m = parts_m[name] if name in parts_m else extension_m[rows]
     return EffectSimulation(
         trace=trace,
         rows=rows,
         without_m=with_m + part_m,
         with_m=with_m,
-        lookalike_m=_lookalike(finding.effect, axis, trace, rms(part_m))[rows],
+        lookalike_m=_lookalike(effect, axis, trace, rms(part_m))[rows],
     )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TangentFit:
-    """Tangents of the effects that the model lacks, fitted to one recording.
-
-    rows     indices of the samples
-    with_m   (rows,)  residual with every tangent fitted
-    part_m   (rows,)  by effect, its contribution that the parameters of the model cannot imitate
-    total_m  (samples,)  by effect, its total contribution
-    """
-
-    rows: NDArray[np.int_]
-    with_m: Array
-    part_m: Mapping[str, Array] = field(default_factory=dict)
-    total_m: Mapping[str, Array] = field(default_factory=dict)
 
 
 def _fit_tangents(
     axis: AxisModel, traces: Sequence[Trace], missing: Sequence[Finding], stroke_m: float
 ) -> list[TangentFit]:
-    """Fit the tangents of all effects that the model lacks to its residual."""
+    """Fit the tangents of all effects that the model lacks to its residual in each recording."""
     finite = [np.flatnonzero(np.isfinite(trace.modelled_m)) for trace in traces]
     rows = [np.asarray(samples[rows_of(len(samples), ROWS)]) for samples in finite]
     residuals_m = [trace.residual_m[k] for trace, k in zip(traces, rows, strict=True)]
     suspects = [(f, suspect_of(f, stroke_m)) for f in missing]
     pairs = [(f, suspect) for f, suspect in suspects if suspect is not None]
     if not pairs:
-        return [TangentFit(rows=k, with_m=m) for k, m in zip(rows, residuals_m, strict=True)]
+        return [(k, residual_m, {}, {}) for k, residual_m in zip(rows, residuals_m, strict=True)]
     drives = [
         replace(driven_recording(axis, trace.recording), rows=k)
         for trace, k in zip(traces, rows, strict=True)
@@ -156,32 +146,21 @@ def _fit_tangents(
     cuts = np.cumsum([len(k) for k in rows])[:-1]
     remaining_m = np.split(residual_m - np.sum(totals, axis=0), cuts)
     split = [np.split(total, cuts) for total in totals]
-    return [
-        TangentFit(
-            rows=rows[k],
-            with_m=remaining_m[k],
-            part_m={f.effect: split[j][k] for j, (f, _) in enumerate(pairs)},
-            total_m={
-                f.effect: _tangent_part(drive, suspect.tangent, scales[j], shares[j], k)
-                for j, (f, suspect) in enumerate(pairs)
-            },
-        )
-        for k, drive in enumerate(drives)
-    ]
+    fits: list[TangentFit] = []
+    for k, drive in enumerate(drives):
+        totals_m = {}
+        for (f, suspect), scale, share in zip(pairs, scales, shares, strict=True):
+            columns = suspect.tangent.columns(drive, scale)
+            width = columns.shape[1]
+            start = k * width if suspect.tangent.per_drive else 0
+            totals_m[f.effect] = np.asarray(columns @ share[start : start + width])
+        parts_m = {f.effect: part[k] for (f, _), part in zip(pairs, split, strict=True)}
+        fits.append((rows[k], remaining_m[k], parts_m, totals_m))
+    return fits
 
 
-def _tangent_part(
-    drive: DriveResponse, tangent: Tangent, scale: float, share: Array, k: int
-) -> Array:
-    columns = tangent.columns(drive, scale)
-    width = columns.shape[1]
-    coefficients = share[k * width : (k + 1) * width] if tangent.per_drive else share[:width]
-    return np.asarray(columns @ coefficients)
-
-
-def _lookalike(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
+def _lookalike(effect: Effect, axis: AxisModel, trace: Trace, size_m: float) -> Array:
     """Return the residual of a healthy stage with this effect of this size."""
-    effect = effect_named(name)
     measured_m = trace.recording.displacement_m(axis.axis)
     healthy_m = np.where(np.isfinite(trace.modelled_m), trace.modelled_m, measured_m)
     channels = tuple(
@@ -200,12 +179,3 @@ def _lookalike(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array
     change_m[:count] = faulty_m[:count] - healthy_m[:count]
     noise = np.random.default_rng(len(healthy_m)).standard_normal(len(healthy_m))
     return np.asarray(change_m - change_m.mean() + axis.quality.noise_rms_m * noise)
-
-
-def extension_part(axis: AxisModel, effect: str, trace: Trace) -> Array:
-    """Return the contribution of an effect to the simulation, minus its mean; 0 without one."""
-    without = effect_named(effect).without(axis, trace.recording)
-    if without is None:
-        return np.zeros(len(trace.time_s))
-    part_m = trace.modelled_m - simulate_recording(without, trace.recording)
-    return np.asarray(part_m - np.nanmean(part_m))

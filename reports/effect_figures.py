@@ -11,9 +11,9 @@ from piezoid.formatting import p_value, words
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Axis, Canvas, Layer, axis_over, decades_over
 from piezoid_reports.effect_comparison import EffectSimulation
+from piezoid_reports.page import rms
 from piezoid_reports.parts import Figure
 from piezoid_reports.quantities import number, percent
-from piezoid_reports.traces import rms
 
 LOG_COORDINATES = ("time_since_turn",)
 PHASE_LABEL = "part of a period"
@@ -25,6 +25,10 @@ MIN_CHANGE = 1e-3  # of the residual: a smaller change is not visible
 HEIGHT = 280
 
 
+# Canvas, layers, name of the recording, and rms error without and with the effect.
+Drawing = tuple[Canvas, tuple[Layer, ...], str, float, float]
+
+
 def figure_of(finding: Finding, simulations: tuple[EffectSimulation, ...]) -> Figure | None:
     """Draw the residual without and with an effect; None if no recording shows a difference."""
     effect = effect_named(finding.effect)
@@ -32,48 +36,27 @@ def figure_of(finding: Finding, simulations: tuple[EffectSimulation, ...]) -> Fi
     is_visible = any(not np.array_equal(s.without_m, s.with_m) for s in simulations)
     if not simulations or not (is_visible or is_fault):
         return None
+    clearest = max(simulations, key=lambda s: rms(s.without_m) - rms(s.with_m))
+    drawing = None
     if appearance.kind == "spectrum":
-        clearest = _clearest(simulations)
-        without, with_effect = rms(clearest.without_m), rms(clearest.with_m)
-        # The rows that the fit leaves out may contain the resonance.
-        is_shown = abs(without - with_effect) > MIN_CHANGE * without
-        return _spectrum(finding, appearance, clearest) if is_shown else None
-    if appearance.kind == "time":
-        return _over_time(finding, appearance, _clearest(simulations))
-    figure = _in_classes(finding, appearance, simulations)
-    return figure or _over_time(finding, over_time(appearance), _clearest(simulations))
-
-
-def _clearest(simulations: tuple[EffectSimulation, ...]) -> EffectSimulation:
-    """Return the recording in which the effect is largest."""
-    return max(simulations, key=lambda s: rms(s.without_m) - rms(s.with_m))
-
-
-def _over_time(finding: Finding, appearance: Appearance, simulation: EffectSimulation) -> Figure:
-    coordinate, sign = (
-        values[simulation.rows] for values in appearance.along(simulation.trace.recording)
-    )
-    x = _axis(appearance, coordinate)
-    residuals_m = (simulation.without_m, simulation.with_m, simulation.lookalike_m)
-    curves = [sign * residual_m for residual_m in residuals_m]
-    y = axis_over("residual", curves, "m", symmetric=True)
-    canvas = Canvas(x=x, y=y, height=HEIGHT)
-    without, with_effect, lookalike = curves
-    # A running mean shows slow changes under the noise.
-    width = max(len(lookalike) // 150, 1)
-    padded = np.pad(lookalike, (width // 2, width - 1 - width // 2), mode="edge")
-    slow = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
-    return _titled(
-        finding,
-        appearance,
-        canvas,
-        simulation.trace.recording.name,
-        (
-            canvas.range_over_time("before", "without it", coordinate, without),
-            canvas.range_over_time("model", "with it", coordinate, with_effect),
-            canvas.line("limit", "look-alike", coordinate, slow),
-        ),
-        (rms(without), rms(with_effect)),
+        drawing = _spectrum(appearance, clearest)
+        if drawing is None:
+            return None
+    elif appearance.kind != "time":
+        drawing = _in_classes(appearance, simulations)
+    if drawing is None:
+        appearance = appearance if appearance.kind == "time" else over_time(appearance)
+        drawing = _over_time(appearance, clearest)
+    canvas, layers, recording, without_m, with_m = drawing
+    return Figure(
+        title=f"{words(finding.effect).capitalize()}, {recording}: "
+        f"residual against {appearance.label}",
+        caption=f"Residual, nothing refitted: {number(without_m, 'm')} rms without the effect, "
+        f"{number(with_m, 'm')} with it.",
+        guide=appearance.reading,
+        canvas=canvas,
+        layers=layers,
+        flicker=(layers[0].role, layers[1].role) if appearance.kind != "classes" else (),
     )
 
 
@@ -82,9 +65,30 @@ def _axis(appearance: Appearance, coordinate: Array) -> Axis:
     return make_axis(appearance.label, [coordinate], appearance.unit)
 
 
+def _over_time(appearance: Appearance, simulation: EffectSimulation) -> Drawing:
+    coordinate, sign = (
+        values[simulation.rows] for values in appearance.along(simulation.trace.recording)
+    )
+    residuals_m = (simulation.without_m, simulation.with_m, simulation.lookalike_m)
+    curves = [sign * residual_m for residual_m in residuals_m]
+    y = axis_over("residual", curves, "m", symmetric=True)
+    canvas = Canvas(x=_axis(appearance, coordinate), y=y, height=HEIGHT)
+    without, with_effect, lookalike = curves
+    # A running mean shows slow changes under the noise.
+    width = max(len(lookalike) // 150, 1)
+    padded = np.pad(lookalike, (width // 2, width - 1 - width // 2), mode="edge")
+    slow = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
+    layers = (
+        canvas.range_over_time("before", "without it", coordinate, without),
+        canvas.range_over_time("model", "with it", coordinate, with_effect),
+        canvas.line("limit", "look-alike", coordinate, slow),
+    )
+    return canvas, layers, simulation.trace.recording.name, rms(without), rms(with_effect)
+
+
 def _in_classes(
-    finding: Finding, appearance: Appearance, simulations: tuple[EffectSimulation, ...]
-) -> Figure | None:
+    appearance: Appearance, simulations: tuple[EffectSimulation, ...]
+) -> Drawing | None:
     coordinates, signs = zip(
         *(appearance.along(simulation.trace.recording) for simulation in simulations), strict=True
     )
@@ -98,11 +102,10 @@ def _in_classes(
     classes = [_classes(coordinate, values) for values in (without, with_effect, lookalike)]
     if any(len(curve) < 2 for curve in classes):
         return None
-    x = _axis(appearance, coordinate)
     y = axis_over(
         "residual", [classes[0][:, 1:], classes[1][:, 1:], classes[2][:, 2]], "m", symmetric=True
     )
-    canvas = Canvas(x=x, y=y, height=HEIGHT)
+    canvas = Canvas(x=_axis(appearance, coordinate), y=y, height=HEIGHT)
     layers: list[Layer] = []
     for role, name, curve in (
         ("rising", "without it", classes[0]),
@@ -116,14 +119,7 @@ def _in_classes(
     if len(simulations) > 1:
         name = f"{len(simulations)} recordings"
     is_finite = np.isfinite(coordinate)
-    return _titled(
-        finding,
-        appearance,
-        canvas,
-        name,
-        tuple(layers),
-        (rms(without[is_finite]), rms(with_effect[is_finite])),
-    )
+    return canvas, tuple(layers), name, rms(without[is_finite]), rms(with_effect[is_finite])
 
 
 def _classes(coordinate: Array, values: Array) -> Array:
@@ -144,65 +140,37 @@ def _classes(coordinate: Array, values: Array) -> Array:
     return np.array(rows).reshape(-1, 4)
 
 
-def _spectrum(
-    finding: Finding, appearance: Appearance, simulation: EffectSimulation
-) -> Figure | None:
+def _spectrum(appearance: Appearance, simulation: EffectSimulation) -> Drawing | None:
+    """Draw the largest amplitude density in each band; None if the effect does not show."""
+    without_m, with_m = rms(simulation.without_m), rms(simulation.with_m)
+    # The rows that the fit leaves out may contain the resonance.
+    if abs(without_m - with_m) <= MIN_CHANGE * without_m:
+        return None
     rate_Hz = simulation.trace.recording.sampling_rate_Hz
-    curves = [
-        _density(values, rate_Hz)
-        for values in (simulation.without_m, simulation.with_m, simulation.lookalike_m)
-    ]
+    curves = []
+    for values in (simulation.without_m, simulation.with_m, simulation.lookalike_m):
+        window = np.hanning(len(values))
+        spectrum = np.fft.rfft((values - values.mean()) * window)
+        density = np.abs(spectrum) * np.sqrt(2.0 / (rate_Hz * np.sum(window**2)))
+        decades = np.log10(np.fft.rfftfreq(len(values), 1.0 / rate_Hz)[1:])
+        edges = np.linspace(decades[0], decades[-1], BANDS + 1)
+        band = np.clip(np.searchsorted(edges, decades, side="right") - 1, 0, BANDS - 1)
+        level = np.log10(np.maximum(density[1:], 1e-15) / 1e-9)
+        rows = [
+            [float(np.mean(decades[band == k])), float(level[band == k].max())]
+            for k in np.unique(band)
+        ]
+        curves.append(np.array(rows).reshape(-1, 2))
     if len(curves[0]) < 2:
         return None
-    x = _axis(appearance, curves[0][:, 0])
     y = decades_over("amplitude density", [c[:, 1] for c in curves], "nm/√Hz")
-    canvas = Canvas(x=x, y=y, height=HEIGHT)
-    spectra = (
-        ("before", "without it", curves[0]),
-        ("model", "with it", curves[1]),
-        ("limit", "look-alike", curves[2]),
+    canvas = Canvas(x=_axis(appearance, curves[0][:, 0]), y=y, height=HEIGHT)
+    roles = (("before", "without it"), ("model", "with it"), ("limit", "look-alike"))
+    layers = tuple(
+        canvas.line(role, name, c[:, 0], c[:, 1])
+        for (role, name), c in zip(roles, curves, strict=True)
     )
-    layers = tuple(canvas.line(role, name, c[:, 0], c[:, 1]) for role, name, c in spectra)
-    name = simulation.trace.recording.name
-    errors_m = rms(simulation.without_m), rms(simulation.with_m)
-    return _titled(finding, appearance, canvas, name, layers, errors_m)
-
-
-def _density(values: Array, rate_Hz: float) -> Array:
-    """Return log10 of frequency and of the largest amplitude density in each band."""
-    window = np.hanning(len(values))
-    spectrum = np.fft.rfft((values - values.mean()) * window)
-    density = np.abs(spectrum) * np.sqrt(2.0 / (rate_Hz * np.sum(window**2)))
-    decades = np.log10(np.fft.rfftfreq(len(values), 1.0 / rate_Hz)[1:])
-    edges = np.linspace(decades[0], decades[-1], BANDS + 1)
-    band = np.clip(np.searchsorted(edges, decades, side="right") - 1, 0, BANDS - 1)
-    level = np.log10(np.maximum(density[1:], 1e-15) / 1e-9)
-    rows = [
-        [float(np.mean(decades[band == k])), float(level[band == k].max())]
-        for k in np.unique(band)
-    ]
-    return np.array(rows).reshape(-1, 2)
-
-
-def _titled(
-    finding: Finding,
-    appearance: Appearance,
-    canvas: Canvas,
-    recording: str,
-    layers: tuple[Layer, ...],
-    errors_m: tuple[float, float],
-) -> Figure:
-    without_m, with_m = errors_m
-    return Figure(
-        title=f"{words(finding.effect).capitalize()}, {recording}: "
-        f"residual against {appearance.label}",
-        caption=f"Residual, nothing refitted: {number(without_m, 'm')} rms without the effect, "
-        f"{number(with_m, 'm')} with it.",
-        guide=appearance.reading,
-        canvas=canvas,
-        layers=layers,
-        flicker=(layers[0].role, layers[1].role) if appearance.kind != "classes" else (),
-    )
+    return canvas, layers, simulation.trace.recording.name, without_m, with_m
 
 
 def unnamed_figure(finding: Finding) -> Figure | None:

@@ -2,7 +2,7 @@
 
 import itertools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -253,6 +253,13 @@ class Section:
             isinstance(part, Heading | Fold) or (isinstance(part, Table) and not part.is_open)
             for part in self.parts
         )
+
+
+def side_by_side(columns: Sequence[Mapping[str, str]]) -> tuple[tuple[str, ...], ...]:
+    """Return one row per name with its texts in all columns, without rows of empty texts."""
+    names = dict.fromkeys(name for column in columns for name in column)
+    rows = ((name, *(column.get(name, "") for column in columns)) for name in names)
+    return tuple(row for row in rows if any(row[1:]))
 
 
 def with_rows(*tables: Table) -> list[Part]:

@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files as files_of
@@ -18,6 +17,7 @@ from piezoid.design.design_statements import design_statements
 from piezoid.diagnosis.compare import ModelComparison
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
+from piezoid.digests import digest_in
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import as_single_axes
 from piezoid.identification.fit_statements import GOOD_PERCENT, NEAR_NOISE
@@ -49,7 +49,7 @@ def render(page: Page) -> str:
         page,
         recordings=as_single_axes(page.recordings, None, page.model.coupled),
         # The digest in the folder's model.json, whichever version wrote it.
-        model_digest=_digest(page.files.get("model.json") or write_model(page.model)),
+        model_digest=digest_in(page.files.get("model.json") or write_model(page.model)),
     )
     statements = stage_statements(
         page.model,
@@ -69,7 +69,7 @@ def render_design(model: ActuatorModel, design: Design) -> str:
     """Return design.html, which shows only the controllers."""
     page = Page(
         model=model,
-        model_digest=_digest(write_model(model)),
+        model_digest=digest_in(write_model(model)),
         design=design,
         statements=select(design_statements(design, model)),
         has_summary=False,
@@ -101,11 +101,6 @@ def render_diagnosis(
         has_summary=False,
     )
     return _page_html(page, DIAGNOSIS_SECTIONS, alarm=_alarm(page))
-
-
-def _digest(content: bytes) -> str:
-    """Return the digest in a sealed file."""
-    return str(json.loads(content)["digest"])
 
 
 def _alarm(page: Page) -> tuple[str, str] | None:
@@ -149,6 +144,7 @@ def html(
         lstrip_blocks=True,
         finalize=escaped,
     )
+    # The policy allows this style and script and no network.
     style, script = _template("style.css"), _template("figures.js")
     return environment.get_template("page.html.j2").render(
         title=title,
@@ -156,17 +152,10 @@ def html(
         sections=sections,
         style=Markup(style),
         script=Markup(script),
-        policy=policy_for(style, script),
+        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; "
+        "base-uri 'none'; form-action 'none'",
         good_percent=GOOD_PERCENT,
         near_noise=NEAR_NOISE,
-    )
-
-
-def policy_for(style: str, script: str) -> str:
-    """Return a content security policy that allows this style and script and no network."""
-    return (
-        f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; "
-        "base-uri 'none'; form-action 'none'"
     )
 
 

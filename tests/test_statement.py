@@ -1,4 +1,4 @@
-"""Statements are selected by axis and level and never repeated."""
+"""Statements are selected by level and never repeated."""
 
 from dataclasses import replace
 
@@ -12,11 +12,5 @@ def test_the_most_important_statement_comes_first_and_none_is_repeated() -> None
     assert select([NOTE, ACTION, NOTE]) == (ACTION, NOTE)
 
 
-def test_statements_are_selected_by_axis_and_level() -> None:
-    assert select([NOTE, ACTION], axis="x") == (NOTE,)
+def test_statements_are_selected_by_level() -> None:
     assert select([NOTE, ACTION], minimum=Level.WARNING) == (ACTION,)
-
-
-def test_a_value_is_formatted_with_a_prefix_and_its_absence_with_nothing() -> None:
-    assert replace(NOTE, value=3e-9, unit="m").formatted_value == "3.00 nm"
-    assert NOTE.formatted_value == ""

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from piezoid_datasets.virtual_lab import drives
-from piezoid_datasets.virtual_lab.effects import creep
-from piezoid_datasets.virtual_lab.junction import JunctionRecord
+from piezoid_datasets.virtual_lab.effects.ceramic import creep_of
 from piezoid_datasets.virtual_lab.junction_campaign import draw_junction_campaign
+from piezoid_datasets.virtual_lab.plans import volts_of
 from piezoid_datasets.virtual_lab.rig import Rig
 from piezoid_datasets.virtual_lab.signals import Array
 from piezoid_datasets.virtual_lab.stage import Run, Stage, record
-from piezoid_datasets.virtual_lab.truths.preisach import draw_preisach
+from piezoid_datasets.virtual_lab.truths.return_point import draw_preisach
 from piezoid_datasets.virtual_lab.write import csv_text
 
 SEED, SEED_Y, SEED_Z = 517, 518, 7
@@ -34,7 +34,7 @@ CREEP_PER_DECADE = 0.003
 def stage(rig: Rig = RIG, seed: int = SEED) -> Stage:
     """Return the stage of one lateral axis, by default X."""
     ceramic = draw_preisach(np.random.default_rng(seed))
-    acts = creep.creep_of(CREEP_PER_DECADE, 0.0).acts
+    acts = creep_of(CREEP_PER_DECADE, 0.0).acts
     return Stage(rig=rig, ceramic=ceramic, acts=acts, seed=seed)
 
 
@@ -65,19 +65,15 @@ def runs() -> tuple[Run, ...]:
     )
 
 
-def runs_y() -> tuple[Run, ...]:
-    """Return the runs of Y: a sweep for the fit, and a different drive as a check."""
+def rebuild() -> dict[str, bytes]:
+    """Return the contents of the bundled files by name."""
     rng = np.random.default_rng([SEED_Y, 1])
     sweep = drives.decaying_sweep(500.0, 1.0, 12)
     check = drives.random_levels(500.0, 0.4, 20, rng)
-    return (
+    runs_y = (
         _run("y_sweep", 500.0, sweep, history_V=(6.1, 2.2, 5.0, 0.0)),
         _run("y_check", 500.0, check, history_V=(9.0, 0.0)),
     )
-
-
-def rebuild() -> dict[str, bytes]:
-    """Return the contents of the bundled files by name."""
     x, y = stage(), stage(RIG_Y, SEED_Y)
     files = {
         f"{run.name}.csv": csv_text(record(x, run, order)).encode()
@@ -85,27 +81,17 @@ def rebuild() -> dict[str, bytes]:
     }
     files |= {
         f"{run.name}.csv": csv_text(record(y, run, order), axis="y").encode()
-        for order, run in enumerate(runs_y())
+        for order, run in enumerate(runs_y)
     }
-    return files | tip_files()
-
-
-def tip_files() -> dict[str, bytes]:
-    """Return the closed-loop recordings of Z at the rate of the controller, and a spectroscopy."""
+    # Closed loops of Z at the rate of the controller, without a time column, and a spectroscopy.
     campaign = draw_junction_campaign(SEED_Z, seconds=LOOP_s)
-    loops = {
-        f"z_loop_{spot + 1}.csv": _loop_text(held).encode()
-        for spot, held in enumerate(campaign.records[:SPOTS])
-    }
-    return {**loops, "z_spectroscopy.dat": campaign.spectroscopy.text().encode()}
-
-
-def _loop_text(held: JunctionRecord) -> str:
-    """Return drive, current and dither of every sample as CSV, without a time column."""
-    columns = (held.drive_V, 1e9 * held.current_A, held.reference_nepers)
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    lines = [f"{u:.7f},{i:.6f},{r:.6f}" for u, i, r in rows]
-    return "\n".join(("drive_z [V],current_z [nA],dither of ln set point", *lines)) + "\n"
+    for spot, loop in enumerate(campaign.records[:SPOTS]):
+        columns = (loop.drive_V, 1e9 * loop.current_A, loop.reference_nepers)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        lines = [f"{u:.7f},{i:.6f},{r:.6f}" for u, i, r in rows]
+        text = "\n".join(("drive_z [V],current_z [nA],dither of ln set point", *lines)) + "\n"
+        files[f"z_loop_{spot + 1}.csv"] = text.encode()
+    return files | {"z_spectroscopy.dat": campaign.spectroscopy.text().encode()}
 
 
 def main(folder: Path) -> None:
@@ -115,9 +101,11 @@ def main(folder: Path) -> None:
 
 
 def _run(name: str, rate_Hz: float, shape: Array, *, history_V: tuple[float, ...]) -> Run:
-    command_V = RIG.drive_min_V + 0.5 * (shape + 1.0) * (RIG.drive_max_V - RIG.drive_min_V)
     return Run(
-        name=name, sampling_rate_Hz=rate_Hz, command_V=command_V, history_V=np.array(history_V)
+        name=name,
+        sampling_rate_Hz=rate_Hz,
+        command_V=volts_of(RIG, shape),
+        history_V=np.array(history_V),
     )
 
 

@@ -1,25 +1,51 @@
-"""A campaign: a random stage, three to six recordings of it, and its hidden effects."""
+"""A campaign: a random stage, three to six recordings of it, and its hidden effects.
+
+The size of a hidden effect is the difference of the recordings with and without the effect.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 from zlib import crc32
 
 import numpy as np
 
-from piezoid_datasets.virtual_lab.ablation import HiddenEffect, healthy, measure_effect, record_all
 from piezoid_datasets.virtual_lab.effects import EFFECTS
-from piezoid_datasets.virtual_lab.effects.effect import Act, Effect, Fault
+from piezoid_datasets.virtual_lab.effects.effect import Act, Bench, Effect, Fault, Measure
 from piezoid_datasets.virtual_lab.laboratory import Laboratory
-from piezoid_datasets.virtual_lab.names import named
-from piezoid_datasets.virtual_lab.plans import PLANS, Past, Plan, careless_history_V, run_of
+from piezoid_datasets.virtual_lab.plans import PLANS, Plan, careless_history_V, run_of
 from piezoid_datasets.virtual_lab.rig import Rig, draw_rig
-from piezoid_datasets.virtual_lab.stage import Rows, Run, Stage
+from piezoid_datasets.virtual_lab.signals import Array
+from piezoid_datasets.virtual_lab.stage import Rows, Run, Stage, follow, record
 from piezoid_datasets.virtual_lab.truths import TRUTHS, ZOO
-from piezoid_datasets.virtual_lab.uncatalogued import UNCATALOGUED
+from piezoid_datasets.virtual_lab.truths.truth import Truth
+from piezoid_datasets.virtual_lab.uncatalogued import UNCATALOGUED, Uncatalogued
 
 TIMES_VISIBLE = (1.0, 4.0)
 ALWAYS = ("sweep", "check")
 FEWEST, MOST = 3, 6
+Member = TypeVar("Member", Effect, Truth, Plan, Uncatalogued)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HiddenEffect:
+    """One effect in the recordings; sizes in percent of the stroke.
+
+    measure           definition of the size, in the recording where it is largest
+    asked_percent     size to which the effect was scaled on the healthy stage
+    measured_percent  actual size: the change if this effect alone is removed
+    change_percent    rms of that change in each recording, by name
+    moving_percent    largest rms of that change about its mean, which excludes shifts of the zero
+    numbers           physical parameters, with units in their names
+    """
+
+    name: str
+    measure: Measure
+    asked_percent: float
+    measured_percent: float
+    change_percent: Mapping[str, float]
+    moving_percent: float
+    numbers: Mapping[str, float | str]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,7 +111,10 @@ def draw_campaign(
     stage = Stage(rig=rig, ceramic=kind.draw(_generator(seed, "ceramic")), seed=seed)
     plan_choices = plans or _plans_for(hidden, _generator(seed, "plans"))
     plan_records = [named(PLANS, plan) if isinstance(plan, str) else plan for plan in plan_choices]
-    runs = _runs(plan_records, rig, seed, past_V)
+    runs = [
+        run_of(plan, rig, _generator(seed, f"plan {plan.name}"), past_V=past_V)
+        for plan in plan_records
+    ]
     bench = healthy(stage, runs)
     faults = {
         effect.name: effect.install(
@@ -93,15 +122,14 @@ def draw_campaign(
         )
         for effect in hidden
     }
-    further_faults = {
-        name: Fault(acts=(_unnamed(name, percent, rig, seed),), numbers={})
-        for name, percent in (uncatalogued or {}).items()
-    }
-    always = {**further_faults, "circumstances": Fault(acts=circumstances, numbers={})}
-    recordings = record_all(stage, runs, {**faults, **always})
-    all_faults = {**faults, **always}
+    for name, percent in (uncatalogued or {}).items():
+        size_m = percent / 100.0 * rig.stroke_m
+        act = named(UNCATALOGUED, name).act(size_m, rig, _generator(seed, name))
+        faults[name] = Fault(acts=(act,), numbers={})
+    faults["circumstances"] = Fault(acts=circumstances, numbers={})
+    recordings = record_all(stage, runs, faults)
     hidden_effects = tuple(
-        measure_effect(effect, sizes_percent[effect.name], stage, runs, all_faults, recordings)
+        measure_effect(effect, sizes_percent[effect.name], stage, runs, faults, recordings)
         for effect in hidden
     )
     answer = Answer(
@@ -118,15 +146,10 @@ def _generator(seed: int, part: str) -> np.random.Generator:
     return np.random.default_rng([seed, crc32(part.encode())])
 
 
-def _unnamed(name: str, percent: float, rig: Rig, seed: int) -> Act:
-    kind = named(UNCATALOGUED, name)
-    return kind.act(percent / 100.0 * rig.stroke_m, rig, _generator(seed, name))
-
-
 def _size(effect: Effect, size_percent: float | None, seed: int) -> float:
     if size_percent is None:
-        drawn = np.exp(_generator(seed, f"size of {effect.name}").uniform(*np.log(TIMES_VISIBLE)))
-        return float(drawn) * effect.visible_percent
+        factor = np.exp(_generator(seed, f"size of {effect.name}").uniform(*np.log(TIMES_VISIBLE)))
+        return float(factor) * effect.visible_percent
     if not size_percent >= 0.0:
         raise ValueError(f"the size of {effect.name} is {size_percent} %, it must not be negative")
     return size_percent
@@ -145,7 +168,55 @@ def _plans_for(hidden: Sequence[Effect], rng: np.random.Generator) -> tuple[str,
     return tuple(plan.name for plan in PLANS if plan.name in selected_names)
 
 
-def _runs(plans: Sequence[Plan], rig: Rig, seed: int, past_V: Past | None) -> tuple[Run, ...]:
-    return tuple(
-        run_of(plan, rig, _generator(seed, f"plan {plan.name}"), past_V=past_V) for plan in plans
+def healthy(stage: Stage, runs: Sequence[Run]) -> Bench:
+    """Simulate every run without effects, as the reference by which effects are scaled."""
+    healthy_stage = replace(stage, acts=())
+    traces = tuple(follow(healthy_stage, run, order) for order, run in enumerate(runs))
+    return Bench(rig=stage.rig, ceramic=stage.ceramic, traces=traces)
+
+
+def record_all(stage: Stage, runs: Sequence[Run], faults: Mapping[str, Fault]) -> tuple[Rows, ...]:
+    """Record every run with these faults."""
+    faulty = replace(stage, acts=tuple(act for fault in faults.values() for act in fault.acts))
+    return tuple(record(faulty, run, order) for order, run in enumerate(runs))
+
+
+def measure_effect(
+    effect: Effect,
+    asked_percent: float,
+    stage: Stage,
+    runs: Sequence[Run],
+    faults: Mapping[str, Fault],
+    recordings: Sequence[Rows],
+) -> HiddenEffect:
+    """Measure the change of the noise-free readings if one effect is removed."""
+    others = {name: fault for name, fault in faults.items() if name != effect.name}
+    without = record_all(stage, runs, others)
+    changes = {a.run.name: change_m(a, b) for a, b in zip(recordings, without, strict=True)}
+    percent = 100.0 / stage.rig.stroke_m
+    return HiddenEffect(
+        name=effect.name,
+        measure=effect.measure,
+        asked_percent=asked_percent,
+        measured_percent=percent * max(effect.measure.of(change) for change in changes.values()),
+        change_percent={
+            name: percent * Measure.RMS.of(change) for name, change in changes.items()
+        },
+        moving_percent=percent * max(float(np.std(change)) for change in changes.values()),
+        numbers=faults[effect.name].numbers,
     )
+
+
+def change_m(recording: Rows, reference: Rows) -> Array:
+    """Return the difference of two recordings of one run, over their common rows."""
+    count = min(len(recording.noise_free_m), len(reference.noise_free_m))
+    return recording.noise_free_m[:count] - reference.noise_free_m[:count]
+
+
+def named(members: Sequence[Member], name: str) -> Member:
+    """Return the member with a name; raise ``ValueError`` with all names if it does not exist."""
+    by_name = {member.name: member for member in members}
+    if name not in by_name:
+        names = ", ".join(sorted(by_name))
+        raise ValueError(f"{name!r} is not known here; known are {names}")
+    return by_name[name]

@@ -16,10 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid_datasets.virtual_lab.junction_chain import Chain, Constants
 from piezoid_datasets.virtual_lab.signals import Array
 
+SUBSTEPS = 10
 _DECAY_AT_ONE_EV_PER_M = 1.02462e10  # 2 sqrt(2 m e) / hbar
+_ELECTRON_C = 1.602176634e-19
+_BOLTZMANN_J_PER_K = 1.380649e-23
+_ROOM_K = 293.0
+_CHUNK = 1000  # samples of noise per call of the generators
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,10 +138,32 @@ def simulate_junctions(
     settle_samples    simulated before the recording, with the last samples of the reference;
                       default: ten time constants of a slow loop
     """
-    reference = _led_in(reference_nepers, settle_samples)
+    rates_Hz = {junction.sampling_rate_Hz for junction in junctions}
+    if len(rates_Hz) != 1 or len(seeds) != len(junctions):
+        raise ValueError("expected one sampling rate and one seed for each junction")
     added_V = np.zeros_like(reference_nepers) if drive_dither_V is None else drive_dither_V
-    bench = _Bench(junctions, seeds, len(reference))
-    drive_V, current_A = bench.run(reference, _led_in(added_V, settle_samples))
+    # The last samples of each signal precede it, repeated if it is shorter.
+    reference, added_V = (
+        np.concatenate([np.resize(signal[::-1], settle_samples)[::-1], signal])
+        for signal in (reference_nepers, added_V)
+    )
+    chain = _Chain(junctions, 1.0 / rates_Hz.pop(), seeds, len(reference))
+    drive_step_V = chain.column("drive_range_V") / 2**15
+    limit_V, gain_V = chain.column("drive_range_V"), chain.column("integral_gain_V")
+    limit_A = chain.column("input_range_V") / chain.column("current_gain_V_per_A")
+    current_step_A = chain.column("input_range_V") / 2**15 / chain.column("current_gain_V_per_A")
+    set_point_A, lost_A = chain.column("set_point_A"), chain.column("lost_below_A")
+    command_V = np.zeros(len(junctions))
+    drive_V, current_A = (np.empty((len(reference), len(junctions))) for _ in range(2))
+    for tick, target in enumerate(reference):
+        read_A = np.round(chain.sensed_A / current_step_A) * current_step_A
+        read_A = np.clip(read_A, -limit_A, limit_A)
+        error = target - np.log(np.maximum(read_A, lost_A) / set_point_A)
+        command_V = np.clip(command_V + gain_V * error, -limit_V, limit_V)
+        current_A[tick] = read_A
+        output_V = np.clip(command_V + added_V[tick], -limit_V, limit_V)
+        drive_V[tick] = np.round(output_V / drive_step_V) * drive_step_V
+        chain.advance(tick, drive_V[tick])
     return tuple(
         JunctionRecord(
             sampling_rate_Hz=junction.sampling_rate_Hz,
@@ -150,65 +176,66 @@ def simulate_junctions(
     )
 
 
-def _led_in(signal: Array, settle_samples: int) -> Array:
-    """Return a signal preceded by its last samples, repeated if the signal is shorter."""
-    return np.concatenate([np.resize(signal[::-1], settle_samples)[::-1], signal])
+class _Chain:
+    """The chains between the converters, advanced sample by sample in closed form.
 
+    A chain runs at ten times the sampling rate, so that noise is aliased as in a laboratory. Every
+    signal has one column for each junction.
+    """
 
-class _Bench:
-    """Constants, disturbances and generators of all junctions, one column each."""
-
-    def __init__(self, junctions: Sequence[Junction], seeds: Sequence[int], ticks: int) -> None:
-        rates_Hz = {junction.sampling_rate_Hz for junction in junctions}
-        if len(rates_Hz) != 1 or len(seeds) != len(junctions):
-            raise ValueError("expected one sampling rate and one seed for each junction")
-        self.junctions = junctions
-        self.tick_s = 1.0 / rates_Hz.pop()
+    def __init__(
+        self, junctions: Sequence[Junction], tick_s: float, seeds: Sequence[int], ticks: int
+    ) -> None:
+        self.junctions, self.tick_s = junctions, tick_s
         self.generators = [np.random.default_rng(seed) for seed in seeds]
-        self.surface_m = np.column_stack(
-            [
-                sunk_m(junction, ticks + 1, self.tick_s, rng)
-                for junction, rng in zip(junctions, self.generators, strict=True)
-            ]
-        )
+        pairs = zip(junctions, self.generators, strict=True)
+        self.surface_m = np.column_stack([sunk_m(j, ticks + 1, tick_s, rng) for j, rng in pairs])
+        step_s = tick_s / SUBSTEPS
+        # The current is computed at the middle of each step, the amplifier also at the end.
+        self.after_s = step_s * np.append(np.arange(SUBSTEPS) + 0.5, SUBSTEPS)[:, None]
+        amplifier = 2.0 * np.pi * self.column("amplifier_pole_Hz")
+        since_new_s = np.maximum(self.after_s - self.column("latency_s"), 0.0)
+        self.start_share = np.exp(-amplifier * self.after_s)
+        self.new_share = 1.0 - np.exp(-amplifier * since_new_s)
+        self.old_share = 1.0 - self.start_share - self.new_share
+        forget = np.exp(-2.0 * np.pi * self.column("sensor_pole_Hz") * step_s)
+        self.sensor_share = forget**SUBSTEPS
+        self.sensor_weight = (1.0 - forget) * forget ** np.arange(SUBSTEPS - 1, -1, -1)[:, None]
+        self.shot_A = _ELECTRON_C / step_s
+        feedback_ohm = self.column("current_gain_V_per_A")
+        self.johnson_A2 = 2.0 * _BOLTZMANN_J_PER_K * _ROOM_K / feedback_ohm / step_s
+        self.hum_rad_per_s = 2.0 * np.pi * self.column("mains_Hz")
+        self.hum_A = self.column("mains_current_A")
+        self.set_point_A, self.decay_per_m = self.column("set_point_A"), self.column("decay_per_m")
+        self.gain_m_per_V = self.column("drive_gain_m_per_V")
+        self.amplifier_V = self.previous_V = np.zeros(len(junctions))
+        self.sensed_A = self.set_point_A.copy()
+        self.noise = np.empty(0)
 
     def column(self, name: str) -> Array:
+        """Return a parameter of all junctions."""
         return np.array([getattr(junction, name) for junction in self.junctions])
 
-    def constants(self) -> Constants:
-        return Constants(
-            tick_s=self.tick_s,
-            set_point_A=self.column("set_point_A"),
-            decay_per_m=self.column("decay_per_m"),
-            drive_gain_m_per_V=self.column("drive_gain_m_per_V"),
-            amplifier_pole_Hz=self.column("amplifier_pole_Hz"),
-            sensor_pole_Hz=self.column("sensor_pole_Hz"),
-            latency_s=self.column("latency_s"),
-            feedback_ohm=self.column("current_gain_V_per_A"),
-            mains_Hz=self.column("mains_Hz"),
-            mains_current_A=self.column("mains_current_A"),
+    def advance(self, tick: int, drive_V: Array) -> None:
+        """Advance by one sample; the new drive arrives after the latency."""
+        if tick % _CHUNK == 0:
+            draws = [g.standard_normal((_CHUNK, SUBSTEPS)) for g in self.generators]
+            self.noise = np.stack(draws, axis=-1)
+        inside_V = (
+            self.start_share * self.amplifier_V
+            + self.old_share * self.previous_V
+            + self.new_share * drive_V
         )
-
-    def run(self, reference: Array, added_V: Array) -> tuple[Array, Array]:
-        """Simulate all samples and return drive and current, (ticks, junctions) each."""
-        drive_step_V = self.column("drive_range_V") / 2**15
-        current_step_A = self.column("input_range_V") / 2**15 / self.column("current_gain_V_per_A")
-        set_point_A, lost_A = self.column("set_point_A"), self.column("lost_below_A")
-        gain_V, limit_V = self.column("integral_gain_V"), self.column("drive_range_V")
-        limit_A = self.column("input_range_V") / self.column("current_gain_V_per_A")
-        chain = Chain(self.constants(), self.surface_m, self.generators)
-        command_V = np.zeros(len(self.junctions))
-        drive_V, current_A = (np.empty((len(reference), len(self.junctions))) for _ in range(2))
-        for tick, wanted in enumerate(reference):
-            read_A = np.round(chain.sensed_A / current_step_A) * current_step_A
-            read_A = np.clip(read_A, -limit_A, limit_A)
-            error = wanted - np.log(np.maximum(read_A, lost_A) / set_point_A)
-            command_V = np.clip(command_V + gain_V * error, -limit_V, limit_V)
-            current_A[tick] = read_A
-            wanted_V = np.clip(command_V + added_V[tick], -limit_V, limit_V)
-            drive_V[tick] = np.round(wanted_V / drive_step_V) * drive_step_V
-            chain.advance(tick, drive_V[tick])
-        return drive_V, current_A
+        before_m, after_m = self.surface_m[tick], self.surface_m[tick + 1]
+        surface_m = before_m + (after_m - before_m) * (self.after_s / self.tick_s)
+        gap_m = (surface_m - self.gain_m_per_V * inside_V)[:-1]
+        tunnel_A = self.set_point_A * np.exp(-self.decay_per_m * gap_m)
+        noise_A = self.noise[tick % _CHUNK] * np.sqrt(self.shot_A * tunnel_A + self.johnson_A2)
+        time_s = tick * self.tick_s + self.after_s[:-1]
+        hum_A = self.hum_A * np.sin(self.hum_rad_per_s * time_s)
+        arriving = self.sensor_weight * (tunnel_A + noise_A + hum_A)
+        self.sensed_A = self.sensor_share * self.sensed_A + arriving.sum(axis=0)
+        self.amplifier_V, self.previous_V = inside_V[-1], drive_V
 
 
 def sunk_m(junction: Junction, ticks: int, tick_s: float, rng: np.random.Generator) -> Array:

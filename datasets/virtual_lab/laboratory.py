@@ -62,9 +62,13 @@ class Laboratory:
     @property
     def acts(self) -> tuple[Act, ...]:
         """Acts of the laboratory on every reading."""
-        return (Act(name="zero of the file", place=Place.SENSOR, change=_moved_zero),) * int(
-            self.moves_zero
-        )
+        if not self.moves_zero:
+            return ()
+
+        def move_zero(reading_m: Array, scene: Scene, rng: np.random.Generator) -> Array:
+            return reading_m + ZERO_SHARE * scene.rig.stroke_m * float(rng.standard_normal())
+
+        return (Act(name="zero of the file", place=Place.SENSOR, change=move_zero),)
 
 
 def draw_laboratory(rng: np.random.Generator) -> Laboratory:
@@ -77,7 +81,3 @@ def draw_laboratory(rng: np.random.Generator) -> Laboratory:
         most_turns=int(rng.integers(0, 7)),
         moves_zero=bool(rng.random() < 0.5),
     )
-
-
-def _moved_zero(reading_m: Array, scene: Scene, rng: np.random.Generator) -> Array:
-    return reading_m + ZERO_SHARE * scene.rig.stroke_m * float(rng.standard_normal())

@@ -41,10 +41,10 @@ def run_of(plan: Plan, rig: Rig, rng: np.random.Generator, *, past_V: Past | Non
     return Run(
         name=plan.name,
         sampling_rate_Hz=rate_Hz,
-        command_V=_volts(rig, shape),
+        command_V=volts_of(rig, shape),
         history_V=history,
         rest_s=float(rng.uniform(20.0, 300.0)),
-        others_V={axis: _volts(rig, drive) for axis, drive in others.items()},
+        others_V={axis: volts_of(rig, drive) for axis, drive in others.items()},
     )
 
 
@@ -123,5 +123,6 @@ PLANS: tuple[Plan, ...] = (
 )
 
 
-def _volts(rig: Rig, shape: Array) -> Array:
+def volts_of(rig: Rig, shape: Array) -> Array:
+    """Convert a drive between -1 and 1 to volts."""
     return rig.drive_min_V + 0.5 * (shape + 1.0) * (rig.drive_max_V - rig.drive_min_V)

@@ -56,10 +56,6 @@ class Rig:
         high = self.amplifier_gain_V_per_V * self.drive_max_V
         return (2.0 * amplifier_V - low - high) / (high - low)
 
-    def field_of_command(self, command_V: Array) -> Array:
-        """Convert commands to the normalised field in the steady state."""
-        return self.field_of(self.amplifier_gain_V_per_V * command_V)
-
 
 def draw_rig(rng: np.random.Generator, *, name: str = "virtual stage") -> Rig:
     """Return a random rig with a stroke of 20-40 um and noise of 0.02-0.06 % of the stroke."""

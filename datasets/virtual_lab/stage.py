@@ -78,9 +78,12 @@ def record(stage: Stage, run: Run, order: int = 0) -> Rows:
     the two recordings is therefore the contribution of that act.
     """
     trace = follow(stage, run, order)
-    reading = _sense(stage, trace)
-    kept = slice(None, None, _finer(stage.rig, run))
-    rows = replace(trace.scene, rate_Hz=run.sampling_rate_Hz, time_s=trace.scene.time_s[kept])
+    lag_s = 1.0 / (2.0 * np.pi * stage.rig.sensor_bandwidth_Hz)
+    moved_m = trace.displacement_m
+    reading_m = first_order(moved_m, lag_s, trace.scene.rate_Hz, float(moved_m[0]))
+    reading_m = _act(stage, Place.SENSOR, reading_m, trace.scene)
+    sampled = slice(None, None, _finer(stage.rig, run))
+    rows = replace(trace.scene, rate_Hz=run.sampling_rate_Hz, time_s=trace.scene.time_s[sampled])
     noise = stage.rig.noise_rms_m * coloured_noise(
         len(run.command_V),
         run.sampling_rate_Hz,
@@ -88,10 +91,11 @@ def record(stage: Stage, run: Run, order: int = 0) -> Rows:
         stage.rig.flicker_share,
         np.random.default_rng([stage.seed, order]),
     )
-    clean = _file(stage, rows, reading[kept])
-    step_m = stage.rig.adc_step_m
-    noisy = _file(stage, rows, reading[kept] + noise)
-    count = len(clean)
+    clean, noisy = (
+        _act(stage, Place.RECORD, _act(stage, Place.CONVERTER, signal_m, rows), rows)
+        for signal_m in (reading_m[sampled], reading_m[sampled] + noise)
+    )
+    count, step_m = len(clean), stage.rig.adc_step_m
     return Rows(
         run=run,
         time_s=rows.time_s[:count],
@@ -117,13 +121,16 @@ def follow(stage: Stage, run: Run, order: int = 0) -> Trace:
         order=order,
         rest_s=run.rest_s,
         field=NOWHERE,
-        others_V={a: _amplified(rig, run, u, rate_Hz) for a, u in run.others_V.items()},
+        others_V={
+            axis: _bandwidth(rig, run, _amplified(rig, run, u), rate_Hz)
+            for axis, u in run.others_V.items()
+        },
     )
-    asked_V = rig.amplifier_gain_V_per_V * _on_fine_clock(rig, run, run.command_V)
-    asked_V = _act(stage, Place.AMPLIFIER, asked_V, scene)
-    amplifier_V = _act(stage, Place.OUTPUT, _bandwidth(rig, run, asked_V, rate_Hz), scene)
+    command_V = _act(stage, Place.AMPLIFIER, _amplified(rig, run, run.command_V), scene)
+    amplifier_V = _act(stage, Place.OUTPUT, _bandwidth(rig, run, command_V, rate_Hz), scene)
     scene = replace(scene, field=rig.field_of(amplifier_V))
-    history = _act(stage, Place.HISTORY, rig.field_of_command(run.history_V), scene)
+    history = rig.field_of(rig.amplifier_gain_V_per_V * run.history_V)
+    history = _act(stage, Place.HISTORY, history, scene)
     reversible, quasi_static = stage.ceramic.respond(scene.field, history)
     irreversible = _act(stage, Place.IRREVERSIBLE, quasi_static, scene)
     ceramic_m = _act(stage, Place.CERAMIC, rig.stroke_m * (reversible + irreversible), scene)
@@ -134,17 +141,6 @@ def follow(stage: Stage, run: Run, order: int = 0) -> Trace:
         irreversible=irreversible,
         displacement_m=_act(stage, Place.MECHANICS, ceramic_m, scene),
     )
-
-
-def _sense(stage: Stage, trace: Trace) -> Array:
-    lag_s = 1.0 / (2.0 * np.pi * stage.rig.sensor_bandwidth_Hz)
-    moved = trace.displacement_m
-    reading = first_order(moved, lag_s, trace.scene.rate_Hz, float(moved[0]))
-    return _act(stage, Place.SENSOR, reading, trace.scene)
-
-
-def _file(stage: Stage, scene: Scene, sampled: Array) -> Array:
-    return _act(stage, Place.RECORD, _act(stage, Place.CONVERTER, sampled, scene), scene)
 
 
 def _act(stage: Stage, place: Place, signal: Array, scene: Scene) -> Array:
@@ -159,24 +155,22 @@ def _finer(rig: Rig, run: Run) -> int:
     return FINER if run.sampling_rate_Hz >= rig.clock_Hz else 1
 
 
-def _on_fine_clock(rig: Rig, run: Run, command_V: Array) -> Array:
-    converted = _converted(rig, command_V)
+def _amplified(rig: Rig, run: Run, command_V: Array) -> Array:
+    """Return a command on the fine time grid, times the gain of the amplifier."""
+    converted_V = _converted(rig, command_V)
     if _finer(rig, run) > 1:
-        return np.repeat(converted, FINER)
-    return shifted(converted, 0.5 / rig.clock_Hz, run.sampling_rate_Hz)
+        fine_V = np.repeat(converted_V, FINER)
+    else:
+        fine_V = shifted(converted_V, 0.5 / rig.clock_Hz, run.sampling_rate_Hz)
+    return rig.amplifier_gain_V_per_V * fine_V
 
 
 def _converted(rig: Rig, command_V: Array) -> Array:
     return rig.dac_step_V * np.round(command_V / rig.dac_step_V)
 
 
-def _bandwidth(rig: Rig, run: Run, asked_V: Array, rate_Hz: float) -> Array:
+def _bandwidth(rig: Rig, run: Run, command_V: Array, rate_Hz: float) -> Array:
     lag_s = 1.0 / (2.0 * np.pi * rig.amplifier_bandwidth_Hz)
     if _finer(rig, run) > 1:
-        return held_first_order(asked_V, lag_s, rate_Hz)
-    return first_order(asked_V, lag_s, rate_Hz, float(asked_V[0]))
-
-
-def _amplified(rig: Rig, run: Run, command_V: Array, rate_Hz: float) -> Array:
-    asked_V = rig.amplifier_gain_V_per_V * _on_fine_clock(rig, run, command_V)
-    return _bandwidth(rig, run, asked_V, rate_Hz)
+        return held_first_order(command_V, lag_s, rate_Hz)
+    return first_order(command_V, lag_s, rate_Hz, float(command_V[0]))

@@ -5,10 +5,8 @@ truth/       truth.json: hidden effects with their sizes, and the noise; schema 
 """
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 
-from piezoid_datasets.virtual_lab.ablation import HiddenEffect
 from piezoid_datasets.virtual_lab.campaign import Campaign
 from piezoid_datasets.virtual_lab.rig import Rig
 from piezoid_datasets.virtual_lab.stage import Rows
@@ -25,7 +23,28 @@ def campaign_files(campaign: Campaign) -> dict[str, bytes]:
         for rows in campaign.recordings
     }
     files["recordings/lab.toml"] = lab_toml(campaign.rig).encode()
-    files["truth/truth.json"] = truth_json(campaign).encode()
+    answer = campaign.answer
+    truth = {  # sizes in percent of the stroke
+        "schema": SCHEMA,
+        "seed": answer.seed,
+        "truth": answer.truth,
+        "stroke_m": campaign.rig.stroke_m,
+        "noise_rms_m": answer.noise_rms_m,
+        "careless": answer.careless,
+        "recordings": [rows.run.name for rows in campaign.recordings],
+        "effects": [
+            {
+                "effect": effect.name,
+                "measure": effect.measure.value,
+                "asked_percent": effect.asked_percent,
+                "measured_percent": effect.measured_percent,
+                "rms_change_percent": dict(effect.change_percent),
+                "numbers": dict(effect.numbers),
+            }
+            for effect in answer.effects
+        ],
+    }
+    files["truth/truth.json"] = f"{json.dumps(truth, indent=1, allow_nan=False)}\n".encode()
     return files
 
 
@@ -59,39 +78,11 @@ def lab_toml(rig: Rig) -> str:
             "input_range_V": [low, high],
         },
     }
-    return "\n".join(_toml_table(name, keys) for name, keys in tables.items())
-
-
-def truth_json(campaign: Campaign) -> str:
-    """Return the answer as JSON; sizes in percent of the stroke."""
-    answer = campaign.answer
-    content = {
-        "schema": SCHEMA,
-        "seed": answer.seed,
-        "truth": answer.truth,
-        "stroke_m": campaign.rig.stroke_m,
-        "noise_rms_m": answer.noise_rms_m,
-        "careless": answer.careless,
-        "recordings": [rows.run.name for rows in campaign.recordings],
-        "effects": [_effect(effect) for effect in answer.effects],
-    }
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
-
-
-def _effect(effect: HiddenEffect) -> Mapping[str, object]:
-    return {
-        "effect": effect.name,
-        "measure": effect.measure.value,
-        "asked_percent": effect.asked_percent,
-        "measured_percent": effect.measured_percent,
-        "rms_change_percent": dict(effect.change_percent),
-        "numbers": dict(effect.numbers),
-    }
-
-
-def _toml_table(name: str, keys: Mapping[str, object]) -> str:
     # JSON's strings, numbers and flat lists are TOML's as well
-    return "".join([f"[{name}]\n", *(f"{key} = {json.dumps(keys[key])}\n" for key in keys)])
+    return "\n".join(
+        f"[{name}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
+        for name, keys in tables.items()
+    )
 
 
 def csv_text(rows: Rows, *, axis: str = "") -> str:
@@ -100,19 +91,16 @@ def csv_text(rows: Rows, *, axis: str = "") -> str:
     axis  suffix of this axis' columns; empty while there is only one
     """
     mark = f"_{axis}" if axis else ""
+    # Decimals that show the sampling interval exactly.
+    interval_s = 1.0 / rows.run.sampling_rate_Hz
+    decimals = next((n for n in range(1, 9) if abs(round(interval_s, n) - interval_s) < 1e-12), 9)
     names = ["time [s]", f"voltage{mark} [V]", f"displacement{mark} [um]"]
     names += [f"voltage_{other} [V]" for other in rows.others_V]
     columns = [
-        [f"{value:.{decimals(rows)}f}" for value in rows.time_s.tolist()],
+        [f"{value:.{decimals}f}" for value in rows.time_s.tolist()],
         [f"{value:.5f}" for value in rows.voltage_V.tolist()],
         [f"{value * MICRONS_PER_M:.5f}" for value in rows.displacement_m.tolist()],
     ]
     columns += [[f"{value:.5f}" for value in u.tolist()] for u in rows.others_V.values()]
     lines = [",".join(names), *(",".join(cells) for cells in zip(*columns, strict=True))]
     return "\n".join(lines) + "\n"
-
-
-def decimals(rows: Rows) -> int:
-    """Return how many decimals the time column needs to show the sampling interval exactly."""
-    interval_s = 1.0 / rows.run.sampling_rate_Hz
-    return next((n for n in range(1, 9) if abs(round(interval_s, n) - interval_s) < 1e-12), 9)

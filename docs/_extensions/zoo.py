@@ -1,11 +1,11 @@
 """One page with every hysteresis law of the virtual laboratory, written when docs are built.
 
-The text is the docstring of ``datasets/virtual_lab/truths/NAME.py``; the picture is two ceramics
+The text is the docstring of the function that draws the law; the picture is two ceramics
 of that law, the straight line between the ends of the stroke taken off so that loops can be seen.
 """
 
+import inspect
 import itertools
-import sys
 import tempfile
 
 import made_pages
@@ -56,8 +56,7 @@ def _closes(law: Truth) -> str:
 
 
 def _section(law: Truth) -> str:
-    module = sys.modules[law.draw.__module__]
-    title, _, text = (module.__doc__ or "").strip().partition("\n")
+    title, _, text = (inspect.getdoc(law.draw) or "").partition("\n")
     blocks = [
         f"```text\n{block.strip(chr(10))}\n```" if block.startswith(" ") else block.strip()
         for block in text.strip("\n").split("\n\n")

@@ -61,7 +61,7 @@ class Calibration:
 def calibrate(
     collection: Collection,
     lab: Lab | None,
-    progress: Progress = lambda _: None,
+    progress: Progress,
     *,
     threads: int = 1,
 ) -> Calibration:
@@ -93,7 +93,7 @@ def finish(
     results: Sequence[JobResult],
     lab: Lab | None,
     progress: Progress,
-    threads: int = 1,
+    threads: int,
 ) -> Calibration:
     """Export and verify a stage whose axes are fitted and designed.
 

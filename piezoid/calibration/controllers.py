@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from json import loads
 
 from piezoid.design.design import Design
 from piezoid.design.design_stage import (
@@ -11,6 +10,7 @@ from piezoid.design.design_stage import (
     nothing_to_design,
     without_damping,
 )
+from piezoid.digests import digest_in
 from piezoid.errors import PiezoidError, TemplateError
 from piezoid.export.bundle import bundle
 from piezoid.export.export_stage import export_stage
@@ -103,7 +103,7 @@ def controllers_of(
             raise fault
         if not outcomes:
             raise nothing_to_design(model)
-        digest = loads(model_file)["digest"]
+        digest = digest_in(model_file)
         design = design_of(outcomes, model_digest=digest, lab=lab, coupled=model.coupled)
         controllers = _verify_design(model, design, lab, progress, threads)
         assert controllers.shipping is not None
@@ -134,7 +134,7 @@ def controllers_of(
 def _verify_design(
     model: ActuatorModel, design: Design, lab: Lab | None, progress: Progress, threads: int
 ) -> Controllers:
-    digest = loads(design.to_json())["digest"]
+    digest = digest_in(design.to_json())
     shipping = export_and_verify(
         model, design, design_digest=digest, lab=lab, progress=progress, threads=threads
     )
@@ -159,8 +159,8 @@ def export_and_verify(
     *,
     design_digest: str,
     lab: Lab | None,
-    progress: Progress = lambda _: None,
-    threads: int = 1,
+    progress: Progress,
+    threads: int,
 ) -> Shipping:
     """Export a design, verify it against the stage, and release the axes that pass.
 

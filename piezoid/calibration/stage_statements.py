@@ -85,7 +85,7 @@ def stage_statements(
 
 
 def verification_statements(
-    verification: Verification | None, stated: Sequence[str] = ()
+    verification: Verification | None, stated: Sequence[str]
 ) -> tuple[Statement, ...]:
     """Return statements about failed verdicts, differing builds and missing proofs.
 

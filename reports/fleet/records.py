@@ -8,10 +8,10 @@ import os
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import BinaryIO, Protocol, Self
+from typing import BinaryIO, Self
 from zlib import compress, decompress
 
 from msgspec import ValidationError, convert, json, msgpack
@@ -73,11 +73,6 @@ class FleetStage:
             raise ValueError(f"{self.name}: state is {self.state!r}")
 
     @property
-    def has_controller(self) -> bool:
-        """Whether a controller was exported."""
-        return "params.json" in self.outputs
-
-    @property
     def serial(self) -> int | None:
         """Serial number: the last number in the name."""
         numbers = re.findall(r"\d+", self.name)
@@ -90,13 +85,6 @@ class FleetStage:
     def packed(self) -> bytes:
         """Return the compressed record that a worker sends: about 1 kB per axis."""
         return compress(msgpack.encode(self), level=1)
-
-
-class Stages(Protocol):
-    """Stages in the order of their names, which can be iterated repeatedly."""
-
-    def __len__(self) -> int: ...
-    def __iter__(self) -> Iterator[FleetStage]: ...
 
 
 class StagesOnDisk:
@@ -141,10 +129,10 @@ class StagesOnDisk:
 
 @dataclass(frozen=True, kw_only=True)
 class Fleet:
-    """Results of a batch; its stages may be on disk."""
+    """Results of a batch; its stages, in the order of their names, may be on disk."""
 
     name: str
-    stages: Stages
+    stages: Sequence[FleetStage] | StagesOnDisk
 
     @cached_property
     def counts(self) -> Mapping[str, int]:
@@ -159,7 +147,7 @@ class Fleet:
     @cached_property
     def without_controller(self) -> int:
         """Number of stages that passed without a controller, because none was requested."""
-        return sum(s.state == PASSED and not s.has_controller for s in self.stages)
+        return sum(s.state == PASSED and "params.json" not in s.outputs for s in self.stages)
 
     def write_json(self, stream: BinaryIO) -> None:
         """Write the sealed batch.json, one stage per line; parameters are in the Parquet file.

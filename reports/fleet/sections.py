@@ -64,25 +64,20 @@ def verdict(fleet: Fleet, distributions: tuple[Distribution, ...]) -> Section:
         trends = "No quantity drifts over the serial numbers."
     elif distributions:
         trends = "Too few stage names contain a serial number to test for drift."
-    text = " ".join((counted, _describe_outliers(distributions), trends))
+    outliers = f"Fewer than {MIN_STAGES} stages can be compared, so the spread is not reported."
+    if distributions:
+        deviations = [
+            (abs(float(row.deviation[k])), row.stages[k])
+            for row in distributions
+            for k in row.outliers
+        ]
+        names = list(dict.fromkeys(name for _, name in sorted(deviations, reverse=True)))
+        omitted = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        outliers = f"{count_of(len(names), 'outlier')}: {', '.join(names[:3])}{omitted}."
+        outliers = outliers if names else "No stage is an outlier."
+    text = " ".join((counted, outliers, trends))
     parts = (Prose(text=text, tone=tone),)
     return Section(anchor="verdict", title="Verdict", lead="", parts=parts)
-
-
-def _describe_outliers(distributions: tuple[Distribution, ...]) -> str:
-    if not distributions:
-        return f"Fewer than {MIN_STAGES} stages can be compared, so the spread is not reported."
-    outliers = [
-        (abs(float(row.deviation[k])), row.stages[k])
-        for row in distributions
-        for k in row.outliers
-    ]
-    names = list(dict.fromkeys(name for _, name in sorted(outliers, reverse=True)))
-    if not names:
-        return "No stage is an outlier."
-    listed = ", ".join(names[:3])
-    omitted = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return f"{count_of(len(names), 'outlier')}: {listed}{omitted}."
 
 
 def failures(fleet: Fleet) -> Section:
@@ -154,9 +149,15 @@ def outliers(distributions: tuple[Distribution, ...]) -> Section:
 
 def stages(fleet: Fleet) -> Section:
     """Return state, error and digests of all stages, or of the worst in a large batch."""
+
+    def badness(stage: FleetStage) -> tuple[bool, float, str]:
+        """Sort stages: first those that did not pass, then by error."""
+        errors = [axis.values.get("held_out_rms_percent", 0.0) for axis in stage.axes]
+        return stage.state == PASSED, -max(errors, default=0.0), stage.name
+
     rows, title = fleet.stages, "All stages"
     if len(rows) > MAX_ROWS:
-        rows = nsmallest(MAX_ROWS, rows, key=_badness)
+        rows = nsmallest(MAX_ROWS, rows, key=badness)
         title = f"The worst {MAX_ROWS} stages"
     return Section(
         anchor="stages",
@@ -193,12 +194,6 @@ def _truncation(rows: int) -> str:
     if rows <= MAX_ROWS:
         return ""
     return f" {MAX_ROWS} of {rows} rows are shown; parameters.parquet lists all stages."
-
-
-def _badness(stage: FleetStage) -> tuple[bool, float, str]:
-    """Return the key that sorts stages: first those that did not pass, then by error."""
-    errors = [axis.values.get("held_out_rms_percent", 0.0) for axis in stage.axes]
-    return stage.state == PASSED, -max(errors, default=0.0), stage.name
 
 
 def _link(stage: FleetStage) -> str:

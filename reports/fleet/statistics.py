@@ -1,14 +1,17 @@
-"""Statistics of a batch: spread of every quantity, outliers, trends over serial numbers.
+"""Statistics of a batch: compared quantities, their spread, outliers and trends.
 
 The thresholds are corrected for the number of tests.
 """
 
 from array import array
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from piezoid.design.design import AxisDesign
+from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import (
     Spread,
@@ -18,10 +21,9 @@ from piezoid.numerics.robust import (
     normal_quantile,
     spread_beyond,
     spread_of,
+    student_quantile,
     trend_of,
 )
-from piezoid.record_json import fields_of
-from piezoid_reports.fleet.quantities import QUANTITIES, Quantity
 from piezoid_reports.fleet.records import Fleet
 
 MIN_STAGES = 5  # for a spread
@@ -32,14 +34,137 @@ FALSE_ALARMS = 0.5  # expected outliers in a batch without faults
 TREND_P = 0.01
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class QuantityValues:
-    """One quantity of one axis for all stages that have it.
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """One number of an axis that is compared between stages.
 
-    stages   (count,)  names
-    serials  (count,)  NaN if a name contains no number
-    values   (count,)  SI
-    errors   (count,)  standard errors of the values; 0 if unknown
+    name    in JSON and Parquet, ending with its unit
+    label   on the page
+    unit    SI
+    of      computes the number from an axis and its design, or None without one
+    cause   possible causes of an outlier
+    error   computes its standard error, or None if unknown
+    ratio   stages are compared by ratio and not by difference: quantities that cannot fall below
+            zero have a long tail upwards
+    """
+
+    name: str
+    label: str
+    unit: str
+    of: Callable[[AxisModel, AxisDesign | None], float | None]
+    cause: str
+    error: Callable[[AxisModel], float | None] = lambda _: None
+    ratio: bool = False
+
+
+def _sensitivity(axis: AxisModel, _: AxisDesign | None) -> float | None:
+    loading_m, reach_V = axis.uncertainty.loading_m[-1], axis.uncertainty.reach_V[-1]
+    return float(loading_m / reach_V) if reach_V > 0.0 else None
+
+
+def _quantile(axis: AxisModel) -> float:
+    """Return half a 95 % interval in standard errors."""
+    return float(student_quantile(0.975, max(axis.uncertainty.blocks - 1, 1)))
+
+
+def _sensitivity_error(axis: AxisModel) -> float | None:
+    reach_V = float(axis.uncertainty.reach_V[-1])
+    half_m = float(axis.uncertainty.loading_half_m[-1])
+    return half_m / reach_V / _quantile(axis) if reach_V > 0.0 else None
+
+
+def _lag_error(axis: AxisModel) -> float | None:
+    names, covariance = axis.uncertainty.names, axis.uncertainty.covariance
+    if "lag_s" not in names:
+        return None
+    k = names.index("lag_s")
+    return float(max(covariance[k, k], 0.0) ** 0.5)
+
+
+QUANTITIES = (
+    Quantity(
+        name="sensitivity_m_per_V",
+        label="sensitivity",
+        unit="m/V",
+        of=_sensitivity,
+        error=_sensitivity_error,
+        cause="another ceramic, a cracked stack, a wrong preload, a wrong sensor gain",
+    ),
+    Quantity(
+        name="loop_width_percent",
+        label="loop width, of the range",
+        unit="%",
+        of=lambda axis, _: 100.0 * axis.uncertainty.loop_width_m[0] / axis.quality.range_m,
+        error=lambda axis: (
+            100.0 * axis.uncertainty.loop_width_m[1] / axis.quality.range_m / _quantile(axis)
+        ),
+        cause="another ceramic, a depoled stack, friction, or a lag that looks like hysteresis",
+    ),
+    Quantity(
+        name="held_out_rms_percent",
+        label="held-out error, of the range",
+        unit="%",
+        of=lambda axis, _: axis.quality.held_out_rms_percent,
+        cause="an effect outside the model: read the diagnosis of that stage",
+        ratio=True,
+    ),
+    Quantity(
+        name="noise_rms_m",
+        label="sensor noise",
+        unit="m",
+        of=lambda axis, _: axis.quality.noise_rms_m,
+        cause="a misaligned sensor, a cable, a ground loop",
+        ratio=True,
+    ),
+    Quantity(
+        name="lag_s",
+        label="lag beyond the declared poles",
+        unit="s",
+        of=lambda axis, _: axis.lag.time_s,
+        error=_lag_error,
+        cause="an undeclared filter, another capacitance, channels sampled at different times",
+    ),
+    Quantity(
+        name="error_bound_m",
+        label="certified error bound",
+        unit="m",
+        of=lambda axis, _: axis.certificate.bound_m,
+        cause="too little data of that stage, or a large residual",
+        ratio=True,
+    ),
+    Quantity(
+        name="bandwidth_Hz",
+        label="closed-loop bandwidth",
+        unit="Hz",
+        of=lambda _, design: None if design is None else design.recommended.bandwidth_Hz,
+        cause="a mode or a delay that limits only this stage",
+    ),
+    Quantity(
+        name="modulus_margin",
+        label="modulus margin, worst member",
+        unit="",
+        of=lambda _, design: None if design is None else design.recommended.worst_modulus_margin,
+        cause="a wider plant family than that of the other stages",
+    ),
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Distribution:
+    """One quantity of one axis for all stages that have it, its outliers, and its trend.
+
+    stages     (count,)  names
+    serials    (count,)  NaN if a name contains no number
+    values     (count,)  SI
+    errors     (count,)  standard errors of the values; 0 if unknown
+    spread     of the values
+    deviation  (count,)  from the median or a significant trend, in standard deviations: robust
+               spread of the stages and standard error of the value combined; of the logarithm for
+               quantities compared by ratio
+    limit      deviation above which a stage is an outlier
+    normal     lowest and highest value of a stage with median standard error within the limit
+    trend      over serial numbers
+    trend_p    p-value of the trend, corrected for the number of quantities
     """
 
     axis: str
@@ -48,22 +173,6 @@ class QuantityValues:
     serials: Array
     values: Array
     errors: Array
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Distribution(QuantityValues):
-    """The spread of a quantity, its outliers, and its trend.
-
-    spread     of the values
-    deviation  (count,)  from the median or a significant trend, in standard deviations: robust
-               spread of the stages and standard error of the value combined; of the logarithm for
-               quantities scaled_spread by ratio
-    limit      deviation above which a stage is an outlier
-    normal     lowest and highest value of a stage with median standard error within the limit
-    trend      over serial numbers
-    trend_p    p-value of the trend, corrected for the number of quantities
-    """
-
     spread: Spread
     deviation: Array
     limit: float
@@ -87,19 +196,6 @@ class Distribution(QuantityValues):
 
 def compare_stages(fleet: Fleet) -> tuple[Distribution, ...]:
     """Return every quantity that at least ``MIN_STAGES`` stages have, axis by axis."""
-    quantities = _quantities(fleet)
-    n_tests = sum(len(q.values) for q in quantities)
-    limit = float(-normal_quantile(FALSE_ALARMS / max(n_tests, 1) / 2))
-    trends = [trend_of(q.serials, q.values) for q in quantities]
-    p_values = holm(np.array([1.0 if trend is None else trend.p_value for trend in trends]))
-    return tuple(
-        _distribution(q, limit, trend, float(p))
-        for q, trend, p in zip(quantities, trends, p_values, strict=True)
-    )
-
-
-def _quantities(fleet: Fleet) -> list[QuantityValues]:
-    """Return names, values, errors and serial numbers of all quantities, in one pass."""
     names: list[str] = []
     numbers = array("d")
     # Stage, value and error of each quantity of an axis: 20 bytes per stage.
@@ -114,44 +210,62 @@ def _quantities(fleet: Fleet) -> list[QuantityValues]:
                 indices.append(index)
                 values.append(value)
                 errors.append(axis.errors.get(name, 0.0))
-    all_names, serials = tuple(names), np.array(numbers)
-    quantities = []
-    for axis_name in sorted({axis for axis, _ in columns}):
-        for quantity in QUANTITIES:
-            indices, values, errors = columns[axis_name, quantity.name]
-            if len(indices) < MIN_STAGES:
-                continue
-            is_complete = len(indices) == len(all_names)
-            quantities.append(
-                QuantityValues(
-                    axis=axis_name,
-                    quantity=quantity,
-                    stages=all_names if is_complete else tuple(all_names[k] for k in indices),
-                    values=np.array(values),
-                    errors=np.array(errors),
-                    serials=serials if is_complete else serials[np.array(indices)],
-                )
-            )
-    return quantities
+    all_names, all_serials = tuple(names), np.array(numbers)
+    compared = [
+        (axis_name, quantity, *columns[axis_name, quantity.name])
+        for axis_name in sorted({axis for axis, _ in columns})
+        for quantity in QUANTITIES
+        if len(columns[axis_name, quantity.name][0]) >= MIN_STAGES
+    ]
+    n_tests = sum(len(values) for *_, values, _ in compared)
+    limit = float(-normal_quantile(FALSE_ALARMS / max(n_tests, 1) / 2))
+    trends = [
+        trend_of(all_serials[np.array(indices)], np.array(values))
+        for _, _, indices, values, _ in compared
+    ]
+    p_values = holm(np.array([1.0 if trend is None else trend.p_value for trend in trends]))
+    distributions = []
+    for row, trend, p in zip(compared, trends, p_values, strict=True):
+        axis_name, quantity, indices, values, errors = row
+        is_complete = len(indices) == len(all_names)
+        stages = all_names if is_complete else tuple(all_names[k] for k in indices)
+        serials = all_serials if is_complete else all_serials[np.array(indices)]
+        series = serials, np.array(values), np.array(errors)
+        distributions.append(
+            _distribution(axis_name, quantity, stages, series, limit, trend, float(p))
+        )
+    return tuple(distributions)
 
 
 def _distribution(
-    measured: QuantityValues, limit: float, trend: Trend | None, p_value: float
+    axis: str,
+    quantity: Quantity,
+    stages: tuple[str, ...],
+    series: tuple[Array, Array, Array],
+    limit: float,
+    trend: Trend | None,
+    p_value: float,
 ) -> Distribution:
-    values, errors = measured.values, measured.errors
+    """Return the outliers of one quantity; ``series`` are serial numbers, values and errors."""
+    serials, values, errors = series
     drifts = trend is not None and p_value < TREND_P
-    level = values - trend.slope * (measured.serials - trend.about) if trend and drifts else values
-    ratio = measured.quantity.ratio and level.min() > 0.0
-    scaled, errors = (np.log(level), errors / level) if ratio else (level, errors)
-    scaled_spread = spread_beyond(scaled, errors)
+    level = values - trend.slope * (serials - trend.about) if trend and drifts else values
+    ratio = quantity.ratio and level.min() > 0.0
+    scaled, scaled_errors = (np.log(level), errors / level) if ratio else (level, errors)
+    scaled_spread = spread_beyond(scaled, scaled_errors)
     widened_limit = limit * (1.0 + WIDENING / len(values))
-    typical_sigma = float(np.hypot(scaled_spread.sigma, np.median(errors)))
+    typical_sigma = float(np.hypot(scaled_spread.sigma, np.median(scaled_errors)))
     limits = scaled_spread.median + widened_limit * typical_sigma * np.array([-1.0, 1.0])
     low, high = np.exp(limits) if ratio else limits
     return Distribution(
-        **fields_of(measured),
+        axis=axis,
+        quantity=quantity,
+        stages=stages,
+        serials=serials,
+        values=values,
+        errors=errors,
         spread=spread_of(values),
-        deviation=deviations(scaled, scaled_spread, errors),
+        deviation=deviations(scaled, scaled_spread, scaled_errors),
         limit=widened_limit,
         normal=(float(low), float(high)),
         trend=trend,

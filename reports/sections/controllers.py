@@ -8,7 +8,6 @@ from piezoid.design.design_statements import error_parts_m, guaranteed_error_m, 
 from piezoid.design.lateral_task import assumptions_of
 from piezoid.design.sensitivity import sensitivities
 from piezoid.design.templates import delay_limit
-from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
@@ -123,12 +122,28 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
             for member in loop.members
         ]
     )
-    limits = _limits(axis, function, frequency_Hz)
+    # Name and limit in dB over the frequencies; NaN where no limit applies.
+    specification = axis.specification
+    limits = [
+        (t.name, t.limit_dB(frequency_Hz))
+        for t in specification.all_templates
+        if t.function == function
+    ]
+    if function == "Syp":
+        peak_dB = float(decibel(1.0 / specification.modulus_margin))
+        limits.append(("modulus margin", np.full(GRID, peak_dB)))
+    else:
+        limit_dB = decibel(delay_limit(frequency_Hz, specification.delay_margin_s))
+        limits.append(("delay margin", limit_dB))
+    limits = [
+        (name, np.where(np.isfinite(level) & (level < 40.0), level, np.nan))
+        for name, level in limits
+    ]
     decades = np.log10(frequency_Hz)
     x = decades_over("frequency", [decades], "Hz")
     levels_dB = [np.maximum(level_dB, -80.0), *(limit for _, limit in limits)]
     y = axis_over(f"|{function}| [dB]", [part.ravel() for part in levels_dB], "")
-    canvas = Canvas(x=x, y=y)
+    canvas, family_dB = Canvas(x=x, y=y), levels_dB[0]
     layers: list[Layer] = [
         canvas.band(
             "model-band",
@@ -137,7 +152,7 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
             levels_dB[0].min(axis=0),
             levels_dB[0].max(axis=0),
         ),
-        canvas.line("model", "nominal", decades, levels_dB[0][0]),
+        canvas.line("model", "nominal", decades, family_dB[0]),
     ]
     layers += [canvas.line("limit", name, decades, limit) for name, limit in limits]
     name, guide = FUNCTIONS[function]
@@ -152,24 +167,3 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
         canvas=canvas,
         layers=tuple(layers),
     )
-
-
-def _limits(axis: AxisDesign, function: str, frequency_Hz: Array) -> list[tuple[str, Array]]:
-    """Return name and limit in dB over the frequencies; NaN where no limit applies."""
-    specification = axis.specification
-    limits = [
-        (t.name, t.limit_dB(frequency_Hz))
-        for t in specification.all_templates
-        if t.function == function
-    ]
-    if function == "Syp":
-        peak_dB = float(decibel(1.0 / specification.modulus_margin))
-        limits.append(("modulus margin", np.full(len(frequency_Hz), peak_dB)))
-    if function == "Syb":
-        limits.append(
-            ("delay margin", decibel(delay_limit(frequency_Hz, specification.delay_margin_s)))
-        )
-    return [
-        (name, np.where(np.isfinite(level) & (level < 40.0), level, np.nan))
-        for name, level in limits
-    ]

@@ -186,7 +186,25 @@ def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
             "displacements."
         ),
         _picture(coupled),
-        _matrix(coupled),
+        Table(
+            caption="Displacement per volt of each drive, and the decoupling matrix, by which "
+            "references and measurements are multiplied before the controllers.",
+            columns=(
+                "displacement",
+                *(f"per volt of {name}" for name in coupled.inputs),
+                *(f"of {name}" for name in coupled.outputs),
+            ),
+            rows=tuple(
+                (
+                    name,
+                    *(number(float(v), "m/V") for v in gain),
+                    *(significant(float(v), 4) for v in row),
+                )
+                for name, gain, row in zip(
+                    coupled.outputs, coupled.coupling_m_per_V, coupled.decoupling, strict=True
+                )
+            ),
+        ),
         _errors(coupled),
         _modes(coupled),
     ]
@@ -209,10 +227,10 @@ def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
                     (
                         row.moved,
                         row.answers,
-                        f"{significant(row.percent)} %",
-                        "does not settle"
-                        if row.without_percent is None
-                        else f"{significant(row.without_percent)} %",
+                        *(
+                            "does not settle" if value is None else f"{significant(value)} %"
+                            for value in (row.percent, row.without_percent)
+                        ),
                     )
                     for row in rows
                 ),
@@ -251,28 +269,6 @@ def _picture(coupled: CoupledStage) -> Figure:
         "diagonal, which the decoupling must compensate, or small squares on it.",
         canvas=canvas,
         layers=layers,
-    )
-
-
-def _matrix(coupled: CoupledStage) -> Table:
-    return Table(
-        caption="Displacement per volt of each drive, and the decoupling matrix, by which "
-        "references and measurements are multiplied before the controllers.",
-        columns=(
-            "displacement",
-            *(f"per volt of {name}" for name in coupled.inputs),
-            *(f"of {name}" for name in coupled.outputs),
-        ),
-        rows=tuple(
-            (
-                name,
-                *(number(float(v), "m/V") for v in gain),
-                *(significant(float(v), 4) for v in row),
-            )
-            for name, gain, row in zip(
-                coupled.outputs, coupled.coupling_m_per_V, coupled.decoupling, strict=True
-            )
-        ),
     )
 
 

@@ -1,9 +1,9 @@
 """Detected effects with figures and advice, and limits of the effects not detected."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from piezoid.diagnosis.coordinate_descriptions import CONTROL_ADVICE
-from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, NotDetected
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
 from piezoid.diagnosis.diagnosis_statements import largest_first
 from piezoid.diagnosis.effects import effect_named, thermal_drift
 from piezoid.formatting import p_value, words
@@ -26,7 +26,21 @@ def render(page: Page) -> Section | None:
     parts: list[Part] = [_table(page.diagnoses)]
     described: dict[str, str] = {}  # by effect, the first axis that has it
     for diagnosis in page.diagnoses:
-        parts += _axis_parts(diagnosis, page, described=described)
+        axis = page.model.axes.get(diagnosis.axis)
+        traces = page.traces.get(diagnosis.axis, ())
+        simulations = {} if axis is None else compare_effects(axis, traces, diagnosis)
+        if diagnosis.findings and not simulations:
+            parts.append(Prose(text=NO_FIGURES))
+        for finding in largest_first(diagnosis):
+            effect, of_effect = finding.effect, simulations.get(finding.effect, ())
+            parts.append(Heading(text=f"Axis {diagnosis.axis}: {words(effect)}"))
+            is_unnamed = effect == SOMETHING_ELSE
+            figure = unnamed_figure(finding) if is_unnamed else figure_of(finding, of_effect)
+            if figure is not None:
+                parts.append(figure)
+            elif of_effect:
+                parts.append(Prose(text=NO_FIGURE))
+            parts += _explanation(page, finding, described.get(effect))
         described = {**{f.effect: diagnosis.axis for f in diagnosis.findings}, **described}
     parts.append(Heading(text="Not detected"))
     return Section(
@@ -38,38 +52,17 @@ def render(page: Page) -> Section | None:
     )
 
 
-def _axis_parts(
-    diagnosis: Diagnosis, page: Page, *, described: Mapping[str, str]
-) -> tuple[Part, ...]:
-    """Return the parts about one axis.
-
-    described  effects that an earlier axis has already described, with that axis
-    """
-    axis = page.model.axes.get(diagnosis.axis)
-    traces = page.traces.get(diagnosis.axis, ())
-    simulations = {} if axis is None else compare_effects(axis, traces, diagnosis)
-    parts: list[Part] = []
-    if diagnosis.findings and not simulations:
-        parts.append(Prose(text=NO_FIGURES))
-    for finding in largest_first(diagnosis):
-        effect, of_effect = finding.effect, simulations.get(finding.effect, ())
-        parts.append(Heading(text=f"Axis {diagnosis.axis}: {words(effect)}"))
-        is_unnamed = effect == SOMETHING_ELSE
-        figure = unnamed_figure(finding) if is_unnamed else figure_of(finding, of_effect)
-        if figure is not None:
-            parts.append(figure)
-        elif of_effect:
-            parts.append(Prose(text=NO_FIGURE))
-        if is_unnamed:  # the statements contain its explanation and experiment
-            parts += [] if effect in described else [Prose(text=f"For control: {CONTROL_ADVICE}")]
-        elif effect in described:
-            parts.append(Prose(text=f"Described under axis {described[effect]}."))
-        else:
-            control = effect_named(effect).control
-            parts.append(Prose(text=f"{finding.explanation} For control: {control}"))
-            if not any(finding.next_experiment in fact.text for fact in page.statements):
-                parts.append(Prose(text=f"To confirm: {finding.next_experiment}"))
-    return tuple(parts)
+def _explanation(page: Page, finding: Finding, earlier_axis: str | None) -> list[Part]:
+    """Return explanation and advice; refer to an earlier axis that has described the effect."""
+    if finding.effect == SOMETHING_ELSE:  # the statements contain its explanation and experiment
+        return [] if earlier_axis else [Prose(text=f"For control: {CONTROL_ADVICE}")]
+    if earlier_axis:
+        return [Prose(text=f"Described under axis {earlier_axis}.")]
+    control = effect_named(finding.effect).control
+    parts: list[Part] = [Prose(text=f"{finding.explanation} For control: {control}")]
+    if not any(finding.next_experiment in fact.text for fact in page.statements):
+        parts.append(Prose(text=f"To confirm: {finding.next_experiment}"))
+    return parts
 
 
 def _table(diagnoses: Sequence[Diagnosis]) -> Part:
@@ -128,24 +121,19 @@ def _not_detected_tables(page: Page) -> list[Part]:
     for names_of_table, caption in tables:
         rows = []
         for name in names_of_table:
-            cells = {axis: _limits_of(by_name.get((name, axis))) for axis in axes}
-            if name == thermal_drift.EFFECT.name:
-                for axis in drifting & cells.keys():
-                    cells[axis] += ", in addition to the drift in the fit"
-            rows.append((words(name), *cells.values()))
+            cells = []  # bound and detection limit, or why the effect could not be tested
+            for axis in axes:
+                absence, cell = by_name.get((name, axis)), "found"
+                if absence is not None and absence.detection_limit_m is None:
+                    cell = f"not tested: {absence.reason}"
+                elif absence is not None and absence.detection_limit_m is not None:
+                    cell = number(absence.detection_limit_m, "m")
+                    if name in effects and absence.upper_bound_m is not None:
+                        cell = f"{number(absence.upper_bound_m, 'm')}, {cell}"
+                if name == thermal_drift.EFFECT.name and axis in drifting:
+                    cell += ", in addition to the drift in the fit"
+                cells.append(cell)
+            rows.append((words(name), *cells))
         columns = ("effect", *(f"axis {axis}" for axis in axes))
         parts += with_rows(Table(caption=caption, columns=columns, rows=tuple(rows)))
     return parts
-
-
-def _limits_of(absence: NotDetected | None) -> str:
-    """Return bound and detection limit of an effect, or why it could not be tested."""
-    if absence is None:
-        return "found"
-    if absence.detection_limit_m is None:
-        return f"not tested: {absence.reason}"
-    limit = number(absence.detection_limit_m, "m")
-    is_fault = effect_named(absence.effect).fault is not None
-    if is_fault or absence.upper_bound_m is None:
-        return limit
-    return f"{number(absence.upper_bound_m, 'm')}, {limit}"

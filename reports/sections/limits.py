@@ -1,6 +1,5 @@
 """Limits of the results, with the experiment or repair that improves them most."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from piezoid.identification.fit_statements import DYNAMICS
@@ -33,13 +32,23 @@ def render(page: Page) -> Section:
             f"than {slew}; other temperature and load."
         )
     has_action = any(fact.level is Level.ACTION for fact in open_facts)
+    # Axes with the same statement share a row.
+    axes_of: dict[Statement, list[str]] = {}
+    for fact in open_facts:
+        axes_of.setdefault(replace(fact, axis="", value=None), []).append(fact.axis)
+    rows = []
+    for fact, names in axes_of.items():
+        text = page.text_of(replace(fact, axis=names[0]))
+        if len(names) > 1:
+            text = f"Axes {', '.join(names)}: {fact.text}"
+        rows.append((LABELS[fact.level], label_of(fact.quantity), text))
     parts: list[Part] = []
-    if open_facts:
+    if rows:
         parts.append(
             Table(
                 caption="Limits and remedies.",
                 columns=("level", "about", "statement"),
-                rows=_rows(page, open_facts),
+                rows=tuple(rows),
                 wordy=(2,),
                 is_open=True,
             )
@@ -58,17 +67,3 @@ def render(page: Page) -> Section:
         + (", beyond those in the summary." if page.has_summary else "."),
         parts=tuple(parts),
     )
-
-
-def _rows(page: Page, facts: Sequence[Statement]) -> tuple[tuple[str, ...], ...]:
-    """Return one row per statement; axes with the same statement share a row."""
-    axes: dict[Statement, list[str]] = {}
-    for fact in facts:
-        axes.setdefault(replace(fact, axis="", value=None), []).append(fact.axis)
-    rows = []
-    for fact, names in axes.items():
-        text = page.text_of(replace(fact, axis=names[0]))
-        if len(names) > 1:
-            text = f"Axes {', '.join(names)}: {fact.text}"
-        rows.append((LABELS[fact.level], label_of(fact.quantity), text))
-    return tuple(rows)

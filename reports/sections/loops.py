@@ -4,10 +4,9 @@ import numpy as np
 
 from piezoid.identification.model import AxisModel
 from piezoid_reports.chart import Canvas, axis_over
-from piezoid_reports.page import Page
+from piezoid_reports.page import Page, Trace, rms
 from piezoid_reports.parts import Figure, Part, Section, Table, axis_heading, count_of, folded
 from piezoid_reports.quantities import number
-from piezoid_reports.traces import Trace, rms
 
 SMALL_POINTS = 900  # of a curve in the summary
 GUIDE = (
@@ -36,7 +35,7 @@ def render(page: Page) -> Section | None:
                         f"{number(float(trace.voltage_V.min()), 'V')} to "
                         f"{number(float(trace.voltage_V.max()), 'V')}",
                         number(trace.range_m, "m"),
-                        f"{len(trace.time_s) - trace.used_samples} of {len(trace.time_s)}",
+                        f"{(~np.isfinite(trace.modelled_m)).sum()} of {len(trace.time_s)}",
                         number(rms(trace.line_residual_m), "m"),
                         number(rms(trace.residual_m), "m"),
                     )

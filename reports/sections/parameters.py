@@ -11,9 +11,8 @@ from piezoid.identification.fit_statements import has_usable_intervals
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import Uncertainty
 from piezoid.numerics.robust import student_quantile
-from piezoid.numerics.uncertainty_budget import Contribution
 from piezoid_reports.chart import Canvas, axis_over
-from piezoid_reports.page import Page, SPIRAL_Hz, guaranteed_limit, tracking_error
+from piezoid_reports.page import Page, SPIRAL_Hz, guarantee, tracking_error
 from piezoid_reports.parts import (
     Figure,
     Heading,
@@ -24,6 +23,7 @@ from piezoid_reports.parts import (
     axis_heading,
     count_of,
     folded,
+    side_by_side,
     with_rows,
 )
 from piezoid_reports.quantities import MINUS, number, percent, significant, with_half_width
@@ -101,7 +101,7 @@ def _loop_width(axis: AxisModel) -> str:
 
 def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
     """Return the errors of each axis, from the expected errors to the guaranteed limit."""
-    rows: dict[str, list[str]] = {}
+    columns = []
     for budget in budgets:
         axis, expected = page.model.axes[budget.axis], budget.budget
         held_out = number(axis.quality.held_out_rms_m, "m") if axis.quality.is_tested else ""
@@ -114,22 +114,21 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
         if axis.quality.is_tested and axis.certificate.bound_m <= axis.quality.range_m:
             bound = number(axis.certificate.bound_m, "m")
             bound += " at the speed of the recordings" if axis.quality.is_lag_ambiguous else ""
-        values = {
+        column = {
             "held-out error, rms": held_out,
             f"{SPIRAL_Hz:g} Hz spiral with feedback, simulated, rms": tracked,
             "95 % of positions": positions,
             f"largest of {expected.positions} positions": largest,
             "bound of the hysteresis model alone, 95 %": bound,
-            "guaranteed error with feedback": guaranteed_limit(page, axis),
+            "guaranteed error with feedback": guarantee(page, axis),
         }
-        for name, value in values.items():
-            rows.setdefault(name, []).append(value)
+        columns.append(column)
     return with_rows(
         Table(
             caption="Errors and their meaning, without feedback unless stated. The last two are "
             "limits for every drive, not expected errors.",
             columns=("error", *(f"axis {budget.axis}" for budget in budgets)),
-            rows=tuple((name, *values) for name, values in rows.items() if any(values)),
+            rows=side_by_side(columns),
             is_open=True,
         )
     )
@@ -140,28 +139,20 @@ def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
     if not budgets:
         return []
     ranked = sorted(budgets[0].budget.contributions, key=lambda c: -c.standard)
-    names = dict.fromkeys(c.name for c in ranked)
-    names |= dict.fromkeys(c.name for b in budgets for c in b.budget.contributions)
-    sizes = [{c.name: c for c in b.budget.contributions} for b in budgets]
-
-    def cell(budget: DisplacementBudget, contribution: Contribution | None) -> str:
-        if contribution is None or contribution.standard == 0.0:
-            return ""
-        return (
-            f"{number(contribution.standard, 'm')} ({percent(budget.budget.share(contribution))})"
-        )
-
-    rows = [
-        (name, *(cell(b, size.get(name)) for b, size in zip(budgets, sizes, strict=True)))
-        for name in names
-    ]
-    rows.append(("together", *(number(b.budget.combined, "m") for b in budgets)))
+    columns = []
+    for expected in (budget.budget for budget in budgets):
+        cells = dict.fromkeys((c.name for c in ranked), "")
+        for c in expected.contributions:
+            share = percent(expected.share(c))
+            cells[c.name] = f"{number(c.standard, 'm')} ({share})" if c.standard != 0.0 else ""
+        columns.append(cells)
+    together = [{"together": number(b.budget.combined, "m")} for b in budgets]
     return [
         Table(
             caption="Uncertainty budget of a predicted position at the end of the range: standard "
             "uncertainty and share.",
             columns=("source", *(f"axis {b.axis}" for b in budgets)),
-            rows=tuple(row for row in rows if any(row[1:])),
+            rows=(*side_by_side(columns), *side_by_side(together)),
         )
     ]
 
@@ -243,31 +234,27 @@ def _weights(axis: AxisModel, intervals: Intervals) -> tuple[Figure, ...]:
 
 def _quantities(page: Page) -> Table:
     """Return the parameters of the fit other than its weights, with one column per axis."""
-    rows: dict[str, list[str]] = {}
+    columns = []
     for axis in page.axes:
         low_V, high_V = axis.voltage_V
         lag_s = intervals_of(axis.uncertainty).get("lag_s", (axis.lag.time_s, math.nan))
         lag = with_half_width(*lag_s, "s")
         if axis.quality.is_lag_ambiguous and axis.lag.kind != "none":
             lag = "not separable from the loop width at a single speed"
-        values = {
+        amplifier_Hz, sensor_Hz = axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz
+        column = {
             "width of the full loop": _loop_width(axis),
             "lag": lag,
             "voltage offset": number(axis.hysteresis.voltage_offset_V, "V", 4),
             "displacement offset": number(axis.hysteresis.displacement_offset_m, "m", 4),
             "valid drive": f"{number(low_V, 'V')} to {number(high_V, 'V')}",
             "polarity": "+1" if axis.polarity > 0 else f"{MINUS}1",
-            "amplifier bandwidth": _declared(axis.rig.amplifier_bandwidth_Hz),
-            "sensor bandwidth": _declared(axis.rig.sensor_bandwidth_Hz),
+            "amplifier bandwidth": "" if amplifier_Hz is None else number(amplifier_Hz, "Hz"),
+            "sensor bandwidth": "" if sensor_Hz is None else number(sensor_Hz, "Hz"),
         }
-        for name, value in values.items():
-            rows.setdefault(name, []).append(value)
+        columns.append(column)
     return Table(
         caption="Other quantities.",
         columns=("quantity", *(f"axis {axis.axis}" for axis in page.axes)),
-        rows=tuple((name, *values) for name, values in rows.items() if any(values)),
+        rows=side_by_side(columns),
     )
-
-
-def _declared(bandwidth_Hz: float | None) -> str:
-    return "" if bandwidth_Hz is None else number(bandwidth_Hz, "Hz")

@@ -2,6 +2,7 @@
 
 from json import loads
 
+from piezoid.digests import digest_in
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
@@ -55,37 +56,37 @@ def _agreement(model: ActuatorModel, recording: Recording | RawTable) -> str:
 def _chain(page: Page) -> Table:
     """Return the digests of data, model, design, parameter file, runtime and verification."""
     model = page.model_digest
+    sealed = {name: text for name, text in page.files.items() if name.endswith(".json")}
+    digests = {name: digest_in(text) for name, text in sealed.items()}
     rows = [("lab.toml", page.model.lab or "none given", "the laboratory")]
     if page.lab is not None and page.lab.digest and page.lab.digest != page.model.lab:
         rows.append(("lab.toml, current", page.lab.digest, "the laboratory, after the fit"))
     if model:
         rows.append(("model.json", model, "the recordings in the model, lab.toml"))
     if "diagnosis.json" in page.files:
-        rows.append(
-            ("diagnosis.json", _sealed(page, "diagnosis.json"), "the recordings, lab.toml")
-        )
+        rows.append(("diagnosis.json", digests["diagnosis.json"], "the recordings, lab.toml"))
     if page.design is not None and "design.json" in page.files:
         made_from = _of("model.json", page.design.model_digest, model)
         made_from += _lab(page, page.design.lab_digest)
-        rows.append(("design.json", _sealed(page, "design.json"), made_from))
+        rows.append(("design.json", digests["design.json"], made_from))
     if "params.json" in page.files:
         sources = loads(page.files["params.json"])["sources"]
         made_from = _of("model.json", sources.get("model", ""), model)
         if "design.json" in page.files:
-            design = _sealed(page, "design.json")
-            made_from += f", {_of('design.json', sources.get('design', ''), design)}"
+            design = _of("design.json", sources.get("design", ""), digests["design.json"])
+            made_from += f", {design}"
         made_from += _lab(page, sources.get("lab", ""))
-        rows.append(("params.json", _sealed(page, "params.json"), made_from))
+        rows.append(("params.json", digests["params.json"], made_from))
     verification = page.verification
     if verification is not None:
         runtime = ("runtime source, as shipped", verification.runtime_digest)
         rows.append((*runtime, "piezoid_runtime.h and .c"))
         if "verification.json" in page.files and "params.json" in page.files:
-            digest = _sealed(page, "params.json")
-            made_from = _of("params.json", verification.parameters_digest, digest)
+            expected = verification.parameters_digest
+            made_from = _of("params.json", expected, digests["params.json"])
             made_from += ", this runtime source, model.json"
             made_from += _lab(page, verification.lab_digest)
-            rows.append(("verification.json", _sealed(page, "verification.json"), made_from))
+            rows.append(("verification.json", digests["verification.json"], made_from))
     return Table(
         caption="Digests of the files and of their inputs.",
         columns=("record", "digest", "made from"),
@@ -104,8 +105,3 @@ def _lab(page: Page, digest: str) -> str:
 
 def _of(name: str, expected: str, actual: str) -> str:
     return name if expected == actual else f"another {name}: {expected[:19]}..."
-
-
-def _sealed(page: Page, name: str) -> str:
-    digest: str = loads(page.files[name])["digest"]
-    return digest

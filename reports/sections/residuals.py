@@ -3,15 +3,13 @@
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, runs_of
 from piezoid_reports.chart import Canvas, Layer, axis_over
-from piezoid_reports.page import Page
+from piezoid_reports.page import Page, Trace, rms
 from piezoid_reports.parts import Figure, Part, Section, axis_heading, count_of, folded
 from piezoid_reports.quantities import number, percent
-from piezoid_reports.traces import Trace, rms
 
 SIGMAS = 2.0
 TIME_HEIGHT = 240  # pixels
@@ -88,13 +86,29 @@ def over_time(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = N
 def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
     voltage_V = np.concatenate([trace.voltage_V for trace in traces])
     residual_m = np.concatenate([trace.residual_m for trace in traces])
-    is_rising = np.concatenate([_is_rising(trace) for trace in traces])
-    is_finite = np.isfinite(residual_m)
+    rises = []  # for each sample whether the latest change of the drive was upwards
+    for trace in traces:
+        step = np.sign(np.diff(trace.voltage_V, prepend=trace.voltage_V[0]))
+        latest = np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), 0))
+        rises.append(step[latest] > 0)
+    is_rising, is_finite = np.concatenate(rises), np.isfinite(residual_m)
     edges_V = np.linspace(voltage_V.min(), voltage_V.max(), DRIVE_BINS + 1)
-    rising, falling = (
-        _quantiles(voltage_V[is_finite & branch], residual_m[is_finite & branch], edges_V)
-        for branch in (is_rising, ~is_rising)
-    )
+    branches = []  # centre of the bin and 5 %, 50 % and 95 % quantiles, (bins, 4)
+    for branch in (is_rising, ~is_rising):
+        drive_V, error_m = voltage_V[is_finite & branch], residual_m[is_finite & branch]
+        index = np.clip(np.searchsorted(edges_V, drive_V, side="right") - 1, 0, DRIVE_BINS - 1)
+        order = np.argsort(index, kind="stable")
+        cuts = np.searchsorted(index[order], np.arange(DRIVE_BINS + 1))
+        rows = [
+            [
+                (edges_V[k] + edges_V[k + 1]) / 2,
+                *np.quantile(error_m[order[a:b]], [0.05, 0.5, 0.95]),
+            ]
+            for k, (a, b) in enumerate(itertools.pairwise(cuts))
+            if b - a >= MIN_BIN_SAMPLES
+        ]
+        branches.append(np.array(rows).reshape(-1, 4))
+    rising, falling = branches
     x = axis_over("drive", [voltage_V], "V")
     curves = [rising[:, 1:].ravel(), falling[:, 1:].ravel()]
     canvas = Canvas(x=x, y=axis_over("residual", curves, "m", symmetric=True))
@@ -109,29 +123,6 @@ def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
         canvas=canvas,
         layers=(*_bands(canvas, "rising", rising), *_bands(canvas, "falling", falling)),
     )
-
-
-def _is_rising(trace: Trace) -> NDArray[np.bool_]:
-    """Return for each sample whether the latest change of the drive was upwards."""
-    step = np.sign(np.diff(trace.voltage_V, prepend=trace.voltage_V[0]))
-    previous = np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), 0))
-    return np.asarray(step[previous] > 0)
-
-
-def _quantiles(voltage_V: Array, residual_m: Array, edges_V: Array) -> Array:
-    """Return centre of the bin and 5 %, 50 % and 95 % quantiles, (bins, 4)."""
-    index = np.clip(np.searchsorted(edges_V, voltage_V, side="right") - 1, 0, DRIVE_BINS - 1)
-    order = np.argsort(index, kind="stable")
-    cuts = np.searchsorted(index[order], np.arange(DRIVE_BINS + 1))
-    rows = [
-        [
-            (edges_V[k] + edges_V[k + 1]) / 2,
-            *np.quantile(residual_m[order[a:b]], [0.05, 0.5, 0.95]),
-        ]
-        for k, (a, b) in enumerate(itertools.pairwise(cuts))
-        if b - a >= MIN_BIN_SAMPLES
-    ]
-    return np.array(rows).reshape(-1, 4)
 
 
 def _bands(canvas: Canvas, role: str, bins: Array) -> tuple[Layer, ...]:

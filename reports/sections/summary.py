@@ -23,30 +23,7 @@ TONES = {
 
 def render(page: Page) -> Section:
     """Return verdict, error, limits and next step, and a card for each axis."""
-    cards = []
-    for axis in page.axes:
-        grade, traces = grade_of(axis), page.plotted_traces(axis)
-        figures: tuple[Figure, ...] = ()
-        if traces:
-            # Loop and residual of the recording with the largest residual are linked in time.
-            name = traces[0].recording.name
-            link = f"axis-{list(page.model.axes).index(axis.axis)}"
-            residual = residuals.over_time(traces[0], axis, size=RESIDUAL_SIZE)
-            span = float(traces[0].time_s[-1]) / residual.canvas.x.scale.factor
-            loop = loops.without_line(page, axis, traces[0], size=LOOP_SIZE)
-            figures = (
-                replace(loop, link=link, short_title=f"{name}: loop"),
-                replace(residual, link=link, span=span, short_title=f"{name}: residual"),
-            )
-        cards.append(
-            Card(
-                title=f"Axis {axis.axis}",
-                tone=TONES[grade],
-                word=grade.value,
-                figures=figures,
-                facts=_facts(page, axis),
-            )
-        )
+    cards = [_card(page, axis) for axis in page.axes]
     cards += _tip_card(page)
     tones = [card.tone for card in cards]
     if has_failed_controller(page):
@@ -81,8 +58,19 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
         share = number(quality.held_out_rms_percent, "%")
         text = f"{kind}: {error} rms{where}, {share} of the {number(quality.range_m, 'm')} range."
         accuracy.append(("Error", text))
+    verification, result = page.verification, ""
+    if verification is not None:
+        checks = count_of(len(verification.verdicts), "check")
+        n_failed = sum(not verdict.passed for verdict in verification.verdicts)
+        if n_failed:
+            result = f"; its controllers failed {n_failed} of {checks}, so that none ships"
+        elif not verification.passed:
+            result = "; the controllers compiled again did not give the same bits"
+        else:
+            result = f"; its controllers passed all {checks}"
+    missing = "".join(f"; axis {name} has no controller" for name in page.unshipped)
     return (
-        (word, f"{verdict}{_verification_clause(page)}."),
+        (word, f"{verdict}{result}{missing}."),
         *accuracy,
         *((labels[fact.level], page.text_of(fact)) for fact in reversed(page.headline)),
     )
@@ -94,52 +82,55 @@ def has_failed_controller(page: Page) -> bool:
     return bool(page.unshipped) or (verification is not None and not verification.passed)
 
 
-def _verification_clause(page: Page) -> str:
-    """Return the result of the verification, as a clause of the first sentence."""
-    missing = "".join(f"; axis {name} has no controller" for name in page.unshipped)
-    verification = page.verification
-    if verification is None:
-        return missing
-    n_all = len(verification.verdicts)
-    n_failed = sum(not verdict.passed for verdict in verification.verdicts)
-    if n_failed:
-        checks = count_of(n_all, "check")
-        return f"; its controllers failed {n_failed} of {checks}, so that none ships{missing}"
-    if not verification.passed:
-        return f"; the controllers compiled again did not give the same bits{missing}"
-    return f"; its controllers passed all {count_of(n_all, 'check')}{missing}"
-
-
 def _names(axes: list[str]) -> str:
     if len(axes) == 1:
         return f"axis {axes[0]}"
     return f"axes {', '.join(axes[:-1])} and {axes[-1]}"
 
 
-def _facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
-    quality, loop = axis.quality, page.loop_of(axis.axis)
-    noise_m = quality.noise_rms_m
-    closure = f"{significant(quality.held_out_rms_m / noise_m, 2)} times noise" if noise_m else ""
+def _card(page: Page, axis: AxisModel) -> Card:
+    """Return the card of an axis: grade, loop and residual, and the most important numbers."""
+    grade, traces = grade_of(axis), page.plotted_traces(axis)
+    figures: tuple[Figure, ...] = ()
+    if traces:
+        # Loop and residual of the recording with the largest residual are linked in time.
+        name = traces[0].recording.name
+        link = f"axis-{list(page.model.axes).index(axis.axis)}"
+        residual = residuals.over_time(traces[0], axis, size=RESIDUAL_SIZE)
+        span = float(traces[0].time_s[-1]) / residual.canvas.x.scale.factor
+        loop = loops.without_line(page, axis, traces[0], size=LOOP_SIZE)
+        figures = (
+            replace(loop, link=link, short_title=f"{name}: loop"),
+            replace(residual, link=link, span=span, short_title=f"{name}: residual"),
+        )
+    quality, design = axis.quality, page.loop_of(axis.axis)
+    noise_m, error_m = quality.noise_rms_m, quality.held_out_rms_m
+    closure = f"{significant(error_m / noise_m, 2)} times noise" if noise_m else ""
     speed = ("Bandwidth", "none")
-    if loop is not None:
-        bandwidth, error = number(loop.bandwidth_Hz, "Hz"), tracking_error(page, axis.axis)
+    if design is not None:
+        bandwidth, error = number(design.bandwidth_Hz, "Hz"), tracking_error(page, axis.axis)
         speed = ("Bandwidth of the feedback", bandwidth)
         if error:
             label = f"Bandwidth of the feedback; simulated error at {SPIRAL_Hz:g} Hz"
             speed = (label, f"{bandwidth}; {error} rms")
-    return (
-        (
-            "Held-out error" if quality.is_tested else "Error in sample",
-            f"{number(quality.held_out_rms_m, 'm')} rms, "
-            f"{percent(quality.held_out_rms_m / quality.range_m)}",
+    return Card(
+        title=f"Axis {axis.axis}",
+        tone=TONES[grade],
+        word=grade.value,
+        figures=figures,
+        facts=(
+            (
+                "Held-out error" if quality.is_tested else "Error in sample",
+                f"{number(error_m, 'm')} rms, {percent(error_m / quality.range_m)}",
+            ),
+            (
+                "Sensor noise; closure",
+                f"{quality.noise_bound}{number(noise_m, 'm')} rms; {closure}",
+            ),
+            speed,
+            ("Guaranteed error", guarantee(page, axis, has_speeds=True)),
+            ("Ships", ships(page, axis.axis)),
         ),
-        (
-            "Sensor noise; closure",
-            f"{quality.noise_bound}{number(noise_m, 'm')} rms; {closure}",
-        ),
-        speed,
-        ("Guaranteed error", guarantee(page, axis)),
-        ("Ships", ships(page, axis.axis)),
     )
 
 
@@ -180,5 +171,5 @@ def _tip_card(page: Page) -> tuple[Card, ...]:
         ("Bandwidth", "none" if loop is None else number(loop.recommended.bandwidth_Hz, "Hz")),
         ("Ships", ships(page, "z" if loop is None else loop.axis)),
     )
-    figures = tunnelling.small_figures(page, LOOP_SIZE, RESIDUAL_SIZE)
+    figures = tunnelling.law_figures(page, sizes=(LOOP_SIZE, RESIDUAL_SIZE))
     return (Card(title="Tip", tone=tone, word=word, figures=figures, facts=facts),)

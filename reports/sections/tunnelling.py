@@ -23,6 +23,7 @@ from piezoid_reports.parts import (
     Section,
     Table,
     count_of,
+    side_by_side,
     with_rows,
 )
 from piezoid_reports.quantities import number, percent, significant, with_interval
@@ -77,7 +78,7 @@ def render(page: Page) -> Section | None:
                 f"({percent(low)} to {percent(high)}): {verdict}."
             )
             parts.append(Prose(text=text, tone="plain" if is_same else "middling"))
-        parts += _figures(junction, page)
+        parts += law_figures(page)
     if junction.loop_plant is not None:
         parts += loop_parts(page, junction, junction.loop_plant)
     return Section(
@@ -96,28 +97,23 @@ def barrier_sentence(law: GapLaw) -> str:
     return f"Apparent barrier {barrier}, {law.confidence.value} confidence{unmet}."
 
 
-def _figures(
-    junction: TunnellingModel,
-    page: Page,
-    sizes: tuple[tuple[int, int] | None, tuple[int, int] | None] = (None, None),
+def law_figures(
+    page: Page, *, sizes: tuple[tuple[int, int], tuple[int, int]] | None = None
 ) -> tuple[Figure, ...]:
-    """Draw the first gap law over its sweeps, and its residual."""
-    for law, direction in _laws(junction, page):
-        curves = [c for c in curves_of(page.sweeps) if c.direction is direction]
-        if curves:
-            return _curve(law, curves, sizes[0]), _residual(law, curves, sizes[1])
-    return ()
+    """Draw the first gap law with sweeps over its sweeps, and its residual.
 
-
-def small_figures(
-    page: Page, curve: tuple[int, int], residual: tuple[int, int]
-) -> tuple[Figure, ...]:
-    """Return the figures of the gap law in the sizes of the summary."""
+    sizes  width and height of both figures in pixels in the summary, None elsewhere
+    """
     junction = page.model.tunnelling
-    if junction is None:
-        return ()
-    figures = _figures(junction, page, (curve, residual))
-    return tuple(replace(figure, short_title=figure.title.partition(",")[0]) for figure in figures)
+    for law, direction in () if junction is None else _laws(junction, page):
+        curves = [c for c in curves_of(page.sweeps) if c.direction is direction]
+        if not curves:
+            continue
+        if sizes is None:
+            return _curve(law, curves), _residual(law, curves)
+        figures = _curve(law, curves, sizes[0]), _residual(law, curves, sizes[1])
+        return tuple(replace(f, short_title=f.title.partition(",")[0]) for f in figures)
+    return ()
 
 
 def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Direction], ...]:
@@ -135,27 +131,26 @@ def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Directio
 
 def _table(junction: TunnellingModel, page: Page) -> Table:
     laws = _laws(junction, page)
-    columns = [(direction.value, law) for law, direction in laws]
+    by_direction = [(direction.value, law) for law, direction in laws]
     note = ""
     if len(laws) > 1 and junction.gap_law is not None:
-        columns.insert(0, ("both directions", junction.gap_law))
+        by_direction.insert(0, ("both directions", junction.gap_law))
         note = " Only the law of both directions is free of height drift."
-    rows: dict[str, list[str]] = {}
-    for _, law in columns:
+    columns = []
+    for _, law in by_direction:
         low, high = law.decay_interval_per_m
-        values = {
+        column = {
             "barrier": with_interval(law.barrier_eV, law.barrier_interval_eV, "eV"),
             "decay k [1/nm]": with_interval(1e-9 * law.decay_per_m, (1e-9 * low, 1e-9 * high), ""),
             "noise without current, rms": number(law.floor_A, "A"),
             "jitter of the gap, rms at most": number(law.gap_jitter_m, "m"),
         }
-        for name, value in values.items():
-            rows.setdefault(name, []).append(value)
+        columns.append(column)
     return Table(
         caption="Gap law i = ± I0 exp(\N{MINUS SIGN}k z) + offset, z growing as the tip "
         f"retracts; 95 % intervals. The barrier is (k / 10.246 per nm)², in eV.{note}",
-        columns=("", *(heading for heading, _ in columns)),
-        rows=tuple((name, *values) for name, values in rows.items()),
+        columns=("", *(heading for heading, _ in by_direction)),
+        rows=side_by_side(columns),
     )
 
 
@@ -237,7 +232,33 @@ def loop_parts(page: Page, junction: TunnellingModel, loop: LoopPlant) -> list[P
     if junction.joint is not None and junction.gap_law is not None:
         joint = junction.joint
         parts.append(Prose(text=joint_sentence(joint), tone="good" if joint.agree else "bad"))
-    parts += [_plant(loop), *with_rows(_records(loop))]
+    parts.append(_plant(loop))
+    rows = []
+    for record in loop.records:
+        barrier = with_interval(record.barrier_eV, record.barrier_interval_eV, "eV")
+        # The barrier is proportional to the square of the gain.
+        naive_eV = record.barrier_eV * (record.naive_gain / record.gain) ** 2
+        gap, drift, unrest = "", "", record.unrest
+        if unrest is not None:
+            gap = f"{number(unrest.gap_rms_m, 'm')} rms"
+            drift = with_interval(unrest.drift_m_per_s, unrest.drift_interval_m_per_s, "m/s")
+        dither, naive = percent(record.dither_share), f"{significant(naive_eV, 3)} eV"
+        rows.append((record.recording, barrier, naive, dither, gap, drift))
+    parts += with_rows(
+        Table(
+            caption="Results of each recording, 95 % intervals. Drift is positive if the gap "
+            "opens.",
+            columns=(
+                "recording",
+                "barrier",
+                "naive barrier",
+                "dither in the drive",
+                "gap",
+                "drift",
+            ),
+            rows=tuple(rows),
+        )
+    )
     unrest_of = {r.recording: r.unrest for r in loop.records if r.unrest is not None}
     if unrest_of:
         first = next(iter(unrest_of.values()))
@@ -254,8 +275,10 @@ def loop_parts(page: Page, junction: TunnellingModel, loop: LoopPlant) -> list[P
     summaries = {record.recording: record for record in loop.records}
     fitted = [r for r in page.recordings if is_loop(r) and r.name in summaries]
     if loop.rig is not None and fitted:
-        record = read_loop(fitted[0], loop.rig)
-        parts.append(_spectra(loop, loop.rig, summaries[fitted[0].name], record))
+        spectra = _spectra(
+            loop, loop.rig, summaries[fitted[0].name], read_loop(fitted[0], loop.rig)
+        )
+        parts.append(spectra)
     return parts
 
 
@@ -308,32 +331,25 @@ def _plant(loop: LoopPlant) -> Table:
     )
 
 
-def _records(loop: LoopPlant) -> Table:
-    return Table(
-        caption="Results of each recording, 95 % intervals. Drift is positive if the gap opens.",
-        columns=("recording", "barrier", "naive barrier", "dither in the drive", "gap", "drift"),
-        rows=tuple(
-            (
-                record.recording,
-                with_interval(record.barrier_eV, record.barrier_interval_eV, "eV"),
-                # The barrier is proportional to the square of the gain.
-                f"{significant(record.barrier_eV * (record.naive_gain / record.gain) ** 2, 3)} eV",
-                percent(record.dither_share),
-                "" if record.unrest is None else f"{number(record.unrest.gap_rms_m, 'm')} rms",
-                ""
-                if record.unrest is None
-                else with_interval(
-                    record.unrest.drift_m_per_s, record.unrest.drift_interval_m_per_s, "m/s"
-                ),
-            )
-            for record in loop.records
-        ),
-    )
-
-
 def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRecord) -> Figure:
     """Draw current, drive and motion of the gap as displacement densities."""
-    curves = _curves(loop, rig, summary, record)
+    from scipy.signal import detrend
+
+    # Role, name, log10 of the frequency in Hz and of the density in pm/√Hz.
+    rate_Hz, per_V = record.sampling_rate_Hz, rig.drive_gain_m_per_V
+    signals_m = [
+        ("before", "current", per_V / summary.gain * record.log_current),
+        ("model", "drive", per_V * record.drive_V),
+    ]
+    if summary.unrest is not None:
+        plant = replace(loop.plant, gain_nepers_per_V=summary.gain)
+        motion_m = gap_motion(record, plant, summary.gain / per_V)
+        signals_m.append(("trend", "motion of the gap", motion_m))
+    curves = []
+    for role, name, signal_m in signals_m:
+        f_Hz, density = power_density(np.asarray(detrend(signal_m)), rate_Hz)
+        pm = 0.5 * np.log10(np.maximum(density[1:], MIN_DENSITY_m2_per_Hz)) + 12.0
+        curves.append((role, name, np.log10(f_Hz[1:]), np.asarray(pm)))
     x = decades_over("frequency", [f for _, _, f, _ in curves], "Hz")
     y = decades_over("density", [level for *_, level in curves], "pm/√Hz")
     canvas = Canvas(x=x, y=y)
@@ -360,26 +376,3 @@ def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRe
         canvas=canvas,
         layers=tuple(layers),
     )
-
-
-def _curves(
-    loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRecord
-) -> list[tuple[str, str, Array, Array]]:
-    """Return role, name, log10 of the frequency in Hz and of the density in pm/√Hz."""
-    from scipy.signal import detrend
-
-    rate_Hz, per_V = record.sampling_rate_Hz, rig.drive_gain_m_per_V
-    signals_m = [
-        ("before", "current", per_V / summary.gain * record.log_current),
-        ("model", "drive", per_V * record.drive_V),
-    ]
-    if summary.unrest is not None:
-        plant = replace(loop.plant, gain_nepers_per_V=summary.gain)
-        motion_m = gap_motion(record, plant, summary.gain / per_V)
-        signals_m.append(("trend", "motion of the gap", motion_m))
-    curves = []
-    for role, name, signal_m in signals_m:
-        f_Hz, density = power_density(np.asarray(detrend(signal_m)), rate_Hz)
-        pm = 0.5 * np.log10(np.maximum(density[1:], MIN_DENSITY_m2_per_Hz)) + 12.0
-        curves.append((role, name, np.log10(f_Hz[1:]), np.asarray(pm)))
-    return curves

@@ -7,9 +7,7 @@ import numpy as np
 from piezoid.design.design_statements import guaranteed_error_m
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.verification.criteria import SHAPE_ERROR, SHAPE_RATIO, Limits, Verdict
-from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.plotted_paths import UNCOMPENSATED, SpiralTrace, rms_from
-from piezoid.verification.rebuild import Proof
 from piezoid.verification.scenarios import spiral_speed_m_per_s
 from piezoid.verification.verification import ComparisonRow, Verification
 from piezoid_reports.chart import Canvas, axis_over, decades_over
@@ -47,6 +45,20 @@ def render(page: Page) -> Section | None:
     figures += [error_in_time(rate_Hz, verification) for rate_Hz in rates_Hz[-1:]]
     figures += folded(f"Steps and spiral: {count_of(len(details), 'figure')}", details)
     figures += [_table(page, verification)] if verification.comparison else []
+    currents = Table(
+        caption="Tip over a surface of 0.1 nm rms. Largest current: relative to the set point.",
+        columns=("path", "std of ln i", "height rms", "largest current", "retracted samples"),
+        rows=tuple(
+            (
+                row.scenario,
+                significant(row.ln_current_std),
+                number(row.height_rms_m, "m"),
+                significant(row.largest_ratio),
+                str(row.retracted_samples),
+            )
+            for row in verification.currents
+        ),
+    )
     return Section(
         anchor="verification",
         title="Verification",
@@ -56,10 +68,9 @@ def render(page: Page) -> Section | None:
             *figures,
             *with_rows(
                 _bounds(verification),
-                _currents(verification),
+                currents,
                 _verdicts(verification.verdicts),
-                _proofs(verification.proofs),
-                _limit_proofs(verification.limit_proofs),
+                *_proofs(verification),
             ),
         ),
     )
@@ -167,30 +178,24 @@ def _guaranteed(page: Page, verification: Verification, row: ComparisonRow) -> s
     return number(together_m, "m") if np.isfinite(together_m) else "not covered"
 
 
-def _currents(verification: Verification) -> Table:
-    return Table(
-        caption="Tip over a surface of 0.1 nm rms. Largest current: relative to the set point.",
-        columns=("path", "std of ln i", "height rms", "largest current", "retracted samples"),
-        rows=tuple(
-            (
-                row.scenario,
-                significant(row.ln_current_std),
-                number(row.height_rms_m, "m"),
-                significant(row.largest_ratio),
-                str(row.retracted_samples),
-            )
-            for row in verification.currents
-        ),
-    )
-
-
 def _verdicts(verdicts: Sequence[Verdict]) -> Table:
     """Return the checks by name, each with the scenario closest to its limit."""
+
+    def closeness(verdict: Verdict) -> float:
+        if verdict.limit:
+            return verdict.value / verdict.limit
+        return np.inf if verdict.value > 0.0 else 0.0
+
+    def with_unit(verdict: Verdict, value: float) -> str:
+        if verdict.unit in ("s", "m"):
+            return number(value, verdict.unit)
+        return f"{significant(value)} {'' if verdict.unit == '1' else verdict.unit}".strip()
+
     by_name: dict[str, list[Verdict]] = {}
     for verdict in verdicts:
         by_name.setdefault(verdict.name, []).append(verdict)
-    worst = [max(repetitions, key=_closeness) for repetitions in by_name.values()]
-    worst.sort(key=_closeness, reverse=True)
+    worst = [max(repetitions, key=closeness) for repetitions in by_name.values()]
+    worst.sort(key=closeness, reverse=True)
     n_passed = sum(verdict.passed for verdict in verdicts)
     return Table(
         caption=f"Checks: {n_passed} of {len(verdicts)} passed. Those closest to their limits, "
@@ -200,8 +205,8 @@ def _verdicts(verdicts: Sequence[Verdict]) -> Table:
             (
                 f"{verdict.name} ({len(by_name[verdict.name])})",
                 verdict.scenario,
-                _measured(verdict, verdict.value),
-                _measured(verdict, verdict.limit),
+                with_unit(verdict, verdict.value),
+                with_unit(verdict, verdict.limit),
                 "passed" if verdict.passed else "failed",
             )
             for verdict in worst[: max(MAX_VERDICTS, sum(not v.passed for v in worst))]
@@ -210,22 +215,9 @@ def _verdicts(verdicts: Sequence[Verdict]) -> Table:
     )
 
 
-def _closeness(verdict: Verdict) -> float:
-    """Return the value of a verdict relative to its limit."""
-    if verdict.limit:
-        return verdict.value / verdict.limit
-    return np.inf if verdict.value > 0.0 else 0.0
-
-
-def _measured(verdict: Verdict, value: float) -> str:
-    """Return a number of a verdict with its unit."""
-    if verdict.unit in ("s", "m"):
-        return number(value, verdict.unit)
-    return f"{significant(value)} {'' if verdict.unit == '1' else verdict.unit}".strip()
-
-
-def _proofs(proofs: Sequence[Proof]) -> Table:
-    return Table(
+def _proofs(verification: Verification) -> tuple[Table, Table]:
+    """Return the comparisons of builds bit for bit, and the proofs of the limits."""
+    builds = Table(
         caption="The bundle, compiled again and compared bit for bit.",
         columns=("build", "samples", "differing", "instructions per sample"),
         rows=tuple(
@@ -238,13 +230,10 @@ def _proofs(proofs: Sequence[Proof]) -> Table:
                     for axis, count in (proof.instructions_per_sample or {}).items()
                 ),
             )
-            for proof in proofs
+            for proof in verification.proofs
         ),
     )
-
-
-def _limit_proofs(proofs: Sequence[LimitProof]) -> Table:
-    return Table(
+    limits = Table(
         caption="Proofs for every input, including NaN and infinities.",
         columns=("axis", "verdict", "claims, or locations without proof", "tool", "duration"),
         rows=tuple(
@@ -255,9 +244,10 @@ def _limit_proofs(proofs: Sequence[LimitProof]) -> Table:
                 proof.tool,
                 f"{proof.seconds} s" if proof.tool else "",
             )
-            for proof in proofs
+            for proof in verification.limit_proofs
         ),
     )
+    return builds, limits
 
 
 def spiral(trace: SpiralTrace, verification: Verification) -> Figure:

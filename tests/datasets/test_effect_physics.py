@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from piezoid_datasets.virtual_lab.ablation import change_m
-from piezoid_datasets.virtual_lab.campaign import draw_campaign
-from piezoid_datasets.virtual_lab.effects.non_congruence import freer_end
-from piezoid_datasets.virtual_lab.effects.rate_dependence import follow_slowly
-from piezoid_datasets.virtual_lab.effects.slew_limit import limited
-from piezoid_datasets.virtual_lab.truths.bouc_wen import TRUTH as BOUC_WEN
+from piezoid_datasets.virtual_lab.campaign import change_m, draw_campaign
+from piezoid_datasets.virtual_lab.effects.ceramic import follow_slowly, freer_end
+from piezoid_datasets.virtual_lab.effects.drive import limited
+from piezoid_datasets.virtual_lab.truths.closed_form import BOUC_WEN
+from piezoid_datasets.virtual_lab.truths.closed_form import WALL_PINNING as WALLS
 from piezoid_datasets.virtual_lab.truths.truth import Ceramic, Truth
-from piezoid_datasets.virtual_lab.truths.wall_pinning import TRUTH as WALLS
 from tests.datasets.campaigns import campaign, number, pair, pairs
 
 Array = NDArray[np.float64]

@@ -1,12 +1,16 @@
 """The ceramics that are drawn solve their equations; what every law does: test_zoo.py."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
-from piezoid_datasets.virtual_lab.truths.bouc_wen import BoucWen, bouc_wen_memory
-from piezoid_datasets.virtual_lab.truths.branches import branches
-from piezoid_datasets.virtual_lab.truths.preisach import Everett, preisach_memory
-from piezoid_datasets.virtual_lab.truths.truth import FLOOR
-from piezoid_datasets.virtual_lab.truths.wall_pinning import wall_pinning_memory
+from piezoid_datasets.virtual_lab.truths.closed_form import (
+    bent_scale,
+    bouc_wen_memory,
+    wall_pinning_memory,
+)
+from piezoid_datasets.virtual_lab.truths.return_point import Everett, preisach_memory
+from piezoid_datasets.virtual_lab.truths.truth import FLOOR, branches
 
 from .fields import walk
 
@@ -47,20 +51,21 @@ def test_a_preisach_ceramic_is_the_sum_of_its_relays() -> None:
 
 
 def test_a_bouc_wen_ceramic_solves_its_equation() -> None:
-    law = BoucWen(sharpness=1.4, beta=1.8, gamma=0.3, bend=0.2)
+    law = SimpleNamespace(sharpness=1.4, beta=1.8, gamma=0.3, bend=0.2)
     path = walk(FLOOR, 0.9, -0.6, 0.3, -0.9, points=4000)
-    p = law.scale(path)
+    p = bent_scale(path, law.bend)
     z = np.empty_like(path)
-    z[0] = -law.saturation
+    z[0] = -((law.beta + law.gamma) ** (-1.0 / law.sharpness))
     for k in range(1, len(path)):  # Heun's steps of the equation as printed
         dp = p[k] - p[k - 1]
         now = _bouc_wen_slope(law, z[k - 1], dp)
         z[k] = z[k - 1] + 0.5 * dp * (now + _bouc_wen_slope(law, z[k - 1] + dp * now, dp))
-    output = bouc_wen_memory(law, path)
-    assert np.max(np.abs(output - (law.steepest * p - z))) < 1e-5  # Heun's own error
+    output = bouc_wen_memory(path, **vars(law))
+    steepest = 2.0 * law.beta / (law.beta + law.gamma)
+    assert np.max(np.abs(output - (steepest * p - z))) < 1e-5  # Heun's own error
 
 
-def _bouc_wen_slope(law: BoucWen, z: float, dp: float) -> float:
+def _bouc_wen_slope(law: SimpleNamespace, z: float, dp: float) -> float:
     grip: float = law.gamma + law.beta * np.sign(z * dp)
     return 1.0 - abs(z) ** law.sharpness * grip
 

@@ -23,10 +23,9 @@ from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlins
 from piezoid.operators.play import play_columns
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.records.recording import Channel, Quantity, Recording
-from piezoid_datasets.virtual_lab.ablation import healthy, record_all
+from piezoid_datasets.virtual_lab.campaign import healthy, named, record_all
 from piezoid_datasets.virtual_lab.effects import EFFECTS
 from piezoid_datasets.virtual_lab.effects.effect import Fault
-from piezoid_datasets.virtual_lab.names import named
 from piezoid_datasets.virtual_lab.plans import PLANS, cycled_history_V, run_of
 from piezoid_datasets.virtual_lab.rig import Rig as LabRig
 from piezoid_datasets.virtual_lab.rig import draw_rig

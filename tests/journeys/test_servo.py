@@ -14,11 +14,11 @@ from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
 from piezoid_cli.fit import fit
-from piezoid_datasets.virtual_lab.servo import servo_stage, triangles
 from piezoid_datasets.virtual_lab.stage import Stage
-from piezoid_datasets.virtual_lab.truths.preisach import draw_preisach
+from piezoid_datasets.virtual_lab.truths.return_point import draw_preisach
 from piezoid_datasets.virtual_lab.write import csv_text, lab_toml
 from tests.plays_alone import fit_one_order, fit_plays_alone
+from tests.servo import servo_stage, triangles
 
 APP = typer.Typer()
 APP.command()(fit)

@@ -13,10 +13,9 @@ from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.model import Lag
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.effect_comparison import compare_effects
-from piezoid_reports.page import Page
+from piezoid_reports.page import Page, rms, traces_of
 from piezoid_reports.render import render, render_diagnosis
 from piezoid_reports.sections.findings import NO_FIGURE
-from piezoid_reports.traces import rms, traces_of
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_diagnosis import NAMES, diagnosed, finding
 from tests.reports.known_stage import axis_model, recording, stage_model

@@ -1,47 +1,56 @@
-"""Effects of the simulated stages: one file each, with the physics in its docstring.
+"""Effects of the simulated stages, by their place in the signal chain.
 
-Effects at the same place of the signal chain are applied in the order of ``EFFECTS``.
+The docstring of the function that installs an effect explains its physics. Effects at the same
+place of the chain are applied in the order of ``EFFECTS``.
 """
 
-from piezoid_datasets.virtual_lab.effects import (
-    amplifier_saturation,
-    asymmetry,
-    creep,
-    cross_coupling,
-    delay,
-    gain_change,
-    initial_state,
-    lag,
-    mains_interference,
-    non_congruence,
-    outliers,
-    quantisation,
-    rate_dependence,
-    resonance,
-    sensor_periodic_error,
-    slew_limit,
-    thermal_drift,
-    timestamp_fault,
+from piezoid_datasets.virtual_lab.effects.acquisition import (
+    OUTLIERS,
+    QUANTISATION,
+    TIMESTAMP_FAULT,
+)
+from piezoid_datasets.virtual_lab.effects.ceramic import (
+    ASYMMETRY,
+    CREEP,
+    NON_CONGRUENCE,
+    RATE_DEPENDENCE,
+)
+from piezoid_datasets.virtual_lab.effects.drive import (
+    AMPLIFIER_SATURATION,
+    INITIAL_STATE,
+    SLEW_LIMIT,
 )
 from piezoid_datasets.virtual_lab.effects.effect import Effect
+from piezoid_datasets.virtual_lab.effects.mechanics import (
+    CROSS_COUPLING,
+    GAIN_CHANGE,
+    RESONANCE,
+    THERMAL_DRIFT,
+)
+from piezoid_datasets.virtual_lab.effects.sensor import (
+    DELAY,
+    LAG,
+    MAINS_INTERFERENCE,
+    SENSOR_PERIODIC_ERROR,
+)
 
 EFFECTS: tuple[Effect, ...] = (
-    initial_state.EFFECT,
-    slew_limit.EFFECT,
-    amplifier_saturation.EFFECT,
-    rate_dependence.EFFECT,
-    non_congruence.EFFECT,
-    asymmetry.EFFECT,
-    creep.EFFECT,
-    resonance.EFFECT,
-    gain_change.EFFECT,
-    cross_coupling.EFFECT,
-    thermal_drift.EFFECT,
-    sensor_periodic_error.EFFECT,
-    lag.EFFECT,
-    delay.EFFECT,
-    mains_interference.EFFECT,
-    quantisation.EFFECT,
-    outliers.EFFECT,
-    timestamp_fault.EFFECT,
+    INITIAL_STATE,
+    SLEW_LIMIT,
+    AMPLIFIER_SATURATION,
+    RATE_DEPENDENCE,
+    NON_CONGRUENCE,
+    ASYMMETRY,
+    CREEP,
+    RESONANCE,
+    GAIN_CHANGE,
+    CROSS_COUPLING,
+    THERMAL_DRIFT,
+    SENSOR_PERIODIC_ERROR,
+    LAG,
+    DELAY,
+    MAINS_INTERFERENCE,
+    QUANTISATION,
+    OUTLIERS,
+    TIMESTAMP_FAULT,
 )

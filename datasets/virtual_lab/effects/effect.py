@@ -1,4 +1,4 @@
-"""Interface of an effect: physics added to the signal chain, with a known size.
+"""Interface of an effect: physics added to the signal chain, scaled to a known size.
 
 The chain has places at which acts change the signal. An effect receives its size and the signals
 of the healthy stage (``Bench``), and returns its acts and physical parameters.
@@ -8,7 +8,8 @@ the campaign where that change is largest: its rms over that recording, or, for 
 on few samples, its peak.
 """
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
@@ -17,6 +18,8 @@ import numpy as np
 from piezoid_datasets.virtual_lab.rig import Rig
 from piezoid_datasets.virtual_lab.signals import Array
 from piezoid_datasets.virtual_lab.truths.truth import Ceramic
+
+HALVINGS = 14  # of the logarithm of the range; a range of 1e4 is then known to 0.1 %
 
 
 class Place(IntEnum):
@@ -131,3 +134,46 @@ class Effect:
     visible_percent: float
     shown_by: tuple[str, ...]
     install: Callable[[float, Bench, np.random.Generator], Fault]
+
+
+def fault_of(name: str, place: Place, change: Change, numbers: Mapping[str, float | str]) -> Fault:
+    """Return a fault of a single act."""
+    return Fault(acts=(Act(name=name, place=place, change=change),), numbers=numbers)
+
+
+def largest(measure: Measure, changes: Iterable[Array]) -> float:
+    """Return the size of an effect with these changes in the recordings of a campaign."""
+    return max((measure.of(change) for change in changes), default=0.0)
+
+
+def proportional(size_m: float, measure: Measure, unit: Iterable[Array], *, why: str) -> float:
+    """Return the factor that scales changes of unit strength to a size.
+
+    why  reason in the error message if no recording changes
+    """
+    reached_m = largest(measure, unit)
+    if not reached_m > 0.0:
+        raise ValueError(f"the campaign cannot show this effect: {why}")
+    return size_m / reached_m
+
+
+def bisected(
+    size_m: float,
+    measure: Measure,
+    traces: Sequence[Trace],
+    change: Callable[[Trace, float], Array],
+    strengths: tuple[float, float],
+) -> float:
+    """Return the strength for which the largest change of a recording equals a size.
+
+    change     (trace, strength) -> change of the displacement, increasing with the strength
+    strengths  physical range of the strength; its nearer end is returned if no strength fits
+    """
+    weak, strong = strengths
+    for _ in range(HALVINGS):
+        middle = math.sqrt(weak * strong)
+        if largest(measure, (change(trace, middle) for trace in traces)) < size_m:
+            weak = middle
+        else:
+            strong = middle
+    return math.sqrt(weak * strong)

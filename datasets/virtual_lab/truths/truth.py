@@ -1,6 +1,10 @@
-"""Interface of a hysteresis law: a rate-independent ceramic, drawn from a seed."""
+"""Interface of a hysteresis law: a rate-independent ceramic, drawn from a seed.
 
-from collections.abc import Callable
+The memory of a law is computed branch by branch, without a Python loop over samples.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +17,7 @@ Memory = Callable[[Array], Array]
 Curve = Callable[[Array], Array]
 
 FLOOR = -3.0
+ROUNDING = 13  # decimals of the field; the last bit of a filter's output is not a reversal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,10 +57,16 @@ class Truth:
     draw: Callable[[np.random.Generator], Ceramic]
 
 
-def gentle_curve(rng: np.random.Generator) -> Curve:
-    """Draw a reversible part with a curvature of a few percent of the stroke."""
+def draw_ceramic(
+    rng: np.random.Generator, memory: Memory, opening: tuple[float, float] = (0.08, 0.14)
+) -> Ceramic:
+    """Draw a reversible part with a curvature of a few percent, and an opening from a range."""
     bend, flex = rng.uniform(-0.06, 0.06), rng.uniform(-0.05, 0.02)
-    return lambda field: field + bend * field**2 + flex * field**3
+    return ceramic_with_opening(
+        float(rng.uniform(*opening)),
+        lambda field: field + bend * field**2 + flex * field**3,
+        memory,
+    )
 
 
 def ceramic_with_opening(opening: float, reversible: Curve, memory: Memory) -> Ceramic:
@@ -80,3 +91,25 @@ def ceramic_with_opening(opening: float, reversible: Curve, memory: Memory) -> C
         reversible_curve=lambda field: (reversible(field) - start) / rise,
         memory=lambda way: (memory(way) - low) / span,
     )
+
+
+def settled(field: Array) -> Array:
+    """Return the field without rounding noise, which would create reversals."""
+    return np.round(field, ROUNDING)
+
+
+def branches(path: Array) -> Iterator[tuple[int, int, bool]]:
+    """Yield ``(start, end, rising)`` of each monotone branch; neighbours share a sample.
+
+    Pauses belong to the preceding branch; a constant path has no branch.
+    """
+    steps = np.sign(np.diff(path))
+    moving = np.flatnonzero(steps)
+    if len(moving) == 0:
+        return
+    turns = moving[1:][steps[moving[1:]] != steps[moving[:-1]]]
+    edges = [0, *turns.tolist(), len(path) - 1]
+    rising = bool(steps[moving[0]] > 0)
+    for start, end in itertools.pairwise(edges):
+        yield start, end, rising
+        rising = not rising

@@ -10,9 +10,9 @@ import numpy as np
 
 from piezoid_datasets.virtual_lab import drives
 from piezoid_datasets.virtual_lab.effects.effect import Act, Place
-from piezoid_datasets.virtual_lab.effects.lag import filtered
-from piezoid_datasets.virtual_lab.rig import Rig, draw_rig
-from piezoid_datasets.virtual_lab.signals import Array
+from piezoid_datasets.virtual_lab.effects.sensor import filtered
+from piezoid_datasets.virtual_lab.plans import volts_of
+from piezoid_datasets.virtual_lab.rig import draw_rig
 from piezoid_datasets.virtual_lab.stage import Rows, Run, Stage, record
 from piezoid_datasets.virtual_lab.truths.truth import Ceramic
 
@@ -31,27 +31,21 @@ def servo_stage(bandwidth_Hz: float, *, seed: int = 0, ceramic: Ceramic | None =
         place=Place.MECHANICS,
         change=lambda moved_m, scene, _: filtered(moved_m, tau_s, scene.rate_Hz),
     )
-    held = Ceramic(share=0.0, reversible_curve=_straight, memory=np.zeros_like)
+    held = Ceramic(
+        share=0.0, reversible_curve=lambda field: 0.5 * (field + 1.0), memory=np.zeros_like
+    )
     rig = draw_rig(np.random.default_rng([seed, 10]), name=f"servo of {bandwidth_Hz:g} Hz")
     return Stage(rig=rig, ceramic=ceramic or held, acts=(follow,), seed=seed)
 
 
-def triangles(stage: Stage, frequencies_Hz: tuple[float, ...], *, order: int = 0) -> Rows:
+def triangles(stage: Stage, frequencies_Hz: tuple[float, ...]) -> Rows:
     """Record triangles over the full range, ``CYCLES`` cycles of each frequency in turn."""
     shape = drives.rates(RATE_Hz, tuple((f, CYCLES) for f in frequencies_Hz), triangle=True)
     rig = stage.rig
     run = Run(
         name="triangles_" + "_".join(f"{f:g}".replace(".", "p") for f in frequencies_Hz),
         sampling_rate_Hz=RATE_Hz,
-        command_V=_volts(rig, shape),
+        command_V=volts_of(rig, shape),
         history_V=np.array([rig.drive_max_V, rig.drive_min_V]),
     )
-    return record(stage, run, order)
-
-
-def _volts(rig: Rig, shape: Array) -> Array:
-    return rig.drive_min_V + 0.5 * (shape + 1.0) * (rig.drive_max_V - rig.drive_min_V)
-
-
-def _straight(field: Array) -> Array:
-    return 0.5 * (field + 1.0)
+    return record(stage, run)
