@@ -15,11 +15,10 @@ import numpy as np
 from scipy.signal import bilinear
 from varied_chains import varied
 
-from piezoid.design.family_grid import FamilyGrid, family_grid, magnitudes
+from piezoid.design.loop_search import FamilyGrid, family_grid, magnitudes, search
 from piezoid.design.observer import ObserverFrame, disturbance_model, feedback_polynomials
 from piezoid.design.plant import Chain, PlantFamily, Section, family_from_chains
 from piezoid.design.rst import section_poles
-from piezoid.design.search import search
 from piezoid.design.specification import Specification, default_specification
 from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array

@@ -23,8 +23,8 @@ from piezoid.design.hysteresis_bounds import (
 )
 from piezoid.design.lateral import with_sector
 from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.sensitivity import Template
 from piezoid.design.specification import Specification, default_specification
-from piezoid.design.templates import Template
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.linear_mode import LinearMode
@@ -204,7 +204,8 @@ def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
     Raises ``DesignError`` if the model has no pole that limits the speed of a loop.
     """
     nominal = loop_model(axis, rate_Hz)
-    _refuse_without_poles(axis, nominal, rate_Hz)
+    if not has_pole(nominal, rate_Hz):
+        raise _no_pole(axis, rate_Hz)
     gain = axis.polarity * 0.5 * sum(axis.operator.slope_sector_m_per_V)
     low, high = _gain_interval(axis, nominal)
     # label, ``slower`` and ``sharper`` of each corner, and its number of gains
@@ -264,9 +265,7 @@ def has_pole(loop: LoopModel, rate_Hz: float) -> bool:
     return bool((np.abs(poles) < 2.0 * np.pi * max_pole_Hz).any())
 
 
-def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> None:
-    if has_pole(loop, rate_Hz):
-        return
+def _no_pole(axis: AxisModel, rate_Hz: float) -> DesignError:
     stated_Hz = None if axis.bandwidth is None else axis.bandwidth.stated_Hz
     note = ""
     if axis.unfitted_resonance_Hz is not None:
@@ -277,7 +276,7 @@ def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> N
             f"; bandwidth_Hz = {stated_Hz:g} of [actuator] does not suffice, because "
             "it may be a pole or a resonance"
         )
-    raise DesignError(
+    return DesignError(
         f"axis {axis.axis}: no pole is declared and none could be fitted that is slow enough to "
         f"matter at {rate_Hz:g} Hz{note}",
         needed="a pole that limits the speed of the stage: without it any gain would look safe",

@@ -176,7 +176,6 @@ def disturbance_model(
     return DisturbanceModel(transition=block_diag(*blocks), output=np.array(outputs))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ObserverFrame:
     """Plant, disturbance and form of an observer, with the factorisations that its gains need.
 
@@ -185,9 +184,21 @@ class ObserverFrame:
     form  ``affine`` or ``inverse``
     """
 
-    plant: Plant
-    disturbance: DisturbanceModel
-    form: str
+    def __init__(self, *, plant: Plant, disturbance: DisturbanceModel, form: str) -> None:
+        self.plant, self.disturbance, self.form = plant, disturbance, form
+        self._realised = A, B, _ = plant.realised()
+        self._past_outputs = _past_outputs(disturbance, len(A) - len(plant.state_matrix))
+        self._feedback = placement_form(A, B)
+        # State at rest under one volt: N = (1 + K x) / (C x), x = (I - A)^-1 B makes y = r. The
+        # runtime checks N by the same formula. 1 / (C (I - A + B K)^-1 B) is the same number, but
+        # states in metres and in volts make that matrix so ill-conditioned that its rounding
+        # exceeds the tolerance of the check.
+        self._rest_state = np.asarray(np.linalg.solve(np.eye(len(A)) - A, B), dtype=np.float64)
+
+    @cached_property
+    def _correction(self) -> PlacementForm:
+        A_e, C_e = extended(self.plant, self.disturbance)
+        return placement_form(A_e.T, C_e @ A_e)
 
     def placed(
         self, *, feedback_poles: ArrayLike, observer_poles: ArrayLike
@@ -225,36 +236,6 @@ class ObserverFrame:
             feedback_gain=K,
             reference_gain=float((1.0 + K @ self._rest_state) / (C @ self._rest_state)),
         )
-
-    @cached_property
-    def _realised(self) -> tuple[Array, Array, Array]:
-        return self.plant.realised()
-
-    @cached_property
-    def _past_outputs(self) -> Array:
-        delays = len(self._realised[0]) - len(self.plant.state_matrix)
-        return _past_outputs(self.disturbance, delays)
-
-    @cached_property
-    def _feedback(self) -> PlacementForm:
-        A, B, _ = self._realised
-        return placement_form(A, B)
-
-    @cached_property
-    def _correction(self) -> PlacementForm:
-        A_e, C_e = extended(self.plant, self.disturbance)
-        return placement_form(A_e.T, C_e @ A_e)
-
-    @cached_property
-    def _rest_state(self) -> Array:
-        """State at rest under one volt: N = (1 + K x) / (C x), x = (I - A)^-1 B makes y = r.
-
-        The runtime checks N by the same formula. 1 / (C (I - A + B K)^-1 B) is the same number,
-        but states in metres and in volts make that matrix so ill-conditioned that its rounding
-        exceeds the tolerance of the check.
-        """
-        A, B, _ = self._realised
-        return np.asarray(np.linalg.solve(np.eye(len(A)) - A, B), dtype=np.float64)
 
 
 def extended(plant: Plant, disturbance: DisturbanceModel) -> tuple[Array, Array]:
@@ -295,9 +276,8 @@ def linear_controller(observer: DisturbanceObserver) -> RstController:
     """
     R, S = feedback_polynomials(observer)
     A_e, _, C_e, L, _ = _stacked(observer)
-    correct = np.eye(len(A_e)) - np.outer(L, C_e)
-    T = observer.reference_gain * _characteristic(A_e @ correct)
-    return RstController(R=R, S=S, T=T)
+    corrected = A_e @ (np.eye(len(A_e)) - np.outer(L, C_e))
+    return RstController(R=R, S=S, T=observer.reference_gain * _characteristic(corrected))
 
 
 def feedback_polynomials(observer: DisturbanceObserver) -> tuple[Array, Array]:

@@ -19,14 +19,13 @@ import math
 
 from numpy.typing import ArrayLike
 
-from piezoid.design.converters import converters_of
 from piezoid.design.junction_task import (
     junction_family,
     missing_line,
     reading_range_A,
     set_point_A,
 )
-from piezoid.design.specification import Specification
+from piezoid.design.specification import Specification, converters_of
 from piezoid.errors import LabFileError
 from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.loop_noise import CurrentChain

@@ -9,12 +9,17 @@ from itertools import product as combinations
 
 import numpy as np
 
-from piezoid.design.family_grid import mode_lines_Hz
+from piezoid.design.loop_search import mode_lines_Hz
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.rst import LIGHT
-from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins
+from piezoid.design.sensitivity import (
+    Margins,
+    Template,
+    closed_loop_polynomial,
+    margins,
+    violations,
+)
 from piezoid.design.specification import Specification
-from piezoid.design.templates import Template, violations
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from piezoid.design.converters import converters_of
 from piezoid.design.design import Design
 from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.design.junction_task import junction_family, reading_range_A
+from piezoid.design.specification import converters_of
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.actuator_model import ActuatorModel

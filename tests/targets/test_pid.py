@@ -9,9 +9,8 @@ import pytest
 from scipy.signal import lfilter
 
 from piezoid.design.plant import PlantFamily, plant_from_chain
-from piezoid.design.sensitivity import margins, sensitivities
+from piezoid.design.sensitivity import Template, margins, sensitivities
 from piezoid.design.specification import default_specification
-from piezoid.design.templates import Template
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
 from piezoid.targets.controller_hardware import ControllerHardware
