@@ -147,7 +147,8 @@ def best_Hz(of: PlantFamily, build: Build, lowest: list, highest: list, starts: 
         evaluations=EVALUATIONS,
         reserve_dB=0.05,
     )
-    return float(np.exp(-found.cost)) if found.excess_dB <= 0.0 else 0.0
+    cost, excess_dB = judge(found)
+    return float(np.exp(-cost)) if excess_dB <= 0.0 else 0.0
 
 
 def by_observer_Hz(lags_Hz: tuple[float, ...] = (), **changed: float) -> float:

@@ -291,8 +291,24 @@ def assemble_loop(
     observer: DisturbanceObserver | None = None,
     certificate: Certificate | None = None,
 ) -> LoopDesign:
-    """Return a loop with margins and rejections over its family, computed from R and S."""
+    """Return a loop with margins and rejections over its family, computed from R and S.
+
+    The rejections are |Syp| at 1, 10, 100 Hz and at the bandwidth, nominal and worst.
+    """
     R, S = controller.R, controller.S
+    frequency_Hz = (*_REPORTED_Hz, bandwidth_Hz)
+    grid = np.array(frequency_Hz)
+    magnitude = np.stack([np.abs(sensitivities(m, R, S, grid).Syp) for m in members])
+    worst = magnitude.argmax(axis=0)
+    rejections = tuple(
+        Rejection(
+            frequency_Hz=f,
+            nominal=float(magnitude[0, k]),
+            worst=float(magnitude[worst[k], k]),
+            worst_member=members[int(worst[k])].label,
+        )
+        for k, f in enumerate(frequency_Hz)
+    )
     return LoopDesign(
         method=method,
         observer=observer,
@@ -303,29 +319,10 @@ def assemble_loop(
         A_0=np.ones(1),
         reference=reference,
         margins=tuple(margins(member, R, S) for member in members),
-        rejections=rejections(members, R, S, bandwidth_Hz),
+        rejections=rejections,
         certificate=certificate,
         candidates=candidates,
         members=members,
-    )
-
-
-def rejections(
-    members: tuple[Fraction, ...], R: Array, S: Array, bandwidth_Hz: float
-) -> tuple[Rejection, ...]:
-    """Return |Syp| at 1, 10, 100 Hz and at the bandwidth, nominal and worst of the family."""
-    frequency_Hz = (*_REPORTED_Hz, bandwidth_Hz)
-    grid = np.array(frequency_Hz)
-    magnitude = np.stack([np.abs(sensitivities(m, R, S, grid).Syp) for m in members])
-    worst = magnitude.argmax(axis=0)
-    return tuple(
-        Rejection(
-            frequency_Hz=f,
-            nominal=float(magnitude[0, k]),
-            worst=float(magnitude[worst[k], k]),
-            worst_member=members[int(worst[k])].label,
-        )
-        for k, f in enumerate(frequency_Hz)
     )
 
 

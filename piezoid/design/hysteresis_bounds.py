@@ -122,7 +122,10 @@ def affine_bounds(
     if isinstance(model, PreisachPlays):
         error_m = farthest_from_line_m(model, gain, reach_V)
     else:
-        zone_slope, envelope_slope = _mid_slope(model.dead_zones), _mid_slope(model.envelope)
+        zone_slope, envelope_slope = (
+            0.5 * float(zones.slope.min() + zones.slope.max())
+            for zones in (model.dead_zones, model.envelope)
+        )
         weight = zone_slope * model.plays.weight
         scaled = PrandtlIshlinskii(threshold=model.plays.threshold, weight=weight)
         line_weight = np.array([gain / envelope_slope])
@@ -148,10 +151,6 @@ def affine_bounds(
             f"the hysteresis model errs by at most {with_unit(remainder_m, 'm')}",
         ),
     )
-
-
-def _mid_slope(zones: DeadZones) -> float:
-    return 0.5 * float(zones.slope.min() + zones.slope.max())
 
 
 def inverse_bounds(
@@ -308,16 +307,29 @@ def _ratio_sector(
     first = np.searchsorted(edges, voltage_V[:-1])
     min_kappa = np.minimum.reduceat(ratio, first)
     max_kappa = np.maximum.reduceat(ratio, first)
-    low_m, high_m = model.dead_zones.run(min_m[:-1]), model.dead_zones.run(max_m[1:])
-    min_zones, max_zones = _zone_ratios(model.dead_zones, truth.dead_zones, low_m, high_m, error_m)
+    # Psi_t' / Psi_m' for the outputs between adjacent voltages; they differ by at most error_m
+    zones, true_zones = model.dead_zones, truth.dead_zones
+    low_m, high_m = zones.run(min_m[:-1]), zones.run(max_m[1:])
+    model_edges, truth_edges = (
+        np.concatenate([[-np.inf], z.run(z.threshold), [np.inf]]) for z in (zones, true_zones)
+    )
+    start_m = np.maximum(model_edges[:-1], low_m[:, None])  # (intervals, pieces of the model)
+    stop_m = np.minimum(model_edges[1:], high_m[:, None])
+    is_reachable = (start_m <= stop_m)[:, :, None] & (
+        (truth_edges[:-1] <= stop_m[:, :, None] + error_m)
+        & (truth_edges[1:] >= start_m[:, :, None] - error_m)
+    )
+    ratio = true_zones.slope / zones.slope[:, None]
+    min_zones = np.where(is_reachable, ratio, np.inf).min(axis=(1, 2))
+    max_zones = np.where(is_reachable, ratio, -np.inf).max(axis=(1, 2))
     # W_t(r') / W_m(r) over r <= reach and low r <= r' <= high r
     reach, low, high = _envelope_reach_V(model, reach_V), min_kappa.min(), max_kappa.max()
-    truth_edges = np.append(truth.plays.threshold, np.inf)
+    play_edges = np.append(truth.plays.threshold, np.inf)
     starts = model.plays.threshold[model.plays.threshold < reach]
     stops = np.append(starts[1:], reach)
     ratios: list[float] = []
     for start, stop, slope in zip(starts, stops, model.plays.slope, strict=False):
-        is_reachable = (truth_edges[:-1] < high * stop) & (truth_edges[1:] > low * start)
+        is_reachable = (play_edges[:-1] < high * stop) & (play_edges[1:] > low * start)
         truth_slope = truth.plays.slope[is_reachable]
         ratios += [float(truth_slope.min() / slope), float(truth_slope.max() / slope)]
     lowest = min(ratios) * float((min_kappa * min_zones).min())
@@ -333,24 +345,6 @@ def static_difference(zones: DeadZones, slope: float, reach: float) -> float:
     knots = zones.threshold
     h: Array = np.concatenate([[-reach], knots[np.abs(knots) < reach], [reach]])
     return float(np.abs(zones.run(h) - slope * h).max())
-
-
-def _zone_ratios(
-    zones: DeadZones, truth: DeadZones, low_m: Array, high_m: Array, error_m: float
-) -> tuple[Array, Array]:
-    """Return the extremes of Psi_t' / Psi_m' for outputs between low and high, (intervals,)."""
-    model_edges, truth_edges = (
-        np.concatenate([[-np.inf], z.run(z.threshold), [np.inf]]) for z in (zones, truth)
-    )
-    start = np.maximum(model_edges[:-1], low_m[:, None])  # (intervals, pieces of the model)
-    stop = np.minimum(model_edges[1:], high_m[:, None])
-    is_reachable = (start <= stop)[:, :, None] & (
-        (truth_edges[:-1] <= stop[:, :, None] + error_m)
-        & (truth_edges[1:] >= start[:, :, None] - error_m)
-    )
-    ratio = truth.slope / zones.slope[:, None]
-    smallest = np.where(is_reachable, ratio, np.inf).min(axis=(1, 2))
-    return smallest, np.where(is_reachable, ratio, -np.inf).max(axis=(1, 2))
 
 
 def draw_replicates(

@@ -67,12 +67,25 @@ def design_lateral(
     """
     loops: list[LoopDesign] = []
     for form in (form for form in _LOOP_OF_FORM if form in families):
+        plant = model or families[form].nominal
+        max_states = MAX_ORDER - 2 * len(specification.oscillation_Hz)
+        excess = len(plant.realised()[0]) - max_states
+        if model is None and excess > 0:
+            # Too many states for the runtime besides its oscillators.
+            if excess >= plant.delay_samples:
+                raise DesignError(
+                    f"axis {axis}: at {plant.sampling_rate_Hz:g} Hz the plant has "
+                    f"{max_states + excess} states, of which {plant.delay_samples} are delay",
+                    needed=f"at most {max_states} states, a delay counted as one",
+                    remedy="Design with fewer resonant_harmonics, or fit fewer modes.",
+                )
+            plant = plant.with_delay_pole(excess + 1)
         design_form = partial(
             _design_loop,
             axis,
             form,
             families[form],
-            model or _reduce_states(axis, families[form].nominal, specification),
+            plant,
             (bounds or {}).get(form),
             disturbances,
         )
@@ -106,22 +119,6 @@ def with_sector(family: PlantFamily, bounds: HysteresisBounds) -> PlantFamily:
     return PlantFamily(members=(*family.members, *members))
 
 
-def _reduce_states(axis: str, plant: Plant, specification: Specification) -> Plant:
-    """Return the plant with at most as many states as the runtime has besides its oscillators."""
-    max_states = MAX_ORDER - 2 * len(specification.oscillation_Hz)
-    excess = len(plant.realised()[0]) - max_states
-    if excess <= 0:
-        return plant
-    if excess < plant.delay_samples:
-        return plant.with_delay_pole(excess + 1)
-    raise DesignError(
-        f"axis {axis}: at {plant.sampling_rate_Hz:g} Hz the plant has {max_states + excess} "
-        f"states, of which {plant.delay_samples} are delay",
-        needed=f"at most {max_states} states, a delay counted as one",
-        remedy="Design with fewer resonant_harmonics, or fit fewer modes.",
-    )
-
-
 def _design_loop(
     axis: str,
     form: str,
@@ -132,27 +129,18 @@ def _design_loop(
     specification: Specification,
 ) -> LoopDesign:
     """Design the loop of one axis in one form by every method, and choose the smallest error."""
-
-    def methods(tried: Specification) -> tuple[str, ...]:
-        is_damped = must_damp(family.nominal, tried.bandwidth_Hz)
-        return (*METHODS, DAMPED) if is_damped else METHODS
+    tune = partial(tune_observer, family, model=model, form=form)
 
     def smallest_violations(tried: Specification) -> tuple[Violation, ...]:
         """Return the violations by the best tuning; empty as soon as a tuning has none."""
         violations = []
-        for method in reversed(methods(tried)):
-            tuned = tune_observer(
-                family, tried, model=model, form=form, method=method, until_met=True
-            )
-            violations.append(tuned.violations)
+        for method in reversed(_methods(family, tried)):
+            violations.append(tune(tried, method=method, until_met=True).violations)
             if not violations[-1]:
                 break
         return min(violations, key=severity)
 
-    tunings = [
-        tune_observer(family, specification, model=model, form=form, method=method)
-        for method in methods(specification)
-    ]
+    tunings = [tune(specification, method=m) for m in _methods(family, specification)]
     feasible = [tuning for tuning in tunings if not tuning.violations]
     bandwidth_Hz = specification.bandwidth_Hz
     if not feasible:
@@ -188,6 +176,11 @@ def _design_loop(
         observer=best.observer,
         certificate=certificate,
     )
+
+
+def _methods(family: PlantFamily, specification: Specification) -> tuple[str, ...]:
+    is_damped = must_damp(family.nominal, specification.bandwidth_Hz)
+    return (*METHODS, DAMPED) if is_damped else METHODS
 
 
 def _certificate(

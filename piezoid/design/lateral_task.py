@@ -86,8 +86,27 @@ def lateral_task(
     Raises ``DesignError`` if the model has no pole that limits the speed of a loop.
     """
     inverse = plant_family(axis, sampling_rate_Hz)
-    bounds = _bounds(axis)
-    families = {"inverse": inverse, "affine": with_sector(inverse, bounds["affine"])}
+    # The inverse form has a bound only if enough draws of the fit have an inverse.
+    reach_V, discrepancy = axis.certificate.reach_V, axis.discrepancy
+    steepest_m_per_V = 0.0 if discrepancy is None else discrepancy.steepest_m_per_V
+    affine = affine_bounds(
+        axis.operator,
+        reach_V,
+        remainder_m=axis.certificate.bound_m,
+        remainder_m_per_V=steepest_m_per_V,
+    )
+    bounds = {"affine": affine}
+    replicates = draw_replicates(axis, np.random.default_rng(0))
+    if len(replicates) >= _MIN_REPLICATES:
+        bounds["inverse"] = inverse_bounds(
+            axis.operator,
+            replicates,
+            reach_V,
+            gain_m_per_V=affine.gain_m_per_V,
+            remainder_m=axis.certificate.remainder_m,
+            remainder_m_per_V=steepest_m_per_V,
+        )
+    families = {"inverse": inverse, "affine": with_sector(inverse, affine)}
     loop = loop_model(axis, sampling_rate_Hz)
     low_V, high_V = loop.drive_range_V
     return LateralTask(
@@ -293,42 +312,13 @@ def _gain_interval(axis: AxisModel, loop: LoopModel) -> tuple[float, float]:
     includes zero. Creep widens the interval. With a delayed irreversible part, a fast loop
     responds to the reversible slope alone.
     """
-    half = relative_gain_half(axis)
+    uncertainty = axis.uncertainty  # of the loading curve's end
+    half = float(uncertainty.loading_half_m[-1] / abs(uncertainty.loading_m[-1]))
     lowest, greatest = axis.operator.slope_sector_m_per_V
     middle = 0.5 * (lowest + greatest)
     reversible = lowest / middle if loop.activation[0] > 0.0 else 1.0
     low = max(1.0 - half, lowest / middle) * min(reversible, loop.quick_gain, 1.0)
     return low, min(1.0 + half, greatest / middle) * max(loop.slow_gain, loop.quick_gain)
-
-
-def relative_gain_half(axis: AxisModel) -> float:
-    """Return half the 95 % interval of the loading curve's end, relative to it."""
-    uncertainty = axis.uncertainty
-    return float(uncertainty.loading_half_m[-1] / abs(uncertainty.loading_m[-1]))
-
-
-def _bounds(axis: AxisModel) -> dict[str, HysteresisBounds]:
-    """Bound both forms; the inverse form only if enough draws of the fit have an inverse."""
-    reach_V, discrepancy = axis.certificate.reach_V, axis.discrepancy
-    steepest_m_per_V = 0.0 if discrepancy is None else discrepancy.steepest_m_per_V
-    affine = affine_bounds(
-        axis.operator,
-        reach_V,
-        remainder_m=axis.certificate.bound_m,
-        remainder_m_per_V=steepest_m_per_V,
-    )
-    replicates = draw_replicates(axis, np.random.default_rng(0))
-    bounds = {"affine": affine}
-    if len(replicates) >= _MIN_REPLICATES:
-        bounds["inverse"] = inverse_bounds(
-            axis.operator,
-            replicates,
-            reach_V,
-            gain_m_per_V=affine.gain_m_per_V,
-            remainder_m=axis.certificate.remainder_m,
-            remainder_m_per_V=steepest_m_per_V,
-        )
-    return bounds
 
 
 def assumptions_of(axis: AxisModel) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.rst import LIGHT
+from piezoid.design.rst import LIGHT, damping_ratios
 from piezoid.design.sensitivity import FUNCTIONS, delay_limit
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array
@@ -106,8 +106,7 @@ def family_grid(
 
 def mode_lines_Hz(plant: Plant) -> Array:
     """Return lines about the lightly damped modes of a plant, spaced below their width."""
-    s = np.log(plant.poles)
-    damping = -s.real / np.abs(s)
+    s, damping = np.log(plant.poles), damping_ratios(plant.poles)
     light = (damping < LIGHT) & (s.imag > 0.0)
     natural_Hz = np.abs(s[light]) * plant.sampling_rate_Hz / (2.0 * np.pi)
     widths = np.linspace(-_WIDTHS, _WIDTHS, _LINES)
@@ -135,7 +134,8 @@ def evaluate_loop(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> LoopFigures:
     """Return excess over the limits and predicted error of one loop over the family."""
     functions, unstable_poles = magnitudes(grid, R, S)
     excess_dB = float(decibel((functions / grid.limits[:, None, :]).max()))
-    excess_dB = _with_instability(excess_dB, unstable_poles)
+    if unstable_poles:
+        excess_dB = _UNSTABLE_dB * unstable_poles + max(excess_dB, 0.0)
     specification = grid.specification
     r, s = polynomial_response(R, grid.q_scan), polynomial_response(S, grid.q_scan)
     sensitivity = np.abs(grid.A_scan * s / (grid.A_scan * s + grid.B_scan * r))
@@ -160,18 +160,17 @@ def worst_excess(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> WorstExcess:
     functions, unstable_poles = magnitudes(grid, R, S)
     ratio = (functions / grid.limits[:, None, :]).max(axis=1)
     row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+    excess_dB = float(decibel(ratio[row, column]))
+    if unstable_poles:
+        excess_dB = _UNSTABLE_dB * unstable_poles + max(excess_dB, 0.0)
     band = grid.frequency_Hz <= grid.specification.bandwidth_Hz * (1.0 + 1e-12)
     scale = grid.specification.bandwidth_Hz / grid.frequency_Hz[band]
     return WorstExcess(
         function=FUNCTIONS[row],
         frequency_Hz=float(grid.frequency_Hz[column]),
-        excess_dB=_with_instability(float(decibel(ratio[row, column])), unstable_poles),
+        excess_dB=excess_dB,
         rejection=float((functions[0][:, band].max(axis=0) * scale).max()),
     )
-
-
-def _with_instability(excess_dB: float, unstable_poles: int) -> float:
-    return _UNSTABLE_dB * unstable_poles + max(excess_dB, 0.0) if unstable_poles else excess_dB
 
 
 def magnitudes(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> tuple[Array, int]:

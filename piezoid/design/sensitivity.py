@@ -101,33 +101,20 @@ def sensitivities(
 def margins(plant: Fraction, R: ArrayLike, S: ArrayLike) -> Margins:
     """Return the margins of one plant's loop, refined between grid points.
 
+        delay margin = min over |L(w)| = 1 of (angle(L) + pi mod 2 pi) / w,   L = B R / (A S)
+
     Both margins of an unstable loop are zero: its sensitivity peak has no meaning.
     """
-    radius = spectral_radius(closed_loop_polynomial(plant, R, S))
-    grid = grid_Hz(plant.sampling_rate_Hz, lowest_Hz=_LOWEST_Hz, count=_GRID)
-    peak, peak_Hz = _largest_sensitivity(plant, R, S, grid)
-    delay_s, delay_Hz = _delay_margin(plant, R, S, grid)
-    is_stable = radius < 1.0
-    return Margins(
-        label=plant.label,
-        is_stable=is_stable,
-        spectral_radius=radius,
-        modulus_margin=1.0 / peak if is_stable else 0.0,
-        modulus_peak_dB=float(decibel(peak)),
-        modulus_Hz=peak_Hz,
-        delay_margin_s=delay_s if is_stable else 0.0,
-        delay_Hz=delay_Hz,
-    )
-
-
-def _largest_sensitivity(
-    plant: Fraction, R: ArrayLike, S: ArrayLike, frequency_Hz: Array
-) -> tuple[float, float]:
-    """Return max |Syp| and its frequency, refined about the highest peaks of the grid."""
+    numerator, denominator = product(plant.B, R), product(plant.A, S)
 
     def negative(f: Array) -> Array:
         return -np.abs(sensitivities(plant, R, S, f).Syp)
 
+    def loop(f: Array) -> Response:
+        return response(numerator, denominator, f, plant.sampling_rate_Hz)
+
+    # The largest |Syp|, refined about the highest peaks of the grid.
+    frequency_Hz = grid_Hz(plant.sampling_rate_Hz, lowest_Hz=_LOWEST_Hz, count=_GRID)
     values = negative(frequency_Hz)
     inner = values[1:-1]
     peaks = 1 + np.flatnonzero((inner <= values[:-2]) & (inner <= values[2:]))
@@ -136,31 +123,31 @@ def _largest_sensitivity(
     candidates_Hz = np.append(refined_Hz, frequency_Hz[np.argmin(values)])
     values = negative(candidates_Hz)
     best = int(np.argmin(values))
-    return -float(values[best]), float(candidates_Hz[best])
-
-
-def _delay_margin(
-    plant: Fraction, R: ArrayLike, S: ArrayLike, frequency_Hz: Array
-) -> tuple[float | None, float | None]:
-    """Return the smallest phase margin over frequency, in seconds, and the crossing's frequency.
-
-    tau = min over |L(w)| = 1 of (angle(L) + pi mod 2 pi) / w, L = B R / (A S)
-    """
-    numerator, denominator = product(plant.B, R), product(plant.A, S)
-
-    def loop(f: Array) -> Response:
-        return response(numerator, denominator, f, plant.sampling_rate_Hz)
-
+    peak = -float(values[best])
+    # The smallest delay at a gain crossing.
+    delay_s: float | None = None
+    delay_Hz: float | None = None
     is_above = np.abs(loop(frequency_Hz)) > 1.0
     k = np.flatnonzero(is_above[:-1] != is_above[1:])
-    if not len(k):
-        return None, None
-    crossings_Hz = _minimisers(
-        lambda f: np.abs(np.abs(loop(f)) - 1.0), frequency_Hz[k], frequency_Hz[k + 1]
+    if len(k):
+        crossings_Hz = _minimisers(
+            lambda f: np.abs(np.abs(loop(f)) - 1.0), frequency_Hz[k], frequency_Hz[k + 1]
+        )
+        delays_s = np.angle(-loop(crossings_Hz)) % (2.0 * np.pi) / (2.0 * np.pi * crossings_Hz)
+        smallest = int(np.argmin(delays_s))
+        delay_s, delay_Hz = float(delays_s[smallest]), float(crossings_Hz[smallest])
+    radius = spectral_radius(closed_loop_polynomial(plant, R, S))
+    is_stable = radius < 1.0
+    return Margins(
+        label=plant.label,
+        is_stable=is_stable,
+        spectral_radius=radius,
+        modulus_margin=1.0 / peak if is_stable else 0.0,
+        modulus_peak_dB=float(decibel(peak)),
+        modulus_Hz=float(candidates_Hz[best]),
+        delay_margin_s=delay_s if is_stable else 0.0,
+        delay_Hz=delay_Hz,
     )
-    delay_s = np.angle(-loop(crossings_Hz)) % (2.0 * np.pi) / (2.0 * np.pi * crossings_Hz)
-    smallest = int(np.argmin(delay_s))
-    return float(delay_s[smallest]), float(crossings_Hz[smallest])
 
 
 def _minimisers(function: Callable[[Array], Array], low_Hz: Array, high_Hz: Array) -> Array:

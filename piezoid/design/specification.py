@@ -173,22 +173,20 @@ def converters_of(lab: Lab, axis: str) -> Converters:
     range_V, slew_V_per_s = acquisition.input_range_V, amplifier.slew_V_per_s
     if slew_V_per_s is not None:  # of the amplifier's output
         slew_V_per_s = float(slew_V_per_s / abs(gain_of(amplifier)))
-    command_V, step_V = command_range_V(lab, axis), _step_V(range_V, acquisition.dac_bits)
+    step_V, reading_step_V = (
+        0.0 if range_V is None or bits is None else float((range_V[1] - range_V[0]) / 2.0**bits)
+        for bits in (acquisition.dac_bits, acquisition.adc_bits)
+    )
+    command_V = command_range_V(lab, axis)
     if command_V is not None and range_V is not None:
         command_V = command_V[0], min(command_V[1], range_V[1] - step_V)
     return Converters(
         command_V=command_V,
         command_step_V=step_V,
         reading_V=range_V,
-        reading_step_V=_step_V(range_V, acquisition.adc_bits),
+        reading_step_V=reading_step_V,
         command_slew_V_per_s=slew_V_per_s,
     )
-
-
-def _step_V(range_V: tuple[float, float] | None, bits: int | None) -> float:
-    if range_V is None or bits is None:
-        return 0.0
-    return float((range_V[1] - range_V[0]) / 2.0**bits)
 
 
 def specifications_from_toml(

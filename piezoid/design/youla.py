@@ -47,31 +47,24 @@ _EVERY = 10
 class Cones:
     """Coefficients of one convex problem; rows run over members and frequencies together.
 
-    A_S, A_R, B_R  (rows, unknowns) complex, with constants (rows,): the loops' numerators
+    numerators     A S, A R and B R: (rows, unknowns) complex, and constants (rows,)
     real           (rows, unknowns), (rows,)  Re{P_i conj(P_d,i)} / |P_d,i|
     reference      (rows,)  |P_d,i|
-    limits         (functions, rows)
+    limits         (functions, rows), in the order of the numerators
     slope          (rows,)  f / bandwidth, nan above the bandwidth
     """
 
-    A_S: tuple[Response, Response]
-    A_R: tuple[Response, Response]
-    B_R: tuple[Response, Response]
+    numerators: tuple[tuple[Response, Response], ...]
     real: tuple[Array, Array]
     reference: Array
     limits: Array
     slope: Array
 
-    @property
-    def limited(self) -> tuple[tuple[Response, Response], ...]:
-        """Responses with limits, in the order of the limits."""
-        return self.A_S, self.A_R, self.B_R
-
     def at(self, rows: NDArray[np.bool_]) -> "Cones":
         """Return the problem on some rows only."""
-        pairs = ("A_S", "A_R", "B_R", "real")
         return Cones(
-            **{name: tuple(part[rows] for part in getattr(self, name)) for name in pairs},
+            numerators=tuple((free[rows], constant[rows]) for free, constant in self.numerators),
+            real=(self.real[0][rows], self.real[1][rows]),
             reference=self.reference[rows],
             limits=self.limits[:, rows],
             slope=self.slope[rows],
@@ -110,7 +103,9 @@ def solve(
         # the violation of each row, relative to the closed loop, and its local maxima
         real = (cones.real[0] @ x + cones.real[1]) / cones.reference
         allowed, excess = reserve * (real + slack), _MIN_REAL - real
-        sizes = [np.abs(rows @ x + constant) / cones.reference for rows, constant in cones.limited]
+        sizes = [
+            np.abs(rows @ x + constant) / cones.reference for rows, constant in cones.numerators
+        ]
         for size, limit in zip(sizes, cones.limits[:3], strict=True):
             excess = np.maximum(excess, size / limit - allowed)
         in_band = np.maximum(sizes[0] / cones.slope - gamma, 1.0 - real)
@@ -143,9 +138,7 @@ def cones_around(grid: FamilyGrid, scale: float, R: Array, S: Array, count: int)
     slope = np.where(f <= bandwidth_Hz * (1.0 + 1e-12), f / bandwidth_Hz, np.nan)
     none = np.zeros(len(q), dtype=np.complex128)
     return Cones(
-        A_S=(A * s_rows, constant),
-        A_R=(A * r_rows, none),
-        B_R=(B * r_rows, none),
+        numerators=((A * s_rows, constant), (A * r_rows, none), (B * r_rows, none)),
         real=((turn[:, None] * (A * s_rows + B * r_rows)).real, (turn * constant).real),
         reference=np.abs(desired),
         limits=np.tile(grid.limits, members),
@@ -179,10 +172,10 @@ def _solve_program(cones: Cones, count: int, reserve: float) -> tuple[Array, flo
             constraints.append(cp.SOC(bound, cp.vstack(parts)))
 
     relaxed = real + slack * reference
-    for size, upper in zip(cones.limited, cones.limits[:3], strict=True):
+    for size, upper in zip(cones.numerators, cones.limits[:3], strict=True):
         is_limited = np.isfinite(upper)
         limit(size, is_limited, cp.multiply(reserve * upper[is_limited], relaxed[is_limited]))
-    limit(cones.A_S, band, gamma * (cones.slope * reference)[band])
+    limit(cones.numerators[0], band, gamma * (cones.slope * reference)[band])
     if band.any():
         constraints.append(real[band] >= reference[band])
     program = cp.Problem(cp.Minimize(gamma + _SLACK_WEIGHT * slack), constraints)
