@@ -15,11 +15,10 @@ import numpy as np
 from scipy.signal import bilinear
 from varied_chains import varied
 
-from piezoid.design.family_grid import FamilyGrid, family_grid, magnitudes
+from piezoid.design.loop_search import FamilyGrid, family_grid, magnitudes, search
 from piezoid.design.observer import ObserverFrame, disturbance_model, feedback_polynomials
 from piezoid.design.plant import Chain, PlantFamily, Section, family_from_chains
 from piezoid.design.rst import section_poles
-from piezoid.design.search import search
 from piezoid.design.specification import Specification, default_specification
 from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array
@@ -148,7 +147,8 @@ def best_Hz(of: PlantFamily, build: Build, lowest: list, highest: list, starts: 
         evaluations=EVALUATIONS,
         reserve_dB=0.05,
     )
-    return float(np.exp(-found.cost)) if found.excess_dB <= 0.0 else 0.0
+    cost, excess_dB = judge(found)
+    return float(np.exp(-cost)) if excess_dB <= 0.0 else 0.0
 
 
 def by_observer_Hz(lags_Hz: tuple[float, ...] = (), **changed: float) -> float:

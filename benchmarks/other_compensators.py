@@ -24,10 +24,11 @@ import numpy as np
 from scipy.signal import bilinear, fftconvolve
 
 from piezoid.design.design import AxisDesign
-from piezoid.design.family_grid import FamilyGrid, evaluate_loop, family_grid
 from piezoid.design.feasibility import unmet
 from piezoid.design.feedforward import fit_reference_path
 from piezoid.design.lateral_task import lateral_task, unseen
+from piezoid.design.loop_search import FamilyGrid, evaluate_loop, family_grid
+from piezoid.design.loop_search import search as search_parameters
 from piezoid.design.observer import (
     DisturbanceObserver,
     ObserverFrame,
@@ -36,7 +37,6 @@ from piezoid.design.observer import (
 )
 from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import LIGHT, section_poles
-from piezoid.design.search import search as search_parameters
 from piezoid.design.sensitivity import closed_loop_polynomial
 from piezoid.design.specification import Specification, slowest_Hz
 from piezoid.errors import DesignError

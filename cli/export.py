@@ -10,8 +10,7 @@ from piezoid_cli.terminal import Force, Json, Quiet, StageLab, print_record, ric
 
 if TYPE_CHECKING:
     from piezoid.export.parameter_file import ParameterFile
-    from piezoid.targets.controller_hardware import ControllerHardware
-    from piezoid.targets.target_inputs import TargetInputs
+    from piezoid.targets.target_inputs import ControllerHardware, TargetInputs
     from piezoid_cli.stage_files import StageFolder
 
 
@@ -51,7 +50,7 @@ def export(
     from piezoid.calibration.controllers import REFUSED, export_and_verify, shipping_files
     from piezoid.digests import digest_in
     from piezoid.output_folder import add_to_folder, check_folder
-    from piezoid.targets.controller_hardware import ControllerHardware, read_hardware
+    from piezoid.targets.target_inputs import ControllerHardware, read_hardware
     from piezoid.targets.targets import FOLDERS, check_targets, target_files
     from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, content_of

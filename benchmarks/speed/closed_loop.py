@@ -9,7 +9,7 @@ from benchmarks.speed.chain import Loop
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.runtime.controller import Controller
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.loop_plant import rest_position
+from piezoid.verification.loop_plant import SettledPlant
 from piezoid.verification.plant import Hysteresis
 
 
@@ -22,7 +22,7 @@ def run(loop: Loop) -> object:
 def from_python(loop: Loop) -> object:
     """Step the same controller and the bare operator, without its poles, from Python."""
     controller, plant = Controller(loop.parameters.values), loop.plant
-    reading = rest_position(plant)
+    reading = SettledPlant(plant).rest_position
     controller.start(plant.rest_voltage_V, reading)
     assert isinstance(plant.response, Hysteresis)
     operator = plant.response.operator
@@ -36,7 +36,7 @@ def from_python(loop: Loop) -> object:
 def controller_alone(loop: Loop) -> Callable[[], object]:
     """Return the work of the controller without a plant: it reads what it wants."""
     controller = Controller(loop.parameters.values)
-    controller.start(loop.plant.rest_voltage_V, rest_position(loop.plant))
+    controller.start(loop.plant.rest_voltage_V, SettledPlant(loop.plant).rest_position)
     return lambda: controller.run(loop.reference_m, loop.reference_m)
 
 

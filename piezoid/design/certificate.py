@@ -1,7 +1,7 @@
 """Certify a loop around hysteresis: stability by small gain, and a bound of the error."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -118,22 +118,6 @@ class Disturbances:
     readings: tuple[tuple[float, float], ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True)
-class Operation:
-    """Signals that act on the loop in use.
-
-    reference_slew_m_per_s  of the fastest reference
-    voltage_step_V          of the converter
-    sensor_noise_rms_m      of one sample, white
-    disturbances            from the recordings
-    """
-
-    reference_slew_m_per_s: float
-    voltage_step_V: float
-    sensor_noise_rms_m: float
-    disturbances: Disturbances = field(default_factory=lambda: Disturbances())
-
-
 def certify(
     members: Sequence[Fraction],
     R: ArrayLike,
@@ -142,7 +126,10 @@ def certify(
     *,
     path: ReferencePath,
     bounds: HysteresisBounds,
-    operation: Operation,
+    reference_slew_m_per_s: float,
+    voltage_step_V: float,
+    sensor_noise_rms_m: float,
+    disturbances: Disturbances | None = None,
 ) -> Certificate:
     """Prove error bounds of a loop around hysteresis.
 
@@ -156,6 +143,10 @@ def certify(
 
     members  each is the plant for a command in volts, gain a; their errors are bounded one by one
     T        without the reference filter of ``path``
+    reference_slew_m_per_s  of the fastest reference
+    voltage_step_V          of the converter
+    sensor_noise_rms_m      of one sample, white
+    disturbances            from the recordings; by default none
     """
     eps = bounds.increment_gain
     grid = grid_Hz(members[0].sampling_rate_Hz, lowest_Hz=1e-2, count=4000)
@@ -169,16 +160,15 @@ def certify(
                 remedy="Lower the bandwidth, or describe the family more narrowly.",
                 member=member.label,
             )
-    filtered_t, slew_m_per_s = product(T, path.filter), operation.reference_slew_m_per_s
-    loops = [_ClosedLoop(member, R, S) for member in members]
-    speed_bounds = [
-        loop.speed_bound(filtered_t, path.preview_samples, bounds, operation) for loop in loops
+    controller, slew_m_per_s = (R, S, product(T, path.filter)), reference_slew_m_per_s
+    disturbances = disturbances or Disturbances()
+    by_member = [
+        _member_bounds(
+            member, controller, path.preview_samples, bounds, voltage_step_V, disturbances
+        )
+        for member in members
     ]
-    worst, loop = max(
-        zip(speed_bounds, loops, strict=True), key=lambda pair: pair[0].at(slew_m_per_s)
-    )
-    converter_m = loop.converter_m(operation)
-    has_disturbances = operation.disturbances.motions or operation.disturbances.readings
+    worst, converter_m, _ = max(by_member, key=lambda row: row[0].at(slew_m_per_s))
     as_recorded = ("drift, coupling and hum stay as large and as fast as in the recordings",)
     return Certificate(
         form=bounds.form,
@@ -190,19 +180,19 @@ def certify(
         reference_error_m=worst.reference_s * slew_m_per_s,
         converter_error_m=converter_m,
         guaranteed_error_m=worst.at(slew_m_per_s),
-        noise_error_m=max(loop.noise_m(operation) for loop in loops),
+        noise_error_m=max(_SIGMAS * gain * sensor_noise_rms_m for *_, gain in by_member),
         disturbance_error_m=worst.steady_m - converter_m,
         reference_slew_m_per_s=slew_m_per_s,
         worst_member=worst.label,
         conditions=(
             *bounds.conditions,
-            *(as_recorded if has_disturbances else ()),
+            *(as_recorded if disturbances != Disturbances() else ()),
             f"the linear plant is one of the {len(members)} members",
             f"the reference moves at most {with_unit(slew_m_per_s, 'm/s')}",
             "the command stays inside the converter's limits",
             "sensor noise comes on top, as its own line",
         ),
-        speed_bounds=tuple(speed_bounds),
+        speed_bounds=tuple(bound for bound, *_ in by_member),
     )
 
 
@@ -230,69 +220,59 @@ def divide_by_difference(polynomial: ArrayLike) -> Array:
     return np.cumsum(coefficients)[:-1]
 
 
-class _ClosedLoop:
-    """Error bounds of the loop of one member, from its impulse responses."""
-
-    def __init__(self, member: Fraction, R: ArrayLike, S: ArrayLike) -> None:
-        self.member, self.R, self.S = member, R, S
-        self.P = closed_loop_polynomial(member, R, S)
-
-    def gain(self, *factors: ArrayLike) -> float:
-        """Return the l1 norm of the response with the product of the factors over P."""
-        return peak_gain(product(*factors), self.P)
-
-    def speed_bound(
-        self, filtered_t: Array, preview: int, bounds: HysteresisBounds, operation: Operation
-    ) -> SpeedBound:
-        """Return the error bound; ``filtered_t`` is T times the reference filter."""
-        member = self.member
-        mismatch = total(delayed(self.P, preview), -product(filtered_t, member.B_position))
-        disturbance_gain = self.gain(member.B_position, self.S)
-        return SpeedBound(
-            label=member.label,
-            steady_m=self.converter_m(operation) + self.disturbance_m(operation.disturbances),
-            hysteresis_m=disturbance_gain * bounds.error_m / bounds.gain_m_per_V,
-            hysteresis_s=self.increment_bound_s(filtered_t, bounds.increment_gain),
-            reference_s=self.gain(divide_by_difference(mismatch)) / member.sampling_rate_Hz,
-        )
-
-    def increment_bound_s(self, filtered_t: Array, eps: float) -> float:
-        """Return the bound by increments for 1 m/s; infinite if the loop may amplify them."""
-        member = self.member
-        feedback_gain = eps * self.gain(member.B, self.R)
-        if feedback_gain >= 1.0:
-            return float(np.inf)
-        step_s = 1.0 / member.sampling_rate_Hz
-        command_step_V = self.gain(filtered_t, member.A) * step_s / (1.0 - feedback_gain)
-        return self.gain(member.B_position, divide_by_difference(self.S)) * eps * command_step_V
-
-    def converter_m(self, operation: Operation) -> float:
-        """Return the largest error due to half a step of the converter."""
-        return self.gain(self.member.B_position, self.S) * (0.5 * operation.voltage_step_V)
-
-    def noise_m(self, operation: Operation) -> float:
-        """Return three standard deviations due to white sensor noise."""
-        noise_response = impulse_response(product(self.member.B_position, self.R), self.P)
-        return _SIGMAS * float(np.sqrt((noise_response**2).sum())) * operation.sensor_noise_rms_m
-
-    def disturbance_m(self, disturbances: Disturbances) -> float:
-        """Return the largest error due to the recorded disturbances.
+def _member_bounds(
+    member: Fraction,
+    controller: tuple[ArrayLike, ArrayLike, ArrayLike],
+    preview: int,
+    bounds: HysteresisBounds,
+    voltage_step_V: float,
+    disturbances: Disturbances,
+) -> tuple[SpeedBound, float, float]:
+    """Bound the errors of one member, and return its converter error and noise gain as well.
 
         motion m   min(||A S / P||_1 sup|m|, ||A S / (P (1 - q^-1))||_1 sup|D m|)
         reading n  ||B R / P||_1 sup|n|, or |B R / P| sup|n| at a single frequency
-        """
-        member, total_m = self.member, 0.0
-        for half_range_m, fastest_m_per_s in disturbances.motions:
-            bound_m = self.gain(member.A, self.S) * half_range_m
-            if fastest_m_per_s > 0.0:
-                step_m = fastest_m_per_s / member.sampling_rate_Hz
-                bound_m = min(bound_m, self.gain(member.A, divide_by_difference(self.S)) * step_m)
-            total_m += bound_m
-        numerator = product(member.B_position, self.R)
-        for frequency_Hz, error_m in disturbances.readings:
-            if frequency_Hz > 0.0:
-                line = response(numerator, self.P, [frequency_Hz], member.sampling_rate_Hz)
-                total_m += float(np.abs(line[0])) * error_m
-            else:
-                total_m += self.gain(numerator) * error_m
-        return total_m
+
+    controller  R, S, and T times the reference filter
+    returned    bounds; largest error due to half a step of the converter, m; and the standard
+                deviation due to white sensor noise of 1 m
+    """
+    R, S, filtered_t = controller
+    P = closed_loop_polynomial(member, R, S)
+    A, B, rate_Hz = member.A, member.B_position, member.sampling_rate_Hz
+
+    def gain(*factors: ArrayLike) -> float:
+        return peak_gain(product(*factors), P)
+
+    command_gain = gain(B, S)
+    converter_m = command_gain * (0.5 * voltage_step_V)
+    # The bound by increments for 1 m/s is infinite if the loop may amplify them.
+    eps, increments_s = bounds.increment_gain, float(np.inf)
+    feedback_gain = eps * gain(member.B, R)
+    if feedback_gain < 1.0:
+        command_step_V = gain(filtered_t, A) * (1.0 / rate_Hz) / (1.0 - feedback_gain)
+        increments_s = gain(B, divide_by_difference(S)) * eps * command_step_V
+    disturbance_m = 0.0
+    for half_range_m, fastest_m_per_s in disturbances.motions:
+        bound_m = gain(A, S) * half_range_m
+        if fastest_m_per_s > 0.0:
+            step_m = fastest_m_per_s / rate_Hz
+            bound_m = min(bound_m, gain(A, divide_by_difference(S)) * step_m)
+        disturbance_m += bound_m
+    numerator = product(B, R)
+    for frequency_Hz, error_m in disturbances.readings:
+        if frequency_Hz > 0.0:
+            line = response(numerator, P, [frequency_Hz], rate_Hz)
+            disturbance_m += float(np.abs(line[0])) * error_m
+        else:
+            disturbance_m += gain(numerator) * error_m
+    mismatch = total(delayed(P, preview), -product(filtered_t, B))
+    speed_bound = SpeedBound(
+        label=member.label,
+        steady_m=converter_m + disturbance_m,
+        hysteresis_m=command_gain * bounds.error_m / bounds.gain_m_per_V,
+        hysteresis_s=increments_s,
+        reference_s=gain(divide_by_difference(mismatch)) / rate_Hz,
+    )
+    noise_gain = float(np.sqrt((impulse_response(numerator, P) ** 2).sum()))
+    return speed_bound, converter_m, noise_gain

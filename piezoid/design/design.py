@@ -10,6 +10,7 @@ from piezoid.design.decoupling import Decoupling
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import DisturbanceObserver
 from piezoid.design.plant import Fraction
+from piezoid.design.rst import RstController
 from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins, sensitivities
 from piezoid.design.specification import Specification
 from piezoid.digests import seal
@@ -279,20 +280,27 @@ def design_from_json(content: bytes, source: str = "design.json") -> Design:
     return read_sealed(Design, content, SCHEMA, source, remedy=remedy)
 
 
-def family_margins(members: tuple[Fraction, ...], R: Array, S: Array) -> tuple[Margins, ...]:
-    """Return the margins of every member, recomputed from R and S."""
-    return tuple(margins(member, R, S) for member in members)
+def assemble_loop(
+    method: str,
+    bandwidth_Hz: float,
+    members: tuple[Fraction, ...],
+    controller: RstController,
+    reference: ReferencePath,
+    candidates: tuple[Candidate, ...],
+    *,
+    observer: DisturbanceObserver | None = None,
+    certificate: Certificate | None = None,
+) -> LoopDesign:
+    """Return a loop with margins and rejections over its family, computed from R and S.
 
-
-def rejections(
-    members: tuple[Fraction, ...], R: Array, S: Array, bandwidth_Hz: float
-) -> tuple[Rejection, ...]:
-    """Return |Syp| at 1, 10, 100 Hz and at the bandwidth, nominal and worst of the family."""
+    The rejections are |Syp| at 1, 10, 100 Hz and at the bandwidth, nominal and worst.
+    """
+    R, S = controller.R, controller.S
     frequency_Hz = (*_REPORTED_Hz, bandwidth_Hz)
     grid = np.array(frequency_Hz)
     magnitude = np.stack([np.abs(sensitivities(m, R, S, grid).Syp) for m in members])
     worst = magnitude.argmax(axis=0)
-    return tuple(
+    rejections = tuple(
         Rejection(
             frequency_Hz=f,
             nominal=float(magnitude[0, k]),
@@ -300,6 +308,21 @@ def rejections(
             worst_member=members[int(worst[k])].label,
         )
         for k, f in enumerate(frequency_Hz)
+    )
+    return LoopDesign(
+        method=method,
+        observer=observer,
+        bandwidth_Hz=bandwidth_Hz,
+        R=R,
+        S=S,
+        T=controller.T,
+        A_0=np.ones(1),
+        reference=reference,
+        margins=tuple(margins(member, R, S) for member in members),
+        rejections=rejections,
+        certificate=certificate,
+        candidates=candidates,
+        members=members,
     )
 
 

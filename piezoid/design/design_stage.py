@@ -1,19 +1,17 @@
 """Design the controllers of all axes of a model."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from piezoid.design.converters import converters_of
-from piezoid.design.damping import raise_bandwidth
 from piezoid.design.decoupling import decoupling_of
 from piezoid.design.design import AxisDesign, Design
 from piezoid.design.feasibility import at_feasible_bandwidth
 from piezoid.design.junction_task import axis_of, design_vertical, vertical_task
-from piezoid.design.lateral import design_lateral
+from piezoid.design.lateral import design_lateral, raise_bandwidth
 from piezoid.design.lateral_task import FORMS, has_pole, lateral_task
 from piezoid.design.plant import PlantFamily
-from piezoid.design.specification import Specification, specifications_from_toml
+from piezoid.design.specification import Specification, converters_of, specifications_from_toml
 from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.coupled_stage import CoupledStage
@@ -27,6 +25,16 @@ from piezoid.records.checks.command_range import (
 from piezoid.records.lab import Lab
 
 _SLOWEST_Hz, _FASTEST_Hz = 1.0, 1e7  # of the runtime
+_Task = tuple[
+    Specification,
+    Callable[[Specification], AxisDesign],
+    Callable[[AxisDesign, Specification], AxisDesign],
+]
+"""Default specification of an axis, its design, and the increase of a default's bandwidth.
+
+The increase is as far as damping of a mode allows; none for a tip.
+"""
+
 _NO_POLE = ", and no pole of it is declared (bandwidth_Hz of [amplifier] or [sensor]) or fitted"
 
 
@@ -53,18 +61,6 @@ class AxisDesignResult:
     slower: AxisDesign | None = None
     refusal: TemplateError | None = None
     obstacle: PiezoidError | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Task:
-    """Design function of one axis, and its default specification.
-
-    raise_bandwidth  of a default design, as far as damping of a mode allows; not for a tip
-    """
-
-    design: Callable[[Specification], AxisDesign]
-    specification: Specification
-    raise_bandwidth: Callable[[AxisDesign, Specification], AxisDesign] = lambda base, _: base
 
 
 def design_stage(
@@ -139,29 +135,28 @@ def design_axes(
             obstacles.append(AxisDesignResult(axis=name, obstacle=obstacle))
     if model.tunnelling is not None and (tip := axis_of(model.tunnelling)) not in model.axes:
         try:
-            junction = vertical_task(model.tunnelling, lab)
-            design_tip = partial(design_vertical, tip, junction.family)
-            tasks[tip] = _Task(design=design_tip, specification=junction.specification)
+            family, default = vertical_task(model.tunnelling, lab)
+            tasks[tip] = default, partial(design_vertical, tip, family), lambda base, _: base
         except (DesignError, LabFileError) as obstacle:
             obstacles.append(AxisDesignResult(axis=tip, obstacle=obstacle))
     if not tasks:
         return tuple(obstacles)
-    defaults = {name: task.specification for name, task in tasks.items()}
+    defaults = {name: default for name, (default, _, _) in tasks.items()}
     request = requested or SpecificationText()
     specifications = specifications_from_toml(request.text, defaults, source=request.source)
     results = []
-    for name, task in tasks.items():
+    for name, (default, design_axis, raise_axis) in tasks.items():
         progress(f"axis {name}: designing")
         specification = specifications[name]
         try:
-            if specification is task.specification:
+            if specification is default:
                 # The bandwidth of a default is lowered to a feasible one, and raised if damping
                 # of a mode allows a higher one.
-                base = at_feasible_bandwidth(task.design, specification)
-                design = task.raise_bandwidth(base, specification)
+                base = at_feasible_bandwidth(design_axis, specification)
+                design = raise_axis(base, specification)
                 slower = None if design is base else base
             else:
-                design, slower = task.design(specification), None
+                design, slower = design_axis(specification), None
         except TemplateError as refusal:
             results.append(AxisDesignResult(axis=name, refusal=refusal))
         else:
@@ -196,7 +191,17 @@ def design_of(
         ]
         decoupling = decoupling_of(coupled, min(bandwidths_Hz, default=coupled.band_Hz[0]))
     remarks = () if decoupling is None else (decoupling.text,)
-    unused = _unused_declarations(lab, [outcome.axis for outcome in outcomes])
+    names = [outcome.axis for outcome in outcomes]
+    unused = [
+        f"[axis.{name}] of {lab.place} is about none of the axes {', '.join(names)}."
+        for name in sorted(set(lab.axes) - set(names))
+    ]
+    unused += [
+        f"axis {axis}: adc_bits of {lab.place} has no effect, because gain_V_per_m of [sensor] is "
+        "not declared: the steps of its readings are not known in metres."
+        for axis in names
+        if lab.acquisition.adc_bits is not None and lab.sensor_of(axis).gain_V_per_m is None
+    ]
     return Design(
         axes=axes,
         model_digest=model_digest,
@@ -206,18 +211,6 @@ def design_of(
         remarks=(*remarks, *map(str, obstacles), *unused),
         refused={name: str(refusal) for name, refusal in refused.items()},
     )
-
-
-def _unused_declarations(lab: Lab, axes: Sequence[str]) -> Iterator[str]:
-    """Yield declarations of lab.toml without effect on the controllers, as sentences."""
-    for name in sorted(set(lab.axes) - set(axes)):
-        yield f"[axis.{name}] of {lab.place} is about none of the axes {', '.join(axes)}."
-    for axis in axes if lab.acquisition.adc_bits is not None else ():
-        if lab.sensor_of(axis).gain_V_per_m is None:
-            yield (
-                f"axis {axis}: adc_bits of {lab.place} has no effect, because gain_V_per_m of "
-                "[sensor] is not declared: the steps of its readings are not known in metres."
-            )
 
 
 def without_damping(
@@ -262,11 +255,8 @@ def _lateral_task(
         design_recommended = partial(design, {recommended: family})
         return raise_bandwidth(base, family, default, design_recommended, form=recommended)
 
-    return _Task(
-        design=partial(design, task.families),
-        specification=_between_converters(name, task.specification, lab),
-        raise_bandwidth=raise_recommended,
-    )
+    default = _between_converters(name, task.specification, lab)
+    return default, partial(design, task.families), raise_recommended
 
 
 def _between_converters(name: str, default: Specification, lab: Lab) -> Specification:

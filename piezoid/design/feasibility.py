@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike
 
 from piezoid.design.certificate import impulse_response
 from piezoid.design.plant import Fraction
-from piezoid.design.sensitivity import closed_loop_polynomial, margins
+from piezoid.design.sensitivity import Violation, closed_loop_polynomial, margins, violations
 from piezoid.design.specification import Specification
-from piezoid.design.templates import Violation, violations
 from piezoid.errors import TemplateError
 from piezoid.numerics.frequency import decibel
 from piezoid.numerics.polynomial import product

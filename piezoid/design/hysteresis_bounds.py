@@ -8,6 +8,23 @@ kappa is increasing, so H_t and H_m have the same turning points. A distance d f
 turning point moves the plays with thresholds up to d/2. With slopes of kappa in [k_1, k_2], these
 are the plays of H_m up to r, and the plays of H_t up to some r' in [k_1 r, k_2 r]. The slope is
 then W_t(r') / W_m(r).
+
+The fits that one recording allows differ in envelope, plays and dead zones, and these differences
+compensate each other: the sum of the bounds of the parts is ten times the difference under any
+drive. So the models are bounded together, over all histories. After an end of the range a history
+is its nested turning points u_0, u_1, ..., and with v = gamma(u)
+
+    h = h(u_0) + sum_i +- 2 phi(|v_i - v_(i-1)| / 2),   phi the loading curve  [Mayergoyz 1991]
+
+The largest value of any s h_t - c h_m over all nested sequences on a grid of voltages follows by
+dynamic programming, from wide intervals to narrow intervals. Several pairs (s, c) enclose the
+outputs (h_t, h_m) that can occur together at each voltage in a polygon, over which
+
+    |y_t - y_m| = |Psi_t(h_t) - Psi_m(h_m)|
+
+is maximised. The error of the grid halves with its step, so it is about the increase by the last
+halving; three times that increase is added. (Of 40 refits of the bundled stage, none exceeds the
+bound on a grid four times as fine. With twice the increase one did, by 0.2 %.)
 """
 
 from collections.abc import Sequence
@@ -15,7 +32,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.design.model_difference import DifferenceBound, bound_difference
 from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
@@ -31,6 +47,11 @@ from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.operators.worst_case import worst_case
 
 _DRAWS = 200
+_STEPS = 96  # of the range, an even number
+# relative differences of gauge between h_t and h_m that give the polygon its sides
+_TILT = np.concatenate([-np.geomspace(0.02, 0.5, 5)[::-1], [0.0], np.geomspace(0.02, 0.5, 5)])
+_POINTS = 200  # along h_m, where the polygon is searched
+_EXTRAPOLATION = 3.0  # times the increase by the last halving of the grid
 
 Interval = tuple[float, float]
 Operator = ModifiedPrandtlIshlinskii | PreisachPlays
@@ -101,7 +122,10 @@ def affine_bounds(
     if isinstance(model, PreisachPlays):
         error_m = farthest_from_line_m(model, gain, reach_V)
     else:
-        zone_slope, envelope_slope = _mid_slope(model.dead_zones), _mid_slope(model.envelope)
+        zone_slope, envelope_slope = (
+            0.5 * float(zones.slope.min() + zones.slope.max())
+            for zones in (model.dead_zones, model.envelope)
+        )
         weight = zone_slope * model.plays.weight
         scaled = PrandtlIshlinskii(threshold=model.plays.threshold, weight=weight)
         line_weight = np.array([gain / envelope_slope])
@@ -129,10 +153,6 @@ def affine_bounds(
     )
 
 
-def _mid_slope(zones: DeadZones) -> float:
-    return 0.5 * float(zones.slope.min() + zones.slope.max())
-
-
 def inverse_bounds(
     model: Operator,
     replicates: Sequence[Operator],
@@ -145,7 +165,7 @@ def inverse_bounds(
 ) -> HysteresisBounds:
     """Bound the residual after exact inversion of a model, from models refitted to resampled data.
 
-        |Gamma_t[u] - Gamma_m[u]| <= sup over all histories, see ``bound_difference``, + rho_max
+        |Gamma_t[u] - Gamma_m[u]| <= sup over all histories, see ``_bound_difference``, + rho_max
         m = min D(Gamma_t o Gamma_m^-1),   M = max D(Gamma_t o Gamma_m^-1)
 
     The compensation error is the model error at the inverse's output. Each replicate takes the
@@ -164,11 +184,13 @@ def inverse_bounds(
     else:
         reference = model.regauged()
         truths = [r.regauged() for r in replicates if isinstance(r, ModifiedPrandtlIshlinskii)]
-        difference = bound_difference(reference, truths, reach_V)
-        errors_m = difference.error_m
+        coarse_m, *_ = _bound_difference(reference, truths, reach_V, _STEPS // 2)
+        fine_m, *grid = _bound_difference(reference, truths, reach_V)
+        errors_m = fine_m + _EXTRAPOLATION * (fine_m - coarse_m)
+        voltage_V, min_m, max_m = grid
         sectors = np.array(
             [
-                _ratio_sector(reference, truth, reach_V, difference, error_m)
+                _ratio_sector(reference, truth, reach_V, (voltage_V, min_m, max_m), error_m)
                 for truth, error_m in zip(truths, errors_m.tolist(), strict=True)
             ]
         )
@@ -193,20 +215,90 @@ def inverse_bounds(
     )
 
 
+def _bound_difference(
+    model: ModifiedPrandtlIshlinskii,
+    truths: Sequence[ModifiedPrandtlIshlinskii],
+    reach_V: float,
+    steps: int = _STEPS,
+) -> tuple[Array, Array, Array, Array]:
+    """Bound |Gamma_t[u] - Gamma_m[u]| for |u| <= reach on a grid, all in one gauge.
+
+    Every history begins at an end of the range; a de-poled stage is the limit of decreasing
+    turning points.
+
+    returned  (truths,) the largest difference on the grid, m; and (steps + 1,) each, the voltages
+              of the grid and the smallest and largest H of the model there
+    """
+    voltage_V = np.linspace(-reach_V, reach_V, steps + 1)
+    model_branches, low_m, high_m = _branches(model, voltage_V)
+    truth_branches = [_branches(truth, voltage_V) for truth in truths]
+    truth_rises = np.array([rises for rises, _, _ in truth_branches])
+    slope = 1.0 + _TILT
+    truth_factor = np.concatenate([np.ones_like(slope), -np.ones_like(slope), np.zeros(2)])
+    model_factor = np.concatenate([-slope, slope, [1.0, -1.0]])
+
+    def combined(truth_m: Array, model_m: Array) -> Array:
+        return np.asarray(
+            truth_m[:, None, :] * truth_factor[:, None] + model_factor[:, None] * model_m
+        )
+
+    # the largest value over the histories that end at a voltage, rising and falling
+    rising = np.full((len(truths), len(truth_factor), steps + 1), -np.inf)
+    falling = rising.copy()
+    lows_m, highs_m = (np.array([[row[k]] for row in truth_branches]) for k in (1, 2))
+    falling[:, :, :1] = combined(lows_m, np.array([low_m]))
+    rising[:, :, -1:] = combined(highs_m, np.array([high_m]))
+    for width in range(steps, 0, -1):
+        below, above = slice(0, steps + 1 - width), slice(width, steps + 1)
+        branch = combined(truth_rises[:, width, below], model_branches[width, below])
+        up, down = falling[:, :, below] + branch, rising[:, :, above] - branch
+        np.maximum(falling[:, :, below], down, out=falling[:, :, below])
+        np.maximum(rising[:, :, above], up, out=rising[:, :, above])
+    largest = np.maximum(rising, falling)
+    sides, min_m, max_m = len(slope), -largest[0, -1], largest[0, -2]
+    # the largest |Psi_t(h_t) - Psi_m(h_m)| over the polygons
+    share = np.linspace(0.0, 1.0, _POINTS)
+    h_m = np.multiply.outer(min_m, 1.0 - share) + np.multiply.outer(max_m, share)
+
+    def run_zones(operator: ModifiedPrandtlIshlinskii, h: Array) -> Array:
+        return operator.dead_zones.run(h.ravel()).reshape(h.shape)
+
+    y_m, tilted_m = run_zones(model, h_m), slope[:, None, None] * h_m
+    errors_m = []
+    for k, truth in enumerate(truths):
+        highest_m = (largest[k, :sides][:, :, None] + tilted_m).min(axis=0)
+        lowest_m = (tilted_m - largest[k, sides : 2 * sides][:, :, None]).max(axis=0)
+        above_m, below_m = run_zones(truth, highest_m) - y_m, y_m - run_zones(truth, lowest_m)
+        errors_m.append(max(float(above_m.max()), float(below_m.max())))
+    return np.array(errors_m), voltage_V, min_m, max_m
+
+
+def _branches(operator: ModifiedPrandtlIshlinskii, voltage_V: Array) -> tuple[Array, float, float]:
+    """Return the rise of H from voltage i to i + width, and H at both ends of the range, m.
+
+    returned  (voltages, voltages), element (width, i); and two numbers
+    """
+    v, curve = operator.envelope.run(voltage_V), operator.plays.loading_curve
+    rise = np.zeros((len(v), len(v)))
+    high, low = np.tril_indices(len(v), -1)
+    rise[high - low, low] = 2.0 * curve(0.5 * (v[high] - v[low]))
+    return rise, -float(curve(np.array([-v[0]]))[0]), float(curve(np.array([v[-1]]))[0])
+
+
 def _ratio_sector(
     model: ModifiedPrandtlIshlinskii,
     truth: ModifiedPrandtlIshlinskii,
     reach_V: float,
-    difference: DifferenceBound,
+    grid: tuple[Array, Array, Array],
     error_m: float,
 ) -> Interval:
     """Return the smallest and largest increment gain of Gamma_t o Gamma_m^-1 for |u| <= reach.
 
-    difference  grid of voltages, and the range of H of the model at each
-    error_m     largest difference of the outputs
+    grid     voltages, and the range of H of the model at each
+    error_m  largest difference of the outputs
     """
     # The slopes of kappa between adjacent voltages; knots of the envelopes subdivide the interval.
-    voltage_V = difference.voltage_V
+    voltage_V, min_m, max_m = grid
     knots = np.union1d(model.envelope.threshold, truth.envelope.threshold)
     knots = knots[(knots > voltage_V[0]) & (knots < voltage_V[-1])]
     edges = np.union1d(voltage_V, knots)
@@ -215,11 +307,33 @@ def _ratio_sector(
     first = np.searchsorted(edges, voltage_V[:-1])
     min_kappa = np.minimum.reduceat(ratio, first)
     max_kappa = np.maximum.reduceat(ratio, first)
-    min_zones, max_zones = _zone_ratios(model.dead_zones, truth.dead_zones, difference, error_m)
-    reach = _envelope_reach_V(model, reach_V)
-    low, high = _play_ratios(model.plays, truth.plays, reach, min_kappa.min(), max_kappa.max())
-    lowest = low * float((min_kappa * min_zones).min())
-    return lowest, high * float((max_kappa * max_zones).max())
+    # Psi_t' / Psi_m' for the outputs between adjacent voltages; they differ by at most error_m
+    zones, true_zones = model.dead_zones, truth.dead_zones
+    low_m, high_m = zones.run(min_m[:-1]), zones.run(max_m[1:])
+    model_edges, truth_edges = (
+        np.concatenate([[-np.inf], z.run(z.threshold), [np.inf]]) for z in (zones, true_zones)
+    )
+    start_m = np.maximum(model_edges[:-1], low_m[:, None])  # (intervals, pieces of the model)
+    stop_m = np.minimum(model_edges[1:], high_m[:, None])
+    is_reachable = (start_m <= stop_m)[:, :, None] & (
+        (truth_edges[:-1] <= stop_m[:, :, None] + error_m)
+        & (truth_edges[1:] >= start_m[:, :, None] - error_m)
+    )
+    ratio = true_zones.slope / zones.slope[:, None]
+    min_zones = np.where(is_reachable, ratio, np.inf).min(axis=(1, 2))
+    max_zones = np.where(is_reachable, ratio, -np.inf).max(axis=(1, 2))
+    # W_t(r') / W_m(r) over r <= reach and low r <= r' <= high r
+    reach, low, high = _envelope_reach_V(model, reach_V), min_kappa.min(), max_kappa.max()
+    play_edges = np.append(truth.plays.threshold, np.inf)
+    starts = model.plays.threshold[model.plays.threshold < reach]
+    stops = np.append(starts[1:], reach)
+    ratios: list[float] = []
+    for start, stop, slope in zip(starts, stops, model.plays.slope, strict=False):
+        is_reachable = (play_edges[:-1] < high * stop) & (play_edges[1:] > low * start)
+        truth_slope = truth.plays.slope[is_reachable]
+        ratios += [float(truth_slope.min() / slope), float(truth_slope.max() / slope)]
+    lowest = min(ratios) * float((min_kappa * min_zones).min())
+    return lowest, max(ratios) * float((max_kappa * max_zones).max())
 
 
 def _envelope_reach_V(model: ModifiedPrandtlIshlinskii, reach_V: float) -> float:
@@ -231,40 +345,6 @@ def static_difference(zones: DeadZones, slope: float, reach: float) -> float:
     knots = zones.threshold
     h: Array = np.concatenate([[-reach], knots[np.abs(knots) < reach], [reach]])
     return float(np.abs(zones.run(h) - slope * h).max())
-
-
-def _zone_ratios(
-    zones: DeadZones, truth: DeadZones, difference: DifferenceBound, error_m: float
-) -> tuple[Array, Array]:
-    """Return the extremes of Psi_t' / Psi_m' between neighbouring voltages."""
-    low_m, high_m = zones.run(difference.min_m[:-1]), zones.run(difference.max_m[1:])
-    model_edges, truth_edges = (
-        np.concatenate([[-np.inf], z.run(z.threshold), [np.inf]]) for z in (zones, truth)
-    )
-    start = np.maximum(model_edges[:-1], low_m[:, None])  # (cells, pieces of the model)
-    stop = np.minimum(model_edges[1:], high_m[:, None])
-    is_reachable = (start <= stop)[:, :, None] & (
-        (truth_edges[:-1] <= stop[:, :, None] + error_m)
-        & (truth_edges[1:] >= start[:, :, None] - error_m)
-    )
-    ratio = truth.slope / zones.slope[:, None]
-    smallest = np.where(is_reachable, ratio, np.inf).min(axis=(1, 2))
-    return smallest, np.where(is_reachable, ratio, -np.inf).max(axis=(1, 2))
-
-
-def _play_ratios(
-    model: PrandtlIshlinskii, truth: PrandtlIshlinskii, reach: float, low: float, high: float
-) -> Interval:
-    """Return the extremes of W_t(r') / W_m(r) over r <= reach and low r <= r' <= high r."""
-    truth_edges = np.append(truth.threshold, np.inf)
-    starts = model.threshold[model.threshold < reach]
-    stops = np.append(starts[1:], reach)
-    ratios = []
-    for start, end, slope in zip(starts, stops, model.slope, strict=False):
-        is_reachable = (truth_edges[:-1] < high * end) & (truth_edges[1:] > low * start)
-        truth_slope = truth.slope[is_reachable]
-        ratios += [truth_slope.min() / slope, truth_slope.max() / slope]
-    return float(min(ratios)), float(max(ratios))
 
 
 def draw_replicates(

@@ -8,26 +8,18 @@ lab.toml declares voltages, set point, and what determines the noise of the read
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 
 import numpy as np
 
-from piezoid.design.converters import converters_of
-from piezoid.design.design import (
-    AxisDesign,
-    Candidate,
-    LoopDesign,
-    family_margins,
-    rejections,
-)
+from piezoid.design.design import AxisDesign, Candidate, assemble_loop
 from piezoid.design.feasibility import refuse, severity, unmet
 from piezoid.design.feedforward import fit_reference_path
 from piezoid.design.plant import Chain, PlantFamily, Section, family_from_chains
-from piezoid.design.shaping import ShapedController, shape
-from piezoid.design.specification import Specification, default_specification
-from piezoid.design.templates import Template, Violation
-from piezoid.design.youla import ConvexController, optimise
+from piezoid.design.sensitivity import Template, Violation
+from piezoid.design.shaping import shape
+from piezoid.design.specification import Specification, converters_of, default_specification
+from piezoid.design.youla import optimise
 from piezoid.errors import DesignError, LabFileError
 from piezoid.formatting import with_unit
 from piezoid.identification.loop_model import DECLARED_SPREAD
@@ -49,20 +41,10 @@ _LOWEST_MODE = 0.01  # of the sampling rate: no drive of a tip resonates lower
 _INSTANTANEOUS = 5.0  # sampling rates, beyond which a pole is instantaneous
 
 
-@dataclass(frozen=True, kw_only=True)
-class VerticalTask:
-    """Inputs of the design of the tunnelling axis.
-
-    family         the junctions that the loop must stabilise, nominal first
-    specification  default, which a requested specification overrides
-    """
-
-    family: PlantFamily
-    specification: Specification
-
-
-def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> VerticalTask:
+def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> tuple[PlantFamily, Specification]:
     """Return family and default specification of the tunnelling axis.
+
+    The family is the junctions that the loop must stabilise, nominal first.
 
     The noise of the reading is the physical minimum, in nepers: shot noise at the set point, and
     Johnson noise and converter step if resistor and bits are declared, relative to the set point.
@@ -104,13 +86,10 @@ def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> VerticalTask:
         sensor_noise_rms=noise,
         disturbance_rms=decay_of_barrier(loop.barrier_eV) * _ROUGHNESS_m,
     )
-    return VerticalTask(
-        family=family,
-        specification=replace(
-            default,
-            voltage_step_V=converters.command_step_V,
-            templates=(*default.templates, *_limit_at_modes(loop.modes, loop.plant)),
-        ),
+    return family, replace(
+        default,
+        voltage_step_V=converters.command_step_V,
+        templates=(*default.templates, *_limit_at_modes(loop.modes, loop.plant)),
     )
 
 
@@ -259,12 +238,20 @@ def design_vertical(
     The feasible controller with the better rejection over the whole family is chosen. Raises
     ``TemplateError`` if neither controller meets the specification.
     """
+
+    def attempt(tried: Specification) -> tuple[Violation, ...]:
+        """Return the violations by band-stops or by a few convex steps, whichever are smaller."""
+        start = shape(family, tried).controller
+        violations = unmet(family.members, start.R, start.S, tried)
+        if not violations:
+            return ()
+        convex = optimise(family, tried, start, taps=taps, max_iterations=_TRIAL_ITERATIONS)
+        R, S = convex.controller.R, convex.controller.S
+        return min(violations, unmet(family.members, R, S, tried), key=severity)
+
     shaped = shape(family, specification)
     convex = optimise(family, specification, shaped.controller, taps=taps)
-    solutions: dict[str, ShapedController | ConvexController] = {
-        "band-stop": shaped,
-        "convex": convex,
-    }
+    solutions = {"band-stop": shaped, "convex": convex}
     violations = {
         name: unmet(family.members, solution.controller.R, solution.controller.S, specification)
         for name, solution in solutions.items()
@@ -272,54 +259,28 @@ def design_vertical(
     feasible = [name for name in solutions if not violations[name]]
     if not feasible:
         smallest = min(violations.values(), key=severity)
-        refuse(axis, specification, smallest, partial(_attempt, family, taps))
+        refuse(axis, specification, smallest, attempt)
     best_name = min(feasible, key=lambda name: solutions[name].rejection)
     members, best = family.fractions, solutions[best_name].controller
-    R, S, T = best.R, best.S, np.array([best.R.sum()])
-    loop = LoopDesign(
-        method="rst",
-        observer=None,
-        bandwidth_Hz=specification.bandwidth_Hz,
-        R=R,
-        S=S,
-        T=T,
-        A_0=np.ones(1),
-        reference=fit_reference_path(members, R, S, T, band_Hz=specification.bandwidth_Hz),
-        margins=family_margins(members, R, S),
-        rejections=rejections(members, R, S, specification.bandwidth_Hz),
-        certificate=None,
-        candidates=tuple(
-            Candidate(
-                name=name,
-                is_chosen=name == best_name,
-                is_feasible=not violations[name],
-                figure=solution.rejection,
-                figure_name=_FIGURE,
-                parameters=solution.parameters,
-                R=solution.controller.R,
-                S=solution.controller.S,
-            )
-            for name, solution in solutions.items()
-        ),
-        members=members,
+    bandwidth_Hz = specification.bandwidth_Hz
+    path = fit_reference_path(members, best.R, best.S, best.T, band_Hz=bandwidth_Hz)
+    candidates = tuple(
+        Candidate(
+            name=name,
+            is_chosen=name == best_name,
+            is_feasible=not violations[name],
+            figure=solution.rejection,
+            figure_name=_FIGURE,
+            parameters=solution.parameters,
+            R=solution.controller.R,
+            S=solution.controller.S,
+        )
+        for name, solution in solutions.items()
     )
+    loop = assemble_loop("rst", bandwidth_Hz, members, best, path, candidates)
     return AxisDesign(
         axis=axis,
         output_unit=family.nominal.output_unit,
         specification=specification,
         loops=(loop,),
     )
-
-
-def _attempt(
-    family: PlantFamily, taps: int, specification: Specification
-) -> tuple[Violation, ...]:
-    """Return the violations by band-stops or by a few convex steps, whichever are smaller."""
-    start = shape(family, specification).controller
-    violations = unmet(family.members, start.R, start.S, specification)
-    if not violations:
-        return ()
-    c = optimise(
-        family, specification, start, taps=taps, max_iterations=_TRIAL_ITERATIONS
-    ).controller
-    return min(violations, unmet(family.members, c.R, c.S, specification), key=severity)

@@ -1,40 +1,45 @@
-"""Design X and Y: a disturbance observer in both forms, the best of several tunings."""
+"""Design X and Y: a disturbance observer in both forms, the best of several tunings.
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+A loop can raise its bandwidth by damping a lightly damped mode. State feedback from an observer
+several times as fast as the mode moves the mode's poles to the left and keeps their frequency.
+Integral resonant control and positive position feedback do the same with two or three parameters.
+Over a family about a mode at 700 Hz known to 10 % they reach a bandwidth of a fifth of the mode's
+frequency, the observer 500 Hz. All of them are limited by the phase lag of the loop's delay at the
+mode, and by the width of the mode's interval; docs/theory/control.md has the figures.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from piezoid.design.certificate import Certificate, Disturbances, Operation, certify
-from piezoid.design.damping import describe_obstacle, must_damp
-from piezoid.design.design import (
-    AxisDesign,
-    Candidate,
-    LoopDesign,
-    family_margins,
-    rejections,
-)
-from piezoid.design.feasibility import (
-    at_feasible_bandwidth,
-    refuse,
-    severity,
-    unmet,
-)
+from piezoid.design.certificate import Certificate, Disturbances, certify
+from piezoid.design.design import AxisDesign, Candidate, LoopDesign, assemble_loop
+from piezoid.design.feasibility import at_feasible_bandwidth, refuse, rounded_down, severity
 from piezoid.design.feedforward import ReferencePath, fit_reference_path
 from piezoid.design.hysteresis_bounds import HysteresisBounds
-from piezoid.design.observer import linear_controller
-from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.rst import RstController
-from piezoid.design.specification import Specification
-from piezoid.design.templates import Violation
-from piezoid.design.tuning import DAMPED, METHODS, TunedObserver, tune_observer
+from piezoid.design.plant import Fraction, Plant, PlantFamily
+from piezoid.design.rst import Mode, RstController, ringing_mode
+from piezoid.design.sensitivity import Template, Violation
+from piezoid.design.specification import MODE_SHARE, Specification
+from piezoid.design.tuning import DAMPED, METHODS, tune_observer
 from piezoid.errors import DesignError, TemplateError
+from piezoid.formatting import significant, with_unit
+from piezoid.numerics.frequency import decibel
 from piezoid.runtime.schema import MAX_ORDER
 
 _NO_DISTURBANCES = Disturbances()
 _SLEW_SHARE = 0.5  # of the amplifier's slew rate, for references: feedback needs the rest
 _LOOP_OF_FORM = {"inverse": "mpi_dob", "affine": "dob"}
 _FIGURE = "predicted tracking error with noise, rms, worst member"
+
+HYSTERESIS = "small gain of the hysteresis"
+_RESERVE = 0.95  # of the small gain, for peaks between the lines of a search's grid
+_BISECTIONS = 5
+_MIN_RATIO = 1.1  # of the bandwidths: a smaller gain does not justify a loop at its limits
+_STEPS_DOWN, _STEP_DOWN = 4, 0.95
+_DELAY_POLE = 1e-3  # magnitude below which a pole belongs to a past input
 
 
 def design_lateral(
@@ -62,19 +67,33 @@ def design_lateral(
     """
     loops: list[LoopDesign] = []
     for form in (form for form in _LOOP_OF_FORM if form in families):
-        designer = _LoopDesigner(
-            axis=axis,
-            form=form,
-            family=families[form],
-            model=model or _reduce_states(axis, families[form].nominal, specification),
-            bounds=(bounds or {}).get(form),
-            disturbances=disturbances,
+        plant = model or families[form].nominal
+        max_states = MAX_ORDER - 2 * len(specification.oscillation_Hz)
+        excess = len(plant.realised()[0]) - max_states
+        if model is None and excess > 0:
+            # Too many states for the runtime besides its oscillators.
+            if excess >= plant.delay_samples:
+                raise DesignError(
+                    f"axis {axis}: at {plant.sampling_rate_Hz:g} Hz the plant has "
+                    f"{max_states + excess} states, of which {plant.delay_samples} are delay",
+                    needed=f"at most {max_states} states, a delay counted as one",
+                    remedy="Design with fewer resonant_harmonics, or fit fewer modes.",
+                )
+            plant = plant.with_delay_pole(excess + 1)
+        design_form = partial(
+            _design_loop,
+            axis,
+            form,
+            families[form],
+            plant,
+            (bounds or {}).get(form),
+            disturbances,
         )
         if not loops:
-            loops.append(designer.design(specification))
+            loops.append(design_form(specification))
             continue
         try:
-            loops.append(at_feasible_bandwidth(designer.design, specification))
+            loops.append(at_feasible_bandwidth(design_form, specification))
         except TemplateError:
             continue
     return AxisDesign(
@@ -100,142 +119,242 @@ def with_sector(family: PlantFamily, bounds: HysteresisBounds) -> PlantFamily:
     return PlantFamily(members=(*family.members, *members))
 
 
-def _reduce_states(axis: str, plant: Plant, specification: Specification) -> Plant:
-    """Return the plant with at most as many states as the runtime has besides its oscillators."""
-    max_states = MAX_ORDER - 2 * len(specification.oscillation_Hz)
-    excess = len(plant.realised()[0]) - max_states
-    if excess <= 0:
-        return plant
-    if excess < plant.delay_samples:
-        return plant.with_delay_pole(excess + 1)
-    raise DesignError(
-        f"axis {axis}: at {plant.sampling_rate_Hz:g} Hz the plant has {max_states + excess} "
-        f"states, of which {plant.delay_samples} are delay",
-        needed=f"at most {max_states} states, a delay counted as one",
-        remedy="Design with fewer resonant_harmonics, or fit fewer modes.",
-    )
+def _design_loop(
+    axis: str,
+    form: str,
+    family: PlantFamily,
+    model: Plant,
+    bounds: HysteresisBounds | None,
+    disturbances: Disturbances,
+    specification: Specification,
+) -> LoopDesign:
+    """Design the loop of one axis in one form by every method, and choose the smallest error."""
+    tune = partial(tune_observer, family, model=model, form=form)
 
-
-@dataclass(frozen=True, kw_only=True)
-class _Tuning:
-    """One tuning of the observer, and its violations of the specification, worst first."""
-
-    observer: TunedObserver
-    controller: RstController
-    violations: tuple[Violation, ...]
-
-    @property
-    def error(self) -> float:
-        """Predicted tracking error, rms, worst member."""
-        return self.observer.figures.predicted_error
-
-
-@dataclass(frozen=True, kw_only=True)
-class _LoopDesigner:
-    """Design of the loop of one axis in one form, for any specification."""
-
-    axis: str
-    form: str
-    family: PlantFamily
-    model: Plant
-    bounds: HysteresisBounds | None
-    disturbances: Disturbances
-
-    def design(self, specification: Specification) -> LoopDesign:
-        tunings = [self._tune(specification, m) for m in self._methods(specification)]
-        feasible = [tuning for tuning in tunings if not tuning.violations]
-        if not feasible:
-            refuse(
-                self.axis,
-                specification,
-                min((tuning.violations for tuning in tunings), key=severity),
-                self._smallest_violations,
-                because=describe_obstacle(self.family, specification.bandwidth_Hz),
-            )
-        best = min(feasible, key=lambda tuning: tuning.error)
-        members = self.family.fractions
-        R, S, T = best.controller.R, best.controller.S, best.controller.T
-        path = fit_reference_path(members, R, S, T, band_Hz=specification.bandwidth_Hz)
-        return LoopDesign(
-            method=_LOOP_OF_FORM[self.form],
-            observer=best.observer.observer,
-            bandwidth_Hz=specification.bandwidth_Hz,
-            R=R,
-            S=S,
-            T=T,
-            A_0=np.ones(1),
-            reference=path,
-            margins=family_margins(members, R, S),
-            rejections=rejections(members, R, S, specification.bandwidth_Hz),
-            certificate=self._certificate(best.controller, path, specification),
-            candidates=tuple(
-                Candidate(
-                    name=tuning.observer.method,
-                    is_chosen=tuning is best,
-                    is_feasible=not tuning.violations,
-                    figure=tuning.error,
-                    figure_name=_FIGURE,
-                    parameters=tuning.observer.parameters,
-                    R=tuning.controller.R,
-                    S=tuning.controller.S,
-                )
-                for tuning in tunings
-            ),
-            members=members,
-        )
-
-    def _methods(self, specification: Specification) -> tuple[str, ...]:
-        is_damped = must_damp(self.family.nominal, specification.bandwidth_Hz)
-        return (*METHODS, DAMPED) if is_damped else METHODS
-
-    def _tune(
-        self, specification: Specification, method: str, *, until_met: bool = False
-    ) -> _Tuning:
-        observer = tune_observer(
-            self.family,
-            specification,
-            model=self.model,
-            form=self.form,
-            method=method,
-            until_met=until_met,
-        )
-        controller = linear_controller(observer.observer)
-        violations = unmet(self.family.members, controller.R, controller.S, specification)
-        return _Tuning(observer=observer, controller=controller, violations=violations)
-
-    def _smallest_violations(self, specification: Specification) -> tuple[Violation, ...]:
+    def smallest_violations(tried: Specification) -> tuple[Violation, ...]:
         """Return the violations by the best tuning; empty as soon as a tuning has none."""
         violations = []
-        for method in reversed(self._methods(specification)):
-            violations.append(self._tune(specification, method, until_met=True).violations)
+        for method in reversed(_methods(family, tried)):
+            violations.append(tune(tried, method=method, until_met=True).violations)
             if not violations[-1]:
                 break
         return min(violations, key=severity)
 
-    def _certificate(
-        self, controller: RstController, path: ReferencePath, specification: Specification
-    ) -> Certificate | None:
-        """Certify the loop for references up to the speed of a full-range sine at the scan
-        frequency, and up to a share of the amplifier's slew rate.
-        """
-        if self.bounds is None:
-            return None
-        gain = abs(self.family.nominal.gain)
-        half_V = 0.5 * (specification.voltage_max_V - specification.voltage_min_V)
-        amplitude_m = min(half_V, self.bounds.reach_V) * gain
-        slew_m_per_s = 2.0 * np.pi * specification.scan_frequency_Hz * amplitude_m
-        if specification.voltage_slew_V_per_s is not None:
-            amplifier_m_per_s = specification.voltage_slew_V_per_s * gain
-            slew_m_per_s = min(slew_m_per_s, _SLEW_SHARE * amplifier_m_per_s)
-        return certify(
-            self.family.members,
-            *(controller.R, controller.S, controller.T),
-            path=path,
-            bounds=self.bounds,
-            operation=Operation(
-                reference_slew_m_per_s=float(slew_m_per_s),
-                voltage_step_V=specification.voltage_step_V,
-                sensor_noise_rms_m=specification.sensor_noise_rms,
-                disturbances=self.disturbances,
-            ),
+    tunings = [tune(specification, method=m) for m in _methods(family, specification)]
+    feasible = [tuning for tuning in tunings if not tuning.violations]
+    bandwidth_Hz = specification.bandwidth_Hz
+    if not feasible:
+        refuse(
+            axis,
+            specification,
+            min((tuning.violations for tuning in tunings), key=severity),
+            smallest_violations,
+            because=_describe_obstacle(family, bandwidth_Hz),
         )
+    best = min(feasible, key=lambda tuning: tuning.error)
+    members, controller = family.fractions, best.controller
+    R, S, T = controller.R, controller.S, controller.T
+    path = fit_reference_path(members, R, S, T, band_Hz=bandwidth_Hz)
+    certificate = None
+    if bounds is not None:
+        certificate = _certificate(family, controller, path, bounds, disturbances, specification)
+    candidates = tuple(
+        Candidate(
+            name=tuning.method,
+            is_chosen=tuning is best,
+            is_feasible=not tuning.violations,
+            figure=tuning.error,
+            figure_name=_FIGURE,
+            parameters=tuning.parameters,
+            R=tuning.controller.R,
+            S=tuning.controller.S,
+        )
+        for tuning in tunings
+    )
+    return assemble_loop(
+        *(_LOOP_OF_FORM[form], bandwidth_Hz, members, controller, path, candidates),
+        observer=best.observer,
+        certificate=certificate,
+    )
+
+
+def _methods(family: PlantFamily, specification: Specification) -> tuple[str, ...]:
+    is_damped = must_damp(family.nominal, specification.bandwidth_Hz)
+    return (*METHODS, DAMPED) if is_damped else METHODS
+
+
+def _certificate(
+    family: PlantFamily,
+    controller: RstController,
+    path: ReferencePath,
+    bounds: HysteresisBounds,
+    disturbances: Disturbances,
+    specification: Specification,
+) -> Certificate:
+    """Certify a loop for references up to the speed of a full-range sine at the scan frequency,
+    and up to a share of the amplifier's slew rate.
+    """
+    gain = abs(family.nominal.gain)
+    half_V = 0.5 * (specification.voltage_max_V - specification.voltage_min_V)
+    amplitude_m = min(half_V, bounds.reach_V) * gain
+    slew_m_per_s = 2.0 * np.pi * specification.scan_frequency_Hz * amplitude_m
+    if specification.voltage_slew_V_per_s is not None:
+        amplifier_m_per_s = specification.voltage_slew_V_per_s * gain
+        slew_m_per_s = min(slew_m_per_s, _SLEW_SHARE * amplifier_m_per_s)
+    return certify(
+        *(family.members, controller.R, controller.S, controller.T),
+        path=path,
+        bounds=bounds,
+        reference_slew_m_per_s=float(slew_m_per_s),
+        voltage_step_V=specification.voltage_step_V,
+        sensor_noise_rms_m=specification.sensor_noise_rms,
+        disturbances=disturbances,
+    )
+
+
+def must_damp(plant: Fraction, bandwidth_Hz: float) -> bool:
+    """Whether a loop of this bandwidth must damp the plant's lowest resonance."""
+    mode = ringing_mode(plant)
+    return mode is not None and bandwidth_Hz > (1.0 + 1e-9) * MODE_SHARE * mode.frequency_Hz
+
+
+def _describe_obstacle(family: PlantFamily, bandwidth_Hz: float) -> str:
+    """Describe why the resonance is hard to damp; empty if the loop need not damp it."""
+    plant = family.nominal
+    if not must_damp(plant, bandwidth_Hz):
+        return ""
+    modes = [mode for mode in map(ringing_mode, family.members) if mode is not None]
+    frequencies_Hz = [mode.frequency_Hz for mode in modes]
+    return (
+        f"To get there the loop must damp the mode at {with_unit(frequencies_Hz[0], 'Hz', 4)}, "
+        f"damping ratio {significant(modes[0].damping)}. It lies anywhere from "
+        f"{with_unit(min(frequencies_Hz), 'Hz', 4)} to {with_unit(max(frequencies_Hz), 'Hz', 4)}, "
+        f"and {_describe_delay(plant, modes[0])}, which the feedback must lead"
+    )
+
+
+def _describe_delay(plant: Fraction, mode: Mode) -> str:
+    """Describe the phase lag of all delays at the mode.
+
+    The delay is the phase delay of the plant at rest, less that of the mode, 2 z / w0.
+    """
+    delay_s = plant.rest_delay_s - mode.damping / (np.pi * mode.frequency_Hz)
+    return (
+        f"hold, converters and filters, {with_unit(delay_s, 's')}, delay it by "
+        f"{significant(360.0 * mode.frequency_Hz * delay_s)}°"
+    )
+
+
+def describe_mode(loop: LoopDesign) -> str:
+    """Describe how a loop treats the lowest resonance; empty if the plant has none."""
+    nominal = loop.members[0]
+    mode, damping = ringing_mode(nominal), damped_mode(loop)
+    if mode is None:
+        return ""
+    if damping is None:
+        return (
+            f"The loop stays below the mode at {with_unit(mode.frequency_Hz, 'Hz', 4)} and leaves "
+            f"it as it is; {_describe_delay(nominal, mode)}."
+        )
+    return (
+        f"The mode at {with_unit(mode.frequency_Hz, 'Hz', 4)} is damped by state feedback, from a "
+        f"damping ratio of {significant(mode.damping)} to {significant(damping)}; "
+        f"{_describe_delay(nominal, mode)}."
+    )
+
+
+def damped_mode(loop: LoopDesign) -> float | None:
+    """Return the damping ratio of the resonance in closed loop; None if the loop need not damp it.
+
+    It is the smallest damping ratio of the nominal state feedback's poles below 1.5 times the
+    frequency of the resonance.
+    """
+    nominal, gains = loop.members[0], loop.observer
+    mode = ringing_mode(nominal)
+    if mode is None or gains is None or not must_damp(nominal, loop.bandwidth_Hz):
+        return None
+    poles = np.linalg.eigvals(gains.A - np.outer(gains.B, gains.feedback_gain))
+    s = np.log(poles[np.abs(poles) > _DELAY_POLE]) * nominal.sampling_rate_Hz
+    nearby = s[np.abs(s) <= 1.5 * 2.0 * np.pi * mode.frequency_Hz]
+    return float((-nearby.real / np.abs(nearby)).min(initial=1.0))
+
+
+def raise_bandwidth(
+    base: AxisDesign,
+    family: PlantFamily,
+    default: Specification,
+    design: Callable[[Specification], AxisDesign],
+    *,
+    form: str,
+) -> AxisDesign:
+    """Raise the bandwidth of the recommended loop as far as damping of the resonance allows.
+
+    The bandwidth is at most the frequency of the resonance. The loop meets every margin and
+    template of the default, and the small gain that guarantees its stability with hysteresis:
+
+        |T_v| <= 0.95 / eps                                               (template)
+
+    base     designed for the default
+    family   of the recommended loop
+    design   of the recommended loop, for a specification
+    form     of the recommended loop
+
+    Returns the base if the plant has no resonance, if the hysteresis has no bound or eps excludes
+    every loop with T_v = 1 at rest, and if damping raises the bandwidth by less than a tenth.
+    """
+    mode, certificate = ringing_mode(family.nominal), base.recommended.certificate
+    if mode is None or certificate is None or certificate.increment_gain >= _RESERVE:
+        return base
+    level_dB = float(decibel(_RESERVE / certificate.increment_gain))
+    small_gain = Template(
+        name=HYSTERESIS,
+        function="Syb",
+        frequency_Hz=np.array([1.0, 0.5 * family.nominal.sampling_rate_Hz]),
+        upper_dB=np.array([level_dB, level_dB]),
+    )
+    guarded = replace(default, templates=(*default.templates, small_gain))
+
+    def at_bandwidth(bandwidth_Hz: float) -> Specification:
+        return replace(guarded, bandwidth_Hz=bandwidth_Hz, scan_frequency_Hz=bandwidth_Hz / 10.0)
+
+    min_Hz = _MIN_RATIO * max(base.recommended.bandwidth_Hz, MODE_SHARE * mode.frequency_Hz)
+    bandwidth_Hz = _largest_Hz(family, at_bandwidth, min_Hz, mode.frequency_Hz, form)
+    for _ in range(_STEPS_DOWN):
+        if bandwidth_Hz is None or bandwidth_Hz < min_Hz:
+            break
+        try:
+            candidate = design(at_bandwidth(bandwidth_Hz))
+        except TemplateError:
+            bandwidth_Hz *= _STEP_DOWN
+            continue
+        certificate = candidate.recommended.certificate
+        if certificate is None or not certificate.is_guaranteed:
+            return base
+        return replace(candidate, loops=(candidate.recommended, *base.loops[1:]))
+    return base
+
+
+def _largest_Hz(
+    family: PlantFamily,
+    at_bandwidth: Callable[[float], Specification],
+    min_Hz: float,
+    max_Hz: float,
+    form: str,
+) -> float | None:
+    """Bisect the largest feasible bandwidth of a loop that damps the mode, to three digits."""
+
+    def meets(bandwidth_Hz: float) -> bool:
+        specification = at_bandwidth(bandwidth_Hz)
+        for method in (DAMPED, *METHODS):
+            tuned = tune_observer(family, specification, form=form, method=method, until_met=True)
+            if not tuned.violations:
+                return True
+        return False
+
+    if min_Hz >= max_Hz or not meets(min_Hz):
+        return None
+    low, high = np.log(min_Hz), np.log(max_Hz)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if meets(float(np.exp(middle))) else (low, middle)
+    return max(rounded_down(float(np.exp(low))), min_Hz)

@@ -23,8 +23,8 @@ from piezoid.design.hysteresis_bounds import (
 )
 from piezoid.design.lateral import with_sector
 from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.sensitivity import Template
 from piezoid.design.specification import Specification, default_specification
-from piezoid.design.templates import Template
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.linear_mode import LinearMode
@@ -86,8 +86,27 @@ def lateral_task(
     Raises ``DesignError`` if the model has no pole that limits the speed of a loop.
     """
     inverse = plant_family(axis, sampling_rate_Hz)
-    bounds = _bounds(axis)
-    families = {"inverse": inverse, "affine": with_sector(inverse, bounds["affine"])}
+    # The inverse form has a bound only if enough draws of the fit have an inverse.
+    reach_V, discrepancy = axis.certificate.reach_V, axis.discrepancy
+    steepest_m_per_V = 0.0 if discrepancy is None else discrepancy.steepest_m_per_V
+    affine = affine_bounds(
+        axis.operator,
+        reach_V,
+        remainder_m=axis.certificate.bound_m,
+        remainder_m_per_V=steepest_m_per_V,
+    )
+    bounds = {"affine": affine}
+    replicates = draw_replicates(axis, np.random.default_rng(0))
+    if len(replicates) >= _MIN_REPLICATES:
+        bounds["inverse"] = inverse_bounds(
+            axis.operator,
+            replicates,
+            reach_V,
+            gain_m_per_V=affine.gain_m_per_V,
+            remainder_m=axis.certificate.remainder_m,
+            remainder_m_per_V=steepest_m_per_V,
+        )
+    families = {"inverse": inverse, "affine": with_sector(inverse, affine)}
     loop = loop_model(axis, sampling_rate_Hz)
     low_V, high_V = loop.drive_range_V
     return LateralTask(
@@ -204,7 +223,8 @@ def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
     Raises ``DesignError`` if the model has no pole that limits the speed of a loop.
     """
     nominal = loop_model(axis, rate_Hz)
-    _refuse_without_poles(axis, nominal, rate_Hz)
+    if not has_pole(nominal, rate_Hz):
+        raise _no_pole(axis, rate_Hz)
     gain = axis.polarity * 0.5 * sum(axis.operator.slope_sector_m_per_V)
     low, high = _gain_interval(axis, nominal)
     # label, ``slower`` and ``sharper`` of each corner, and its number of gains
@@ -264,9 +284,7 @@ def has_pole(loop: LoopModel, rate_Hz: float) -> bool:
     return bool((np.abs(poles) < 2.0 * np.pi * max_pole_Hz).any())
 
 
-def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> None:
-    if has_pole(loop, rate_Hz):
-        return
+def _no_pole(axis: AxisModel, rate_Hz: float) -> DesignError:
     stated_Hz = None if axis.bandwidth is None else axis.bandwidth.stated_Hz
     note = ""
     if axis.unfitted_resonance_Hz is not None:
@@ -277,7 +295,7 @@ def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> N
             f"; bandwidth_Hz = {stated_Hz:g} of [actuator] does not suffice, because "
             "it may be a pole or a resonance"
         )
-    raise DesignError(
+    return DesignError(
         f"axis {axis.axis}: no pole is declared and none could be fitted that is slow enough to "
         f"matter at {rate_Hz:g} Hz{note}",
         needed="a pole that limits the speed of the stage: without it any gain would look safe",
@@ -294,42 +312,13 @@ def _gain_interval(axis: AxisModel, loop: LoopModel) -> tuple[float, float]:
     includes zero. Creep widens the interval. With a delayed irreversible part, a fast loop
     responds to the reversible slope alone.
     """
-    half = relative_gain_half(axis)
+    uncertainty = axis.uncertainty  # of the loading curve's end
+    half = float(uncertainty.loading_half_m[-1] / abs(uncertainty.loading_m[-1]))
     lowest, greatest = axis.operator.slope_sector_m_per_V
     middle = 0.5 * (lowest + greatest)
     reversible = lowest / middle if loop.activation[0] > 0.0 else 1.0
     low = max(1.0 - half, lowest / middle) * min(reversible, loop.quick_gain, 1.0)
     return low, min(1.0 + half, greatest / middle) * max(loop.slow_gain, loop.quick_gain)
-
-
-def relative_gain_half(axis: AxisModel) -> float:
-    """Return half the 95 % interval of the loading curve's end, relative to it."""
-    uncertainty = axis.uncertainty
-    return float(uncertainty.loading_half_m[-1] / abs(uncertainty.loading_m[-1]))
-
-
-def _bounds(axis: AxisModel) -> dict[str, HysteresisBounds]:
-    """Bound both forms; the inverse form only if enough draws of the fit have an inverse."""
-    reach_V, discrepancy = axis.certificate.reach_V, axis.discrepancy
-    steepest_m_per_V = 0.0 if discrepancy is None else discrepancy.steepest_m_per_V
-    affine = affine_bounds(
-        axis.operator,
-        reach_V,
-        remainder_m=axis.certificate.bound_m,
-        remainder_m_per_V=steepest_m_per_V,
-    )
-    replicates = draw_replicates(axis, np.random.default_rng(0))
-    bounds = {"affine": affine}
-    if len(replicates) >= _MIN_REPLICATES:
-        bounds["inverse"] = inverse_bounds(
-            axis.operator,
-            replicates,
-            reach_V,
-            gain_m_per_V=affine.gain_m_per_V,
-            remainder_m=axis.certificate.remainder_m,
-            remainder_m_per_V=steepest_m_per_V,
-        )
-    return bounds
 
 
 def assumptions_of(axis: AxisModel) -> tuple[str, ...]:

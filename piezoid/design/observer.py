@@ -8,6 +8,7 @@ command v, the drive is the exact inverse of the hysteresis model at v, and d co
 error of that model.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -29,41 +30,10 @@ _ROUNDING = 1e-14  # of the largest entry; entries in m/V are larger
 FORMS = ("affine", "inverse")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlacementForm:
-    """Hessenberg form of a system for pole placement, independent of the desired poles.
+def placement(A: Array, B: Array) -> Callable[[ArrayLike], Array]:
+    """Return the placement of the poles of a system, as a function of the desired poles.
 
-    form     (r, r)  Hessenberg, beginning at the input; r states whose poles can be moved
-    links    (r,)    |b|, h_21, h_32, ...
-    Q        (n, r)  from ``form`` to the reflected states
-    reflect  (n, n)  orthogonal, its first column along the balanced input
-    basis    (n,)    powers of two by which the states were balanced
-    """
-
-    form: Array
-    links: Array
-    Q: Array
-    reflect: Array
-    basis: Array
-
-    def gain(self, poles: ArrayLike) -> Array:
-        """Return K such that A - B K has the desired eigenvalues, which may be repeated.
-
-        poles  (n,)  values of z, complex ones in pairs; the r farthest from 0 are placed
-        """
-        order = len(self.form)
-        row = np.zeros(order, dtype=np.complex128)
-        row[-1] = 1.0
-        z = np.asarray(poles, dtype=np.complex128)
-        for k, pole in enumerate(z[np.sort(np.argsort(-np.abs(z), kind="stable")[:order])]):
-            row = (row @ self.form - pole * row) / self.links[order - 1 - k]
-        return np.asarray((row.real @ self.Q.T @ self.reflect.T) / self.basis)
-
-
-def placement_form(A: Array, B: Array) -> PlacementForm:
-    """Return a system in the Hessenberg basis that starts at B.
-
-    Poles are placed there by Ackermann's formula
+    Poles are placed in the Hessenberg basis that starts at B, by Ackermann's formula
 
         K = e_n' (H - p_1 I) ... (H - p_n I) Q' / (b h_21 h_32 ... )
 
@@ -72,7 +42,9 @@ def placement_form(A: Array, B: Array) -> PlacementForm:
     A  (n, n)
     B  (n,)
 
-    Poles at 0 that are not controllable stay there. Raises ``DesignError`` if other poles are not
+    The function takes (n,) values of z, complex ones in pairs and possibly repeated, and returns
+    the K with which A - B K has these eigenvalues. Of n poles the r farthest from 0 are placed:
+    poles at 0 that are not controllable stay there. Raises ``DesignError`` if other poles are not
     controllable.
     """
     # Powers of two balance rows and columns: states in m and in V differ by 1e6. The sampled pole
@@ -94,7 +66,17 @@ def placement_form(A: Array, B: Array) -> PlacementForm:
             needed="states that are all controllable from the input and observable in the output",
             remedy="Reduce the model's order; two poles or a pole and a zero nearly coincide.",
         )
-    return PlacementForm(form=form, links=links, Q=Q, reflect=reflect, basis=basis)
+    order = len(form)
+
+    def gain(poles: ArrayLike) -> Array:
+        row = np.zeros(order, dtype=np.complex128)
+        row[-1] = 1.0
+        z = np.asarray(poles, dtype=np.complex128)
+        for k, pole in enumerate(z[np.sort(np.argsort(-np.abs(z), kind="stable")[:order])]):
+            row = (row @ form - pole * row) / links[order - 1 - k]
+        return np.asarray((row.real @ Q.T @ reflect.T) / basis)
+
+    return gain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,7 +158,6 @@ def disturbance_model(
     return DisturbanceModel(transition=block_diag(*blocks), output=np.array(outputs))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ObserverFrame:
     """Plant, disturbance and form of an observer, with the factorisations that its gains need.
 
@@ -185,9 +166,21 @@ class ObserverFrame:
     form  ``affine`` or ``inverse``
     """
 
-    plant: Plant
-    disturbance: DisturbanceModel
-    form: str
+    def __init__(self, *, plant: Plant, disturbance: DisturbanceModel, form: str) -> None:
+        self.plant, self.disturbance, self.form = plant, disturbance, form
+        self._realised = A, B, _ = plant.realised()
+        self._past_outputs = _past_outputs(disturbance, len(A) - len(plant.state_matrix))
+        self._feedback = placement(A, B)
+        # State at rest under one volt: N = (1 + K x) / (C x), x = (I - A)^-1 B makes y = r. The
+        # runtime checks N by the same formula. 1 / (C (I - A + B K)^-1 B) is the same number, but
+        # states in metres and in volts make that matrix so ill-conditioned that its rounding
+        # exceeds the tolerance of the check.
+        self._rest_state = np.asarray(np.linalg.solve(np.eye(len(A)) - A, B), dtype=np.float64)
+
+    @cached_property
+    def _correction(self) -> Callable[[ArrayLike], Array]:
+        A_e, C_e = extended(self.plant, self.disturbance)
+        return placement(A_e.T, C_e @ A_e)
 
     def placed(
         self, *, feedback_poles: ArrayLike, observer_poles: ArrayLike
@@ -203,7 +196,7 @@ class ObserverFrame:
 
         Past inputs are known exactly, so the observer has no poles for them; see ``extended``.
         """
-        gain = self._correction.gain(observer_poles)
+        gain = self._correction(observer_poles)
         return self.with_gain(gain, feedback_poles=feedback_poles)
 
     def with_gain(self, gain: Array, *, feedback_poles: ArrayLike) -> DisturbanceObserver:
@@ -212,7 +205,7 @@ class ObserverFrame:
         A, B, C = self._realised
         delay_poles = np.zeros(len(A) - order)
         poles = np.concatenate([np.asarray(feedback_poles, dtype=np.complex128), delay_poles])
-        K = self._feedback.gain(poles)
+        K = self._feedback(poles)
         state_gain, disturbance_gain = gain[:order], gain[order:]
         return DisturbanceObserver(
             form=self.form,
@@ -225,36 +218,6 @@ class ObserverFrame:
             feedback_gain=K,
             reference_gain=float((1.0 + K @ self._rest_state) / (C @ self._rest_state)),
         )
-
-    @cached_property
-    def _realised(self) -> tuple[Array, Array, Array]:
-        return self.plant.realised()
-
-    @cached_property
-    def _past_outputs(self) -> Array:
-        delays = len(self._realised[0]) - len(self.plant.state_matrix)
-        return _past_outputs(self.disturbance, delays)
-
-    @cached_property
-    def _feedback(self) -> PlacementForm:
-        A, B, _ = self._realised
-        return placement_form(A, B)
-
-    @cached_property
-    def _correction(self) -> PlacementForm:
-        A_e, C_e = extended(self.plant, self.disturbance)
-        return placement_form(A_e.T, C_e @ A_e)
-
-    @cached_property
-    def _rest_state(self) -> Array:
-        """State at rest under one volt: N = (1 + K x) / (C x), x = (I - A)^-1 B makes y = r.
-
-        The runtime checks N by the same formula. 1 / (C (I - A + B K)^-1 B) is the same number,
-        but states in metres and in volts make that matrix so ill-conditioned that its rounding
-        exceeds the tolerance of the check.
-        """
-        A, B, _ = self._realised
-        return np.asarray(np.linalg.solve(np.eye(len(A)) - A, B), dtype=np.float64)
 
 
 def extended(plant: Plant, disturbance: DisturbanceModel) -> tuple[Array, Array]:
@@ -295,9 +258,8 @@ def linear_controller(observer: DisturbanceObserver) -> RstController:
     """
     R, S = feedback_polynomials(observer)
     A_e, _, C_e, L, _ = _stacked(observer)
-    correct = np.eye(len(A_e)) - np.outer(L, C_e)
-    T = observer.reference_gain * _characteristic(A_e @ correct)
-    return RstController(R=R, S=S, T=T)
+    corrected = A_e @ (np.eye(len(A_e)) - np.outer(L, C_e))
+    return RstController(R=R, S=S, T=observer.reference_gain * _characteristic(corrected))
 
 
 def feedback_polynomials(observer: DisturbanceObserver) -> tuple[Array, Array]:

@@ -83,17 +83,12 @@ def section_poles(section: Section, sampling_rate_Hz: float) -> Roots:
     return np.asarray(np.exp(s / sampling_rate_Hz))
 
 
-def sampled_poles(section: Section, sampling_rate_Hz: float) -> Array:
-    """Return the monic polynomial with the poles of ``section_poles``."""
-    return from_roots(section_poles(section, sampling_rate_Hz))
-
-
 def closed_loop_target(
     dominant: Section, sampling_rate_Hz: float, *, auxiliary_root: float, auxiliary_count: int
 ) -> Array:
     """Return P = P_D P_F: a dominant pair, and (1 - alpha q^-1)^n for the free degrees."""
     auxiliary = from_roots(np.full(auxiliary_count, auxiliary_root)) if auxiliary_count else [1.0]
-    return product(sampled_poles(dominant, sampling_rate_Hz), auxiliary)
+    return product(from_roots(section_poles(dominant, sampling_rate_Hz)), auxiliary)
 
 
 def slow_and_fast(plant: Plant) -> tuple[Poles, Poles]:
@@ -120,18 +115,6 @@ def ringing_mode(plant: Fraction) -> Mode | None:
     lowest = light[np.argmin(np.abs(light))]
     natural = float(np.abs(lowest))
     return Mode(frequency_Hz=natural / (2.0 * np.pi), damping=float(-lowest.real) / natural)
-
-
-def light_modes(plant: Plant) -> Poles:
-    """Return the lightly damped poles other than the slowest lag or pair."""
-    _, fast = slow_and_fast(plant)
-    return fast[_damping(fast) < LIGHT]
-
-
-def slowest_damping(plant: Plant) -> float:
-    """Return the damping ratio of the plant's slowest pair, or 1 for a lag."""
-    slow, _ = slow_and_fast(plant)
-    return float(_damping(slow).min())
 
 
 def feedback_poles(plant: Plant, slowest: Section, *, mode_damping: float = 0.0) -> Poles:
@@ -176,7 +159,7 @@ def observer_poles(
     return np.concatenate(parts).astype(np.complex128)
 
 
-def _damping(poles: Poles) -> Array:
+def damping_ratios(poles: Poles) -> Array:
     """Return the damping ratio of each pole, -Re ln z / |ln z|; 1 for real poles."""
     s = np.log(poles)
     return np.asarray(-s.real / np.abs(s))
@@ -185,7 +168,7 @@ def _damping(poles: Poles) -> Array:
 def _with_min_damping(poles: Poles, damping: float) -> Poles:
     """Raise the damping ratio of lightly damped pairs to a minimum, at the same frequency."""
     s = np.log(poles)
-    current = _damping(poles)
+    current = damping_ratios(poles)
     light = (current < LIGHT) & (current < damping)
     s_damped = np.abs(s) * (
         -damping + 1j * np.sign(s.imag) * np.sqrt(1.0 - min(damping, 1.0) ** 2)

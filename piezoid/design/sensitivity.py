@@ -1,16 +1,18 @@
-"""Sensitivity functions and margins of a loop, from R, S and a plant alone.
+"""Sensitivity functions of a loop, its margins, and templates that bound the functions.
 
-Landau's notation: S u = T r - R y, P = A S + B R (Longchamp exchanges R and S).
+All are computed from R, S and a plant alone. Landau's notation: S u = T r - R y, P = A S + B R
+(Longchamp exchanges R and S).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.design.plant import Fraction
-from piezoid.numerics.arrays import Array
+from piezoid.formatting import significant, with_unit
+from piezoid.numerics.arrays import Array, freeze, same_length, strictly_increasing
 from piezoid.numerics.frequency import (
     Response,
     decibel,
@@ -21,6 +23,7 @@ from piezoid.numerics.frequency import (
 )
 from piezoid.numerics.polynomial import product, spectral_radius, total
 
+FUNCTIONS = ("Syp", "Sup", "Syb", "Syv")
 _LOWEST_Hz = 1e-3
 _GRID = 4000
 _REFINED_PEAKS = 3
@@ -98,35 +101,20 @@ def sensitivities(
 def margins(plant: Fraction, R: ArrayLike, S: ArrayLike) -> Margins:
     """Return the margins of one plant's loop, refined between grid points.
 
+        delay margin = min over |L(w)| = 1 of (angle(L) + pi mod 2 pi) / w,   L = B R / (A S)
+
     Both margins of an unstable loop are zero: its sensitivity peak has no meaning.
     """
-    radius = spectral_radius(closed_loop_polynomial(plant, R, S))
-    peak, peak_Hz = _largest_sensitivity(plant, R, S)
-    delay_s, delay_Hz = _delay_margin(plant, R, S)
-    is_stable = radius < 1.0
-    return Margins(
-        label=plant.label,
-        is_stable=is_stable,
-        spectral_radius=radius,
-        modulus_margin=1.0 / peak if is_stable else 0.0,
-        modulus_peak_dB=float(decibel(peak)),
-        modulus_Hz=peak_Hz,
-        delay_margin_s=delay_s if is_stable else 0.0,
-        delay_Hz=delay_Hz,
-    )
-
-
-def _fine_grid_Hz(plant: Fraction) -> Array:
-    return grid_Hz(plant.sampling_rate_Hz, lowest_Hz=_LOWEST_Hz, count=_GRID)
-
-
-def _largest_sensitivity(plant: Fraction, R: ArrayLike, S: ArrayLike) -> tuple[float, float]:
-    """Return max |Syp| and its frequency, refined about the highest peaks of the grid."""
+    numerator, denominator = product(plant.B, R), product(plant.A, S)
 
     def negative(f: Array) -> Array:
         return -np.abs(sensitivities(plant, R, S, f).Syp)
 
-    frequency_Hz = _fine_grid_Hz(plant)
+    def loop(f: Array) -> Response:
+        return response(numerator, denominator, f, plant.sampling_rate_Hz)
+
+    # The largest |Syp|, refined about the highest peaks of the grid.
+    frequency_Hz = grid_Hz(plant.sampling_rate_Hz, lowest_Hz=_LOWEST_Hz, count=_GRID)
     values = negative(frequency_Hz)
     inner = values[1:-1]
     peaks = 1 + np.flatnonzero((inner <= values[:-2]) & (inner <= values[2:]))
@@ -135,32 +123,31 @@ def _largest_sensitivity(plant: Fraction, R: ArrayLike, S: ArrayLike) -> tuple[f
     candidates_Hz = np.append(refined_Hz, frequency_Hz[np.argmin(values)])
     values = negative(candidates_Hz)
     best = int(np.argmin(values))
-    return -float(values[best]), float(candidates_Hz[best])
-
-
-def _delay_margin(
-    plant: Fraction, R: ArrayLike, S: ArrayLike
-) -> tuple[float | None, float | None]:
-    """Return the smallest phase margin over frequency, in seconds, and the crossing's frequency.
-
-    tau = min over |L(w)| = 1 of (angle(L) + pi mod 2 pi) / w, L = B R / (A S)
-    """
-    numerator, denominator = product(plant.B, R), product(plant.A, S)
-
-    def loop(f: Array) -> Response:
-        return response(numerator, denominator, f, plant.sampling_rate_Hz)
-
-    frequency_Hz = _fine_grid_Hz(plant)
+    peak = -float(values[best])
+    # The smallest delay at a gain crossing.
+    delay_s: float | None = None
+    delay_Hz: float | None = None
     is_above = np.abs(loop(frequency_Hz)) > 1.0
     k = np.flatnonzero(is_above[:-1] != is_above[1:])
-    if not len(k):
-        return None, None
-    crossings_Hz = _minimisers(
-        lambda f: np.abs(np.abs(loop(f)) - 1.0), frequency_Hz[k], frequency_Hz[k + 1]
+    if len(k):
+        crossings_Hz = _minimisers(
+            lambda f: np.abs(np.abs(loop(f)) - 1.0), frequency_Hz[k], frequency_Hz[k + 1]
+        )
+        delays_s = np.angle(-loop(crossings_Hz)) % (2.0 * np.pi) / (2.0 * np.pi * crossings_Hz)
+        smallest = int(np.argmin(delays_s))
+        delay_s, delay_Hz = float(delays_s[smallest]), float(crossings_Hz[smallest])
+    radius = spectral_radius(closed_loop_polynomial(plant, R, S))
+    is_stable = radius < 1.0
+    return Margins(
+        label=plant.label,
+        is_stable=is_stable,
+        spectral_radius=radius,
+        modulus_margin=1.0 / peak if is_stable else 0.0,
+        modulus_peak_dB=float(decibel(peak)),
+        modulus_Hz=float(candidates_Hz[best]),
+        delay_margin_s=delay_s if is_stable else 0.0,
+        delay_Hz=delay_Hz,
     )
-    delay_s = np.angle(-loop(crossings_Hz)) % (2.0 * np.pi) / (2.0 * np.pi * crossings_Hz)
-    smallest = int(np.argmin(delay_s))
-    return float(delay_s[smallest]), float(crossings_Hz[smallest])
 
 
 def _minimisers(function: Callable[[Array], Array], low_Hz: Array, high_Hz: Array) -> Array:
@@ -172,3 +159,142 @@ def _minimisers(function: Callable[[Array], Array], low_Hz: Array, high_Hz: Arra
         low_Hz = f[np.maximum(best - 1, 0), brackets]
         high_Hz = f[np.minimum(best + 1, _LINES - 1), brackets]
     return 0.5 * (low_Hz + high_Hz)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Template:
+    """An upper limit of one sensitivity function.
+
+    name          for messages, for example ``attenuation``
+    function      one of Syp, Sup, Syb, Syv
+    frequency_Hz  (knots,)  increasing; the limit is linear in dB over log f between knots, and
+                  infinite outside
+    upper_dB      (knots,)  relative to 1, V per output unit, 1, output unit per V
+    """
+
+    name: str
+    function: str
+    frequency_Hz: Array
+    upper_dB: Array
+
+    def __post_init__(self) -> None:
+        if self.function not in FUNCTIONS:
+            raise ValueError(f"template {self.name}: {self.function!r} is not one of {FUNCTIONS}")
+        freeze(self, "frequency_Hz", "upper_dB")
+        same_length([("frequency_Hz", self.frequency_Hz), ("upper_dB", self.upper_dB)])
+        strictly_increasing(self.frequency_Hz, "frequency_Hz")
+        if not len(self.frequency_Hz):
+            raise ValueError(f"template {self.name}: it has no frequencies")
+        if not self.frequency_Hz[0] > 0:
+            raise ValueError(f"template {self.name}: frequencies must be > 0")
+
+    def limit_dB(self, frequency_Hz: ArrayLike) -> Array:
+        """Return the limit in dB, +inf outside of the knots, (frequencies,)."""
+        f = np.asarray(frequency_Hz, dtype=np.float64)
+        level = np.interp(np.log(f), np.log(self.frequency_Hz), self.upper_dB)
+        inside = (f >= self.frequency_Hz[0]) & (f <= self.frequency_Hz[-1])
+        return np.where(inside, level, np.inf)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Violation:
+    """Violation of one template by one member of the family, at its worst frequency.
+
+    template      name of the template or margin
+    member        label of the plant
+    frequency_Hz  of the largest excess
+    found, limit  in ``unit``: ``dB``, or ``s`` for the delay margin, ``1`` for the modulus margin
+    excess_dB     20 log10 of the ratio to the limit, > 0
+    """
+
+    template: str
+    member: str
+    frequency_Hz: float
+    found: float
+    limit: float
+    unit: str
+    excess_dB: float
+
+    @property
+    def sentence(self) -> str:
+        """The violation as a sentence."""
+        at, limit = with_unit(self.frequency_Hz, "Hz"), significant(self.limit, 4)
+        return (
+            f"{self.template} of the member '{self.member}' is {significant(self.found, 4)} "
+            f"{self.unit} at {at} where {limit} {self.unit} is the limit, missed by "
+            f"{self.excess_dB:.2f} dB"
+        )
+
+
+def attenuation(bandwidth_Hz: float, level_dB: float) -> Template:
+    """Return the template of an integrating loop: |Syp| rises by 20 dB/decade up to a level."""
+    return Template(
+        name="attenuation",
+        function="Syp",
+        frequency_Hz=np.array([bandwidth_Hz / 1000.0, bandwidth_Hz]),
+        upper_dB=np.array([level_dB - 60.0, level_dB]),
+    )
+
+
+def delay_limit(frequency_Hz: Array, delay_s: float) -> Array:
+    """Return the limit of |Syb| below which every additional delay up to tau preserves stability.
+
+        1 / max over t <= tau of |1 - exp(-j w t)|:   1/(2 sin(w tau / 2)), 1/2 from w tau = pi on
+
+    For tau of one sample this is Landau's template. Above one sample, delays less than tau
+    determine the limit at high frequency, which the first expression alone would miss.
+    """
+    angle = np.minimum(np.pi * frequency_Hz * delay_s, 0.5 * np.pi)
+    return np.asarray(0.5 / np.maximum(np.sin(angle), 1e-12))
+
+
+def violations(
+    members: Sequence[Fraction],
+    R: ArrayLike,
+    S: ArrayLike,
+    *,
+    templates: Sequence[Template],
+    modulus_margin: float,
+    delay_margin_s: float,
+) -> tuple[Violation, ...]:
+    """Return the violations of every limit by every member on a fine grid, worst first."""
+    violated: list[Violation] = []
+
+    def check(
+        name: str, frequency_Hz: float, value: float, limit: float, unit: str, excess_dB: float
+    ) -> None:
+        if excess_dB > 0.0:
+            violated.append(
+                Violation(
+                    template=name,
+                    member=plant.label,
+                    frequency_Hz=frequency_Hz,
+                    found=value,
+                    limit=limit,
+                    unit=unit,
+                    excess_dB=excess_dB,
+                )
+            )
+
+    for plant in members:
+        m = margins(plant, R, S)
+        limits = [("modulus margin", m.modulus_Hz, m.modulus_margin, modulus_margin, "1")]
+        if m.delay_margin_s is not None:
+            delay_Hz = m.delay_Hz or m.modulus_Hz
+            limits.append(("delay margin", delay_Hz, m.delay_margin_s, delay_margin_s, "s"))
+        for name, frequency_Hz, value, limit, unit in limits:
+            excess_dB = float(decibel(limit / max(value, 1e-6 * limit)))
+            check(name, frequency_Hz, value, limit, unit, excess_dB)
+        for template in templates:
+            lowest_Hz = min(1.0, float(template.frequency_Hz[0]))
+            grid = grid_Hz(plant.sampling_rate_Hz, lowest_Hz=lowest_Hz, count=2000)
+            knots_Hz = template.frequency_Hz[template.frequency_Hz < 0.5 * plant.sampling_rate_Hz]
+            f = np.union1d(grid, knots_Hz)
+            f = f[np.isfinite(template.limit_dB(f))]
+            if f.size:
+                magnitude = np.abs(getattr(sensitivities(plant, R, S, f), template.function))
+                level_dB, limit_dB = decibel(magnitude), template.limit_dB(f)
+                worst = int(np.argmax(level_dB - limit_dB))
+                level, limit = float(level_dB[worst]), float(limit_dB[worst])
+                check(template.name, float(f[worst]), level, limit, "dB", level - limit)
+    return tuple(sorted(violated, key=lambda violation: -violation.excess_dB))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.design.family_grid import FamilyGrid, family_grid, worst_excess
+from piezoid.design.loop_search import FamilyGrid, family_grid, search, worst_excess
 from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import (
     INTEGRATOR,
@@ -17,7 +17,6 @@ from piezoid.design.rst import (
     closed_loop_target,
     place_poles,
 )
-from piezoid.design.search import search
 from piezoid.design.specification import Specification
 from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array
@@ -76,54 +75,22 @@ def band_stop_polynomials(filter_: BandStop, sampling_rate_Hz: float) -> tuple[A
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ShapedController:
-    """A controller by pole placement, with its design choices.
+    """A controller by pole placement or by convex optimisation, with its figures.
 
-    controller      R, S, T
-    dominant        the pair of P_D
-    auxiliary_root  alpha of P_F = (1 - alpha q^-1)^n
-    band_stops      in the order they were added
-    rejection       max over members and f <= bandwidth of |Syp| bandwidth / f; smaller is better
-    excess_dB       <= 0: every member meets every limit on the search's grid
+    controller  R, S, T
+    parameters  result of the search, by name
+    rejection   max over members and f <= bandwidth of |Syp| bandwidth / f; smaller is better
+    excess_dB   <= 0: every member meets every limit on the grid of the search
+    band_stops  in the order they were added
+    history     (iterations + 1,)  the rejection at the start and after each convex problem
     """
 
     controller: RstController
-    dominant: Section
-    auxiliary_root: float
-    band_stops: tuple[BandStop, ...]
+    parameters: dict[str, float]
     rejection: float
     excess_dB: float
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Parameters that the search chose, by name."""
-        return {
-            "dominant_Hz": self.dominant.frequency_Hz,
-            "dominant_damping": float(self.dominant.damping or 0.0),
-            "auxiliary_root": self.auxiliary_root,
-            **{f"stop_{k}_Hz": stop.frequency_Hz for k, stop in enumerate(self.band_stops)},
-        }
-
-
-def place_band_stops(
-    plant: Plant,
-    dominant: Section,
-    auxiliary_root: float,
-    band_stops: tuple[BandStop, ...] = (),
-) -> RstController:
-    """Place P_D P_F with an integrator, no gain at Nyquist, and band-stops as fixed parts."""
-    part_r, part_s, denominators = OPEN_AT_NYQUIST, INTEGRATOR, np.ones(1)
-    for stop in band_stops:
-        numerator, denominator = band_stop_polynomials(stop, plant.sampling_rate_Hz)
-        denominators = product(denominators, denominator)
-        if stop.part == "S":
-            part_s = product(part_s, numerator)
-        else:
-            part_r = product(part_r, numerator)
-    free = len(plant.A) + len(plant.B) - 3
-    target = closed_loop_target(
-        dominant, plant.sampling_rate_Hz, auxiliary_root=auxiliary_root, auxiliary_count=free
-    )
-    return place_poles(plant, product(target, denominators), H_R=part_r, H_S=part_s)
+    band_stops: tuple[BandStop, ...] = ()
+    history: tuple[float, ...] = ()
 
 
 def shape(
@@ -163,27 +130,46 @@ def _best_placement(
 ) -> ShapedController:
     """Search log f0 and zeta of the dominant pair and the auxiliary root for fixed band-stops.
 
+        P = P_D P_F,   P_F = (1 - alpha q^-1)^n,   R and S contain 1 + q^-1, 1 - q^-1 and the stops
+
     The range of f0 follows from the plant's delay.
     """
-    reach_Hz = min(0.1 / plant.rest_delay_s, 0.2 * plant.sampling_rate_Hz)
+    rate_Hz = plant.sampling_rate_Hz
+    fixed_r, fixed_s, denominators = OPEN_AT_NYQUIST, INTEGRATOR, np.ones(1)
+    for stop in band_stops:
+        numerator, denominator = band_stop_polynomials(stop, rate_Hz)
+        denominators = product(denominators, denominator)
+        if stop.part == "S":
+            fixed_s = product(fixed_s, numerator)
+        else:
+            fixed_r = product(fixed_r, numerator)
+    free = len(plant.A) + len(plant.B) - 3
+    reach_Hz = min(0.1 / plant.rest_delay_s, 0.2 * rate_Hz)
     lower = np.array([np.log(0.02 * reach_Hz), 0.5, 0.02])
-    upper = np.array([np.log(min(5.0 * reach_Hz, 0.3 * plant.sampling_rate_Hz)), 1.5, 0.8])
+    upper = np.array([np.log(min(5.0 * reach_Hz, 0.3 * rate_Hz)), 1.5, 0.8])
     starts = [
         np.array([np.log(share * reach_Hz), 0.9, root])
         for share, root in ((1.0, 0.2), (0.3, 0.2), (0.1, 0.4))
     ]
 
     def build(x: Array) -> ShapedController:
-        dominant = Section(frequency_Hz=float(np.exp(x[0])), damping=float(x[1]))
-        controller = place_band_stops(plant, dominant, float(x[2]), band_stops)
+        frequency_Hz, damping, root = float(np.exp(x[0])), float(x[1]), float(x[2])
+        dominant = Section(frequency_Hz=frequency_Hz, damping=damping)
+        target = closed_loop_target(dominant, rate_Hz, auxiliary_root=root, auxiliary_count=free)
+        P = product(target, denominators)
+        controller = place_poles(plant, P, H_R=fixed_r, H_S=fixed_s)
         worst = worst_excess(grid, controller.R, controller.S)
         return ShapedController(
             controller=controller,
-            dominant=dominant,
-            auxiliary_root=float(x[2]),
-            band_stops=band_stops,
+            parameters={
+                "dominant_Hz": frequency_Hz,
+                "dominant_damping": damping,
+                "auxiliary_root": root,
+                **{f"stop_{k}_Hz": stop.frequency_Hz for k, stop in enumerate(band_stops)},
+            },
             rejection=worst.rejection,
             excess_dB=worst.excess_dB,
+            band_stops=band_stops,
         )
 
     def cost(x: Array) -> tuple[float, float]:
@@ -193,4 +179,4 @@ def _best_placement(
             return _INFEASIBLE
         return float(np.log(shaped.rejection)), shaped.excess_dB
 
-    return build(search(cost, lower, upper, starts).parameters)
+    return build(search(cost, lower, upper, starts))

@@ -1,4 +1,4 @@
-"""Specification of one axis: bandwidth, margins, templates, limits and noise, with defaults."""
+"""Requirements on one axis: specification with defaults and design.toml, and its converters."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.templates import FUNCTIONS, Template, attenuation
+from piezoid.design.sensitivity import FUNCTIONS, Template, attenuation
 from piezoid.errors import LabFileError
 from piezoid.numerics.frequency import decibel
+from piezoid.records.checks.command_range import command_range_V, gain_of
+from piezoid.records.lab import Lab
 from piezoid.toml_files import read_toml
 
 _AT_BANDWIDTH_dB = -3.0
@@ -142,6 +144,51 @@ def slowest_Hz(plant: Plant) -> float:
     return float(np.abs(np.log(plant.poles)).min() * plant.sampling_rate_Hz / (2.0 * np.pi))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Converters:
+    """DAC and ADC of one axis, in volts at the controller's terminals.
+
+    command_V       (low, high) of a command: the amplifier's output range over its gain,
+                    intersected with the codes of the DAC, the highest of which lies one step below
+                    the end of its range; None if neither is declared
+    command_step_V  of the DAC; 0 if its bits or range are not declared
+    reading_V       (low, high) of the ADC; None if not declared
+    reading_step_V  of the ADC; 0 if its bits or range are not declared
+    command_slew_V_per_s  fastest command that the amplifier follows; None if not declared
+    """
+
+    command_V: tuple[float, float] | None
+    command_step_V: float
+    reading_V: tuple[float, float] | None
+    reading_step_V: float
+    command_slew_V_per_s: float | None = None
+
+
+def converters_of(lab: Lab, axis: str) -> Converters:
+    """Return the declared converters of an axis, without assumptions on undeclared values.
+
+    ``input_range_V`` of lab.toml is the range of both converters.
+    """
+    acquisition, amplifier = lab.acquisition, lab.amplifier_of(axis)
+    range_V, slew_V_per_s = acquisition.input_range_V, amplifier.slew_V_per_s
+    if slew_V_per_s is not None:  # of the amplifier's output
+        slew_V_per_s = float(slew_V_per_s / abs(gain_of(amplifier)))
+    step_V, reading_step_V = (
+        0.0 if range_V is None or bits is None else float((range_V[1] - range_V[0]) / 2.0**bits)
+        for bits in (acquisition.dac_bits, acquisition.adc_bits)
+    )
+    command_V = command_range_V(lab, axis)
+    if command_V is not None and range_V is not None:
+        command_V = command_V[0], min(command_V[1], range_V[1] - step_V)
+    return Converters(
+        command_V=command_V,
+        command_step_V=step_V,
+        reading_V=range_V,
+        reading_step_V=reading_step_V,
+        command_slew_V_per_s=slew_V_per_s,
+    )
+
+
 def specifications_from_toml(
     text: str, defaults: Mapping[str, Specification], *, source: str = "design.toml"
 ) -> dict[str, Specification]:
@@ -181,9 +228,22 @@ def _from_table(default: Specification, table: dict[str, Any], source: str) -> S
         if key not in allowed_keys:
             names = ", ".join(sorted(allowed_keys))
             raise _unusable(source, f"unknown key {short(key)}", f"one of {names}")
+        # TOML integers may have thousands of digits.
+        is_number = (
+            isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and (value == 0 or _SMALLEST <= abs(value) <= _LARGEST)
+        )
         if key == "resonant_harmonics":
-            values[key] = _harmonics(value, source)
-        elif not _is_number(value):
+            harmonics = value if isinstance(value, list) else [value]
+            if not all(type(h) is int and 0 < h <= _LAST_HARMONIC for h in harmonics):
+                needed = f"a list of whole numbers from 1 to {_LAST_HARMONIC}"
+                raise _unusable(source, f"{key} is {short(value)}", needed)
+            if len(harmonics) > _MAX_HARMONICS:
+                needed = f"at most {_MAX_HARMONICS}: an observer has no more states"
+                raise _unusable(source, f"{key} holds {len(harmonics)} numbers", needed)
+            values[key] = tuple(harmonics)
+        elif not is_number:
             raise _unusable(source, f"{key} is {short(value)}", "a number in SI units")
         elif key in ("bandwidth_Hz", "scan_frequency_Hz") and value > _FASTEST_Hz:
             raise _unusable(source, f"{key} is {short(value)}", f"at most {_FASTEST_Hz:.0e} Hz")
@@ -193,24 +253,6 @@ def _from_table(default: Specification, table: dict[str, Any], source: str) -> S
         return replace(default, **values, templates=default.templates + templates)
     except ValueError as fault:
         raise _unusable(source, str(fault), "a value in its range") from fault
-
-
-def _is_number(value: object) -> bool:
-    """Whether a value is a number of usable size; TOML integers may have thousands of digits."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return value == 0 or _SMALLEST <= abs(value) <= _LARGEST
-
-
-def _harmonics(value: object, source: str) -> tuple[int, ...]:
-    harmonics = value if isinstance(value, list) else [value]
-    if not all(type(h) is int and 0 < h <= _LAST_HARMONIC for h in harmonics):
-        fault = f"resonant_harmonics is {short(value)}"
-        raise _unusable(source, fault, f"a list of whole numbers from 1 to {_LAST_HARMONIC}")
-    if len(harmonics) > _MAX_HARMONICS:
-        fault = f"resonant_harmonics holds {len(harmonics)} numbers"
-        raise _unusable(source, fault, f"at most {_MAX_HARMONICS}: an observer has no more states")
-    return tuple(harmonics)
 
 
 def _template(table: Any, source: str) -> Template:

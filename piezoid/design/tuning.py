@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.design.family_grid import LoopFigures, evaluate_loop, family_grid
+from piezoid.design.feasibility import unmet
+from piezoid.design.loop_search import evaluate_loop, family_grid, search
 from piezoid.design.observer import (
     DisturbanceModel,
     DisturbanceObserver,
@@ -12,16 +13,18 @@ from piezoid.design.observer import (
     disturbance_model,
     extended,
     feedback_polynomials,
+    linear_controller,
 )
 from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import (
     LIGHT,
+    RstController,
+    damping_ratios,
     feedback_poles,
-    light_modes,
     observer_poles,
-    slowest_damping,
+    slow_and_fast,
 )
-from piezoid.design.search import search
+from piezoid.design.sensitivity import Violation
 from piezoid.design.specification import Specification, slowest_Hz
 from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array
@@ -125,31 +128,22 @@ def _solve_riccati(A: Array, G: Array, Q: Array) -> Array:
     raise np.linalg.LinAlgError(f"the solution still changes after {_DOUBLINGS} doublings")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SearchBox:
-    """Parameters of a search by name, their bounds, and the starts of the search.
+def _search_box(plant: Plant, method: str) -> tuple[tuple[str, ...], Array, list[Array]]:
+    """Return the parameters that a method chooses for a plant, their bounds, and its starts.
 
-    lower, upper  (parameters,)
-    starts        (starts, parameters), within the bounds
+    returned  names; (2, parameters) lower and upper bounds; starts, (parameters,) each, within the
+              bounds
     """
-
-    names: tuple[str, ...]
-    lower: Array
-    upper: Array
-    starts: Array
-
-
-def search_box(plant: Plant, method: str) -> SearchBox:
-    """Return bounds and starts of the parameters that a method chooses for a plant."""
     slowest, fastest_Hz = slowest_Hz(plant), 0.2 * plant.sampling_rate_Hz
-    damping = min(slowest_damping(plant), LIGHT)
+    slow, fast = slow_and_fast(plant)
+    damping = min(float(damping_ratios(slow).min()), LIGHT)
     is_gentle = damping < LIGHT
     starts = dict(_STARTS[method])
     count = len(starts["feedback_Hz"])
     if is_gentle and method != DAMPED:
         for name, multiples in starts.items():
             starts[name] = (*multiples, _GENTLE.get(name, 3.0 * damping))
-    if light_modes(plant).size:
+    if (damping_ratios(fast) < LIGHT).any():
         mode_damping = tuple(np.geomspace(0.3, 0.02, count + is_gentle).tolist())
         starts["mode_damping"] = mode_damping[: len(starts["feedback_Hz"])]
         if method != "kalman":
@@ -165,24 +159,28 @@ def search_box(plant: Plant, method: str) -> SearchBox:
         elif name.startswith("mode_"):
             lowest, highest = 1e-3, 1.0
         rows.append([lowest, highest, *np.clip(unit * np.array(multiples), lowest, highest)])
-    lower, upper, *columns = np.array(rows).T
-    return SearchBox(names=tuple(starts), lower=lower, upper=upper, starts=np.array(columns))
+    columns = np.array(rows).T
+    return tuple(starts), columns[:2], list(columns[2:])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TunedObserver:
-    """An observer, the parameters that the search chose, and its figures on the search's grid.
+    """An observer that a search chose.
 
     method      ``placed``, ``kalman`` or ``DAMPED``
     observer    the gains
     parameters  by name
-    figures     excess over the limits and predicted error
+    error       predicted tracking error on the search's grid, rms, worst member
+    controller  the same loop as R, S and T
+    violations  of the specification by members of the family, worst first
     """
 
     method: str
     observer: DisturbanceObserver
     parameters: dict[str, float]
-    figures: LoopFigures
+    error: float
+    controller: RstController
+    violations: tuple[Violation, ...]
 
 
 def tune_observer(
@@ -207,12 +205,12 @@ def tune_observer(
     If no point meets every limit, the point with the smallest excess is returned.
     """
     plant = model or family.nominal
-    grid, box = family_grid(family, specification), search_box(plant, method)
+    grid, (names, bounds, starts) = family_grid(family, specification), _search_box(plant, method)
     disturbance = disturbance_model(plant.sampling_rate_Hz, specification.oscillation_Hz)
     frame = ObserverFrame(plant=plant, disturbance=disturbance, form=form)
 
     def parameters_of(logarithms: Array) -> dict[str, float]:
-        return dict(zip(box.names, np.exp(logarithms).tolist(), strict=True))
+        return dict(zip(names, np.exp(logarithms).tolist(), strict=True))
 
     def cost(logarithms: Array) -> tuple[float, float]:
         try:
@@ -223,16 +221,19 @@ def tune_observer(
         figures = evaluate_loop(grid, R, S)
         return float(np.log(max(figures.predicted_error, 1e-300))), figures.excess_dB
 
-    result = search(
-        cost, np.log(box.lower), np.log(box.upper), list(np.log(box.starts)), until_met=until_met
-    )
-    parameters = parameters_of(result.parameters)
+    logarithms = [np.log(start) for start in starts]
+    lower, upper = np.log(bounds)
+    result = search(cost, lower, upper, logarithms, until_met=until_met)
+    parameters = parameters_of(result)
     observer = _observer(frame, specification, parameters, method)
+    controller = linear_controller(observer)
     return TunedObserver(
         method=method,
         observer=observer,
         parameters=parameters,
-        figures=evaluate_loop(grid, *feedback_polynomials(observer)),
+        error=evaluate_loop(grid, controller.R, controller.S).predicted_error,
+        controller=controller,
+        violations=unmet(family.members, controller.R, controller.S, specification),
     )
 
 

@@ -23,9 +23,10 @@ from warnings import catch_warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.design.family_grid import FamilyGrid, family_grid, worst_excess
+from piezoid.design.loop_search import FamilyGrid, family_grid, worst_excess
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.rst import INTEGRATOR, OPEN_AT_NYQUIST, RstController
+from piezoid.design.shaping import ShapedController
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response, polynomial_response
@@ -46,44 +47,28 @@ _EVERY = 10
 class Cones:
     """Coefficients of one convex problem; rows run over members and frequencies together.
 
-    A_S, A_R, B_R  (rows, unknowns) complex, with constants (rows,): the loops' numerators
+    numerators     A S, A R and B R: (rows, unknowns) complex, and constants (rows,)
     real           (rows, unknowns), (rows,)  Re{P_i conj(P_d,i)} / |P_d,i|
     reference      (rows,)  |P_d,i|
-    limits         (functions, rows)
+    limits         (functions, rows), in the order of the numerators
     slope          (rows,)  f / bandwidth, nan above the bandwidth
     """
 
-    A_S: tuple[Response, Response]
-    A_R: tuple[Response, Response]
-    B_R: tuple[Response, Response]
+    numerators: tuple[tuple[Response, Response], ...]
     real: tuple[Array, Array]
     reference: Array
     limits: Array
     slope: Array
 
-    @property
-    def limited(self) -> tuple[tuple[Response, Response], ...]:
-        """Responses with limits, in the order of the limits."""
-        return self.A_S, self.A_R, self.B_R
-
     def at(self, rows: NDArray[np.bool_]) -> "Cones":
         """Return the problem on some rows only."""
-        pairs = ("A_S", "A_R", "B_R", "real")
         return Cones(
-            **{name: tuple(part[rows] for part in getattr(self, name)) for name in pairs},
+            numerators=tuple((free[rows], constant[rows]) for free, constant in self.numerators),
+            real=(self.real[0][rows], self.real[1][rows]),
             reference=self.reference[rows],
             limits=self.limits[:, rows],
             slope=self.slope[rows],
         )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Solution:
-    """Solution of a convex problem: the unknowns, the rejection bound and the slack."""
-
-    x: Array
-    gamma: float
-    slack: float
 
 
 def solve(
@@ -114,16 +99,25 @@ def solve(
         solution = _solve_program(cones.at(active), count, reserve)
         if solution is None:
             return None
-        # local maxima of the excess
-        excess = _excess(cones, solution, reserve)
+        x, gamma, slack = solution
+        # the violation of each row, relative to the closed loop, and its local maxima
+        real = (cones.real[0] @ x + cones.real[1]) / cones.reference
+        allowed, excess = reserve * (real + slack), _MIN_REAL - real
+        sizes = [
+            np.abs(rows @ x + constant) / cones.reference for rows, constant in cones.numerators
+        ]
+        for size, limit in zip(sizes, cones.limits[:3], strict=True):
+            excess = np.maximum(excess, size / limit - allowed)
+        in_band = np.maximum(sizes[0] / cones.slope - gamma, 1.0 - real)
+        excess = np.fmax(excess, in_band)  # the slope is nan above the band
         preceding, following = np.append(-np.inf, excess[:-1]), np.append(excess[1:], -np.inf)
         peaks = (excess > _TOLERANCE) & (excess >= preceding) & (excess >= following)
         added = peaks & ~active
         if not added.any():
             break
         active |= added
-    s_free = np.concatenate([[1.0], solution.x[: count - 1]])
-    r_free = solution.x[count - 1 :] / scale
+    s_free = np.concatenate([[1.0], x[: count - 1]])
+    r_free = x[count - 1 :] / scale
     return product(OPEN_AT_NYQUIST, r_free), product(INTEGRATOR, s_free)
 
 
@@ -144,9 +138,7 @@ def cones_around(grid: FamilyGrid, scale: float, R: Array, S: Array, count: int)
     slope = np.where(f <= bandwidth_Hz * (1.0 + 1e-12), f / bandwidth_Hz, np.nan)
     none = np.zeros(len(q), dtype=np.complex128)
     return Cones(
-        A_S=(A * s_rows, constant),
-        A_R=(A * r_rows, none),
-        B_R=(B * r_rows, none),
+        numerators=((A * s_rows, constant), (A * r_rows, none), (B * r_rows, none)),
         real=((turn[:, None] * (A * s_rows + B * r_rows)).real, (turn * constant).real),
         reference=np.abs(desired),
         limits=np.tile(grid.limits, members),
@@ -154,27 +146,15 @@ def cones_around(grid: FamilyGrid, scale: float, R: Array, S: Array, count: int)
     )
 
 
-def _excess(cones: Cones, solution: Solution, reserve: float) -> Array:
-    """Return the violation of each row by a solution, relative to the closed loop."""
-    real = (cones.real[0] @ solution.x + cones.real[1]) / cones.reference
-    allowed = reserve * (real + solution.slack)
-    excess = _MIN_REAL - real
-    for (rows, constant), limit in zip(cones.limited, cones.limits[:3], strict=True):
-        size = np.abs(rows @ solution.x + constant) / cones.reference
-        excess = np.maximum(excess, size / limit - allowed)
-    size = np.abs(cones.A_S[0] @ solution.x + cones.A_S[1]) / cones.reference
-    in_band = np.maximum(size / cones.slope - solution.gamma, 1.0 - real)
-    return np.asarray(np.fmax(excess, in_band))  # the slope is nan above the band
-
-
-def _solve_program(cones: Cones, count: int, reserve: float) -> Solution | None:
+def _solve_program(cones: Cones, count: int, reserve: float) -> tuple[Array, float, float] | None:
     """Solve the second-order cone program on some rows; None if the solver fails.
 
         minimise    gamma + weight slack
         subject to  real >= min |P_d|,   |size| <= reserve limit (real + slack |P_d|)
                     real >= |P_d|,   |A_i S| <= gamma slope |P_d|     in the band
 
-    One slack of all limits, with a large weight, allows for a start that exceeds them.
+    One slack of all limits, with a large weight, allows for a start that exceeds them. Returns x,
+    gamma and the slack.
     """
     import cvxpy as cp
 
@@ -192,10 +172,10 @@ def _solve_program(cones: Cones, count: int, reserve: float) -> Solution | None:
             constraints.append(cp.SOC(bound, cp.vstack(parts)))
 
     relaxed = real + slack * reference
-    for size, upper in zip(cones.limited, cones.limits[:3], strict=True):
+    for size, upper in zip(cones.numerators, cones.limits[:3], strict=True):
         is_limited = np.isfinite(upper)
         limit(size, is_limited, cp.multiply(reserve * upper[is_limited], relaxed[is_limited]))
-    limit(cones.A_S, band, gamma * (cones.slope * reference)[band])
+    limit(cones.numerators[0], band, gamma * (cones.slope * reference)[band])
     if band.any():
         constraints.append(real[band] >= reference[band])
     program = cp.Problem(cp.Minimize(gamma + _SLACK_WEIGHT * slack), constraints)
@@ -207,30 +187,7 @@ def _solve_program(cones: Cones, count: int, reserve: float) -> Solution | None:
         return None
     if program.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         return None
-    return Solution(x=np.array(x.value), gamma=float(gamma.value), slack=float(slack.value))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ConvexController:
-    """A controller by convex optimisation over a family.
-
-    controller   R, S, T
-    taps         free coefficients of R' and of S'
-    rejection    max over members and f <= bandwidth of |Syp| bandwidth / f, on the fine grid
-    excess_dB    <= 0: every member meets every limit on the fine grid
-    history      (iterations + 1,)  the rejection at the start and after each convex problem
-    """
-
-    controller: RstController
-    taps: int
-    rejection: float
-    excess_dB: float
-    history: tuple[float, ...]
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Number of taps and of iterations, by name."""
-        return {"taps": float(self.taps), "iterations": float(len(self.history) - 1)}
+    return np.array(x.value), float(gamma.value), float(slack.value)
 
 
 def optimise(
@@ -241,7 +198,7 @@ def optimise(
     taps: int = 10,
     max_iterations: int = 8,
     every: int = _EVERY,
-) -> ConvexController:
+) -> ShapedController:
     """Minimise the rejection figure over R' and S', from a start that stabilises every member.
 
         minimise    gamma
@@ -252,7 +209,8 @@ def optimise(
     every  step of the rows of the grid that are active at first; violated rows are added
 
     Limits that the start exceeds are relaxed together, as little as possible. Each step is
-    checked on a grid ten times finer, and solved again with more reserve if it fails there.
+    checked on a grid ten times finer, and solved again with more reserve if it fails there. The
+    figures of the result are those on the fine grid.
     """
     count = max(taps, len(start.S) - len(INTEGRATOR) + 1, len(start.R) - len(OPEN_AT_NYQUIST) + 1)
     coarse = family_grid(family, specification, count=20 * count)
@@ -277,9 +235,9 @@ def optimise(
             break
         (R, S), best = step, worst
         history.append(worst.rejection)
-    return ConvexController(
+    return ShapedController(
         controller=RstController(R=R, S=S, T=np.array([R.sum()])),
-        taps=count,
+        parameters={"taps": float(count), "iterations": float(len(history) - 1)},
         rejection=best.rejection,
         excess_dB=best.excess_dB,
         history=tuple(history),

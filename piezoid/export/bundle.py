@@ -178,6 +178,9 @@ def bundle(file: ParameterFile) -> Mapping[str, bytes]:
         f"- {DRIVE_VOLTAGE_NOTE} Outputs stay within the drive of the recordings, and within the "
         "converter and amplifier of lab.toml."
     )
+    axis_rows, guard_rows = zip(
+        *(_rows(index, axis) for index, axis in enumerate(file.axes)), strict=True
+    )
     decoupled = ""
     if file.decoupled is not None:
         names = [plain_ascii(axis) for axis in file.decoupled.axes]
@@ -196,11 +199,11 @@ def bundle(file: ParameterFile) -> Mapping[str, bytes]:
         "README.md": _README.format(
             name=plain_ascii(file.name),
             samples=SAMPLES,
-            axes="\n".join(_axis_row(index, axis) for index, axis in enumerate(file.axes)),
+            axes="\n".join(axis_rows),
             memory=memory,
             guard_names=" | ".join(name for name, _, _ in _GUARDS),
             guard_rules=" | ".join("---" for _ in _GUARDS),
-            guards="\n".join(map(_guard_row, file.axes)),
+            guards="\n".join(guard_rows),
             first=file.axes[0].axis.upper(),
             voltage_note=fill(voltage_note, 98, subsequent_indent="  "),
             unshipped="".join(
@@ -231,42 +234,6 @@ alone is not enough, because feedback would control the coupled readings. `golde
 """
 
 
-def _axis_row(index: int, axis: AxisParameters) -> str:
-    values = _scalars(axis)
-    low_V, high_V, step_V = (values[f"{name}_V"] for name in _OUTPUT)
-    codes = ""
-    if step_V:
-        first_code, last_code = np.ceil(low_V / step_V), np.floor(high_V / step_V)
-        codes = f"{first_code:.0f} to {last_code:.0f}"
-        low_V, high_V = first_code * step_V, last_code * step_V
-    low, high, unit = _RANGE_A if axis.method == "rst" else _RANGE_m
-    if axis.method == "rst":
-        unit += f", set point {values['current_reference_A']:.4g}"
-    cells = (
-        *(axis.axis, index, axis.method, f"{values['sampling_rate_Hz']:g}"),
-        f"{values['preview_samples']:g}",
-        f"{values[low]:.4g} to {values[high]:.4g} {unit}",
-        *(f"{low_V:.7g} to {high_V:.7g}", f"{step_V:.12g}", codes),
-    )
-    return "| " + " | ".join(str(cell) for cell in cells) + " |"
-
-
-def _scalars(axis: AxisParameters) -> dict[str, float]:
-    return {name: float(value) for name, value in axis.values.items() if not value.ndim}
-
-
-def _guard_row(axis: AxisParameters) -> str:
-    """Return the row of an axis in the table of guards; cells that do not apply are empty."""
-    values, is_tip = _scalars(axis), axis.method == "rst"
-    cells = [
-        text.format(**values, blind_s=values["blind_samples"] / values["sampling_rate_Hz"])
-        if only_tip in (None, is_tip)
-        else ""
-        for _, text, only_tip in _GUARDS
-    ]
-    return "| " + " | ".join([axis.axis, *cells]) + " |"
-
-
 # Heading and cell of each guard, for tips only (True), for X and Y only (False) or for both
 # (None).
 _GUARDS: tuple[tuple[str, str, bool | None], ...] = (
@@ -286,6 +253,37 @@ _GUARDS: tuple[tuple[str, str, bool | None], ...] = (
 _OUTPUT = ("voltage_minimum", "voltage_maximum", "lsb")
 _RANGE_m = ("reference_minimum_m", "reference_maximum_m", "m")
 _RANGE_A = ("current_floor_A", "current_ceiling_A", "A")
+
+
+def _rows(index: int, axis: AxisParameters) -> tuple[str, str]:
+    """Return the rows of an axis in the tables of axes and of guards.
+
+    Cells of guards that do not apply are empty.
+    """
+    values = {name: float(value) for name, value in axis.values.items() if not value.ndim}
+    low_V, high_V, step_V = (values[f"{name}_V"] for name in _OUTPUT)
+    codes = ""
+    if step_V:
+        first_code, last_code = np.ceil(low_V / step_V), np.floor(high_V / step_V)
+        codes = f"{first_code:.0f} to {last_code:.0f}"
+        low_V, high_V = first_code * step_V, last_code * step_V
+    is_tip = axis.method == "rst"
+    low, high, unit = _RANGE_A if is_tip else _RANGE_m
+    if is_tip:
+        unit += f", set point {values['current_reference_A']:.4g}"
+    cells = (
+        *(axis.axis, index, axis.method, f"{values['sampling_rate_Hz']:g}"),
+        f"{values['preview_samples']:g}",
+        f"{values[low]:.4g} to {values[high]:.4g} {unit}",
+        *(f"{low_V:.7g} to {high_V:.7g}", f"{step_V:.12g}", codes),
+    )
+    blind_s = values["blind_samples"] / values["sampling_rate_Hz"]
+    guards = [
+        text.format(**values, blind_s=blind_s) if only_tip in (None, is_tip) else ""
+        for _, text, only_tip in _GUARDS
+    ]
+    axis_row, guard_row = (" | ".join(map(str, row)) for row in (cells, (axis.axis, *guards)))
+    return f"| {axis_row} |", f"| {guard_row} |"
 
 
 def golden_csv(file: ParameterFile) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.design.design import AxisDesign, Design, LoopDesign
+from piezoid.design.design import AxisDesign, Design
 from piezoid.design.feedforward import ReferencePath, filter_sections
 from piezoid.design.junction_task import loop_plant_of
 from piezoid.design.observer import DisturbanceObserver, with_oscillators_as_states
@@ -145,7 +145,27 @@ def lateral_axis(
             needed="a design for the direction in which the stage moves",
             remedy="Design again from this model.",
         )
-    loops = {loop.method: complete({**common, **_loop_values(loop)}) for loop in design.loops}
+    loops = {}
+    for loop in design.loops:
+        if loop.observer is None:
+            raise ParameterFileError(
+                f"the loop of method {loop.method} has no observer",
+                needed="a disturbance observer for X and Y",
+                remedy="Use tunnelling_axis for a controller given as R, S and T.",
+            )
+        # The fastest change of the reference in a sample for which the error is bounded.
+        certificate, step_m = loop.certificate, 0.0
+        if certificate is not None and certificate.is_guaranteed:
+            step_m = certificate.reference_slew_m_per_s / loop.members[0].sampling_rate_Hz
+        loops[loop.method] = complete(
+            {
+                **common,
+                "method": loop.method,
+                "certified_step_m": step_m,
+                **observer_values(loop.observer),
+                **reference_values(loop.reference),
+            }
+        )
     gain = {"gain_m_per_V": loops[design.recommended.method]["gain_m_per_V"]}
     for method in ("mpi", "none"):
         loops[method] = complete({**common, **gain, "method": method})
@@ -169,25 +189,6 @@ def tunnelling_axis(design: AxisDesign, guards: Mapping[str, ArrayLike | str]) -
         **reference_values(loop.reference),
     }
     return AxisParameters(axis=design.axis, values=complete(values))
-
-
-def _loop_values(loop: LoopDesign) -> Values:
-    if loop.observer is None:
-        raise ParameterFileError(
-            f"the loop of method {loop.method} has no observer",
-            needed="a disturbance observer for X and Y",
-            remedy="Use tunnelling_axis for a controller given as R, S and T.",
-        )
-    # The fastest change of the reference in a sample for which the error is bounded.
-    certificate, step_m = loop.certificate, 0.0
-    if certificate is not None and certificate.is_guaranteed:
-        step_m = certificate.reference_slew_m_per_s / loop.members[0].sampling_rate_Hz
-    return {
-        "method": loop.method,
-        "certified_step_m": step_m,
-        **observer_values(loop.observer),
-        **reference_values(loop.reference),
-    }
 
 
 def _limits(design: AxisDesign) -> Values:

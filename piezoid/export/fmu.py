@@ -12,6 +12,7 @@ import platform
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from piezoid.digests import digest_of_bytes
 from piezoid.export.bundle import SAMPLES, runtime_source
@@ -24,30 +25,12 @@ _MAIN = "fmu2.c"
 _EARLIEST_DATE = (1980, 1, 1, 0, 0, 0)  # of the zip format
 
 
-@dataclass(frozen=True, kw_only=True)
-class Variable:
-    """One variable of a unit, whose value reference is its index among the variables, from 1.
+Variable = tuple[str, str, str | None, float | int | None, str]
+"""Name of a variable of a unit, its causality, unit, initial value and description.
 
-    causality  ``input``, ``output`` or ``parameter``
-    unit       of a real; None: an integer
-    start      initial value; None for an output
-    """
-
-    name: str
-    causality: str
-    description: str
-    unit: str | None = None
-    start: float | int | None = None
-
-
-def variables(
-    *rows: tuple[str, str, str | None, float | int | None, str],
-) -> tuple[Variable, ...]:
-    """Return variables from rows of name, causality, unit, start value and description."""
-    return tuple(
-        Variable(name=name, causality=causality, unit=unit, start=start, description=description)
-        for name, causality, unit, start, description in rows
-    )
+The causality is ``input``, ``output`` or ``parameter``. An integer has no unit, and an output has
+no initial value.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,6 +44,7 @@ class Unit:
     sources      contents of the C sources other than ``fmu2.c``, by name
     period_s     sampling period
     samples      length of the default experiment
+    variables    their value references are their indices, from 1
     """
 
     identifier: str
@@ -122,9 +106,34 @@ def fmu_files(units: Mapping[str, Unit]) -> tuple[Mapping[str, bytes], tuple[str
     without_binary: list[str] = []
     for stem, unit in units.items():
         name = f"{stem}_fmi2.fmu"
-        files[name], has_binary = _zipped_unit(unit)
-        if not has_binary:
+        sources = {_MAIN: runtime_source(_MAIN)} | dict(unit.sources)
+        axis_header = partial(
+            _AXIS_HEADER.format,
+            header=unit.header,
+            identifier=unit.identifier,
+            macros=unit.macros,
+        )
+        text = _description(unit, "") + axis_header(token="")
+        joined = b"".join(sources[source] for source in sorted(sources))
+        token = digest_of_bytes(joined + text.encode())
+        sources["fmu_of_axis.h"] = axis_header(token=token).encode()
+        contents = {"modelDescription.xml": _description(unit, token).encode()}
+        contents |= {f"sources/{source}": content for source, content in sources.items()}
+        binary = None
+        if (platform.system(), platform.machine()) == ("Linux", "x86_64"):
+            binary = shared_library(sources, _MAIN, LINUX, "-DFMI2_OVERRIDE_FUNCTION_PREFIX")
+        if binary is None:
             without_binary.append(name)
+        else:
+            contents[f"binaries/linux64/{unit.identifier}.so"] = binary
+        stream = io.BytesIO()
+        with zipfile.ZipFile(stream, "w") as archive:
+            for entry_name in sorted(contents):
+                entry = zipfile.ZipInfo(entry_name, _EARLIEST_DATE)
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                entry.external_attr = 0o644 << 16
+                archive.writestr(entry, contents[entry_name], compresslevel=6)
+        files[name] = stream.getvalue()
     if not without_binary:
         return files, ()
     note = (
@@ -135,53 +144,24 @@ def fmu_files(units: Mapping[str, Unit]) -> tuple[Mapping[str, bytes], tuple[str
     return files, (note,)
 
 
-def _zipped_unit(unit: Unit) -> tuple[bytes, bool]:
-    """Return one zip file, and whether it has a binary."""
-    sources = {_MAIN: runtime_source(_MAIN)} | dict(unit.sources)
-    text = _description(unit, "") + _axis_header(unit, "")
-    token = digest_of_bytes(b"".join(sources[name] for name in sorted(sources)) + text.encode())
-    sources["fmu_of_axis.h"] = _axis_header(unit, token).encode()
-    contents = {"modelDescription.xml": _description(unit, token).encode()}
-    contents |= {f"sources/{name}": content for name, content in sources.items()}
-    binary = None
-    if (platform.system(), platform.machine()) == ("Linux", "x86_64"):
-        binary = shared_library(sources, _MAIN, LINUX, "-DFMI2_OVERRIDE_FUNCTION_PREFIX")
-    if binary is not None:
-        contents[f"binaries/linux64/{unit.identifier}.so"] = binary
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        for name in sorted(contents):
-            entry = zipfile.ZipInfo(name, _EARLIEST_DATE)
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.external_attr = 0o644 << 16
-            archive.writestr(entry, contents[name], compresslevel=6)
-    return stream.getvalue(), binary is not None
-
-
-def _axis_header(unit: Unit, token: str) -> str:
-    return _AXIS_HEADER.format(
-        header=unit.header, token=token, identifier=unit.identifier, macros=unit.macros
-    )
-
-
 def _description(unit: Unit, token: str) -> str:
     """Return the text of modelDescription.xml."""
     described = [
         _VARIABLE.format(
-            name=variable.name,
+            name=name,
             index=index,
-            causality=variable.causality,
-            variability="fixed" if variable.causality == "parameter" else "discrete",
-            description=variable.description,
-            type="Integer" if variable.unit is None else f'Real unit="{variable.unit}"',
-            start="" if variable.start is None else f' start="{variable.start!r}"',
+            causality=causality,
+            variability="fixed" if causality == "parameter" else "discrete",
+            description=description,
+            type="Integer" if si_unit is None else f'Real unit="{si_unit}"',
+            start="" if start is None else f' start="{start!r}"',
         )
-        for index, variable in enumerate(unit.variables, 1)
+        for index, (name, causality, si_unit, start, description) in enumerate(unit.variables, 1)
     ]
     outputs = [
         f'<Unknown index="{index}"/>'
-        for index, variable in enumerate(unit.variables, 1)
-        if variable.causality == "output"
+        for index, (_, causality, *_) in enumerate(unit.variables, 1)
+        if causality == "output"
     ]
     return _DESCRIPTION.format(
         identifier=unit.identifier,
@@ -215,7 +195,7 @@ def controller_units(file: ParameterFile) -> Mapping[str, Unit]:
             header="fmu_controller.h",
             macros=f"#define FMU_AXIS PIEZO_AXIS_{axis.axis.upper()}\n"
             f"#define FMU_INPUT_AT_START {start!r}\n",
-            variables=variables(
+            variables=(
                 (f"reference_{unit}", "input", unit, start, reference),
                 (f"measured_{unit}", "input", unit, start, reading),
                 ("voltage_V", "output", "V", None, voltage),

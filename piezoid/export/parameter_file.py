@@ -25,6 +25,9 @@ from piezoid.runtime.schema import METHODS, PARAMETERS, SCHEMA, Parameter
 # Parameters that only files of plays behind functions contain.
 FUNCTIONS = frozenset({"edge_count", "edge_steps", "edge_V", "play_value_m"})
 
+# Parameters in a file: all but size and checksum, which depend on precision.
+_SHIPPED = tuple(p for p in PARAMETERS if p.name not in SEALED)
+
 # Names that are valid in C enumerators and in file names.
 _AXIS = re.compile(r"[a-z][a-z0-9_]{0,15}")
 
@@ -199,8 +202,10 @@ def from_json(content: bytes, source: str) -> ParameterFile:
             (a["axis"], a["parameters"], [entry["parameters"] for entry in a["alternatives"]])
             for a in record["axes"]
         ]
-        name, sources = str(record["name"]), _texts(record["sources"])
-        unshipped = _texts(record.get("unshipped", {}))
+        name, sources = str(record["name"]), dict(record["sources"])
+        unshipped = dict(record.get("unshipped", {}))
+        if not all(isinstance(text, str) for text in (*sources.values(), *unshipped.values())):
+            raise TypeError("text for every name")
         decoupling = record.get("decoupled")
         decoupled = None if decoupling is None else records_from_json(Decoupled, decoupling)
     except (KeyError, TypeError, ValueError) as error:
@@ -224,18 +229,6 @@ def from_json(content: bytes, source: str) -> ParameterFile:
         raise _incomplete(source, f"{type(error).__name__}: {error}") from error
 
 
-def _texts(table: Any) -> dict[str, str]:
-    texts = dict(table)
-    if not all(isinstance(value, str) for value in texts.values()):
-        raise TypeError("text for every name")
-    return texts
-
-
-def _shipped() -> list[Parameter]:
-    """Return the parameters in a file: all but size and checksum, which depend on precision."""
-    return [p for p in PARAMETERS if p.name not in SEALED]
-
-
 def _entries(values: Values) -> dict[str, Any]:
     has_functions = values["edge_count"] != 0  # else as in files of earlier versions
     return {
@@ -244,7 +237,7 @@ def _entries(values: Values) -> dict[str, Any]:
             "value": used_values(p, values[p.name]).tolist(),
             "meaning": p.meaning,
         }
-        for p in _shipped()
+        for p in _SHIPPED
         if has_functions or p.name not in FUNCTIONS
     }
 
@@ -260,7 +253,7 @@ def used_values(parameter: Parameter, value: Array) -> Any:
 
 
 def _values(entries: Mapping[str, Any], source: str) -> Values:
-    expected = {p.name: p.unit for p in _shipped()}
+    expected = {p.name: p.unit for p in _SHIPPED}
     try:
         units = {name: entry["unit"] for name, entry in entries.items()}
         values = {name: entry["value"] for name, entry in entries.items()}

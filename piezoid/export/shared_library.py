@@ -31,10 +31,6 @@ class System:
     flags: tuple[str, ...]
     package: str
 
-    def compiler(self) -> str | None:
-        """Return the path of the first compiler that is installed, or None."""
-        return next((path for name in self.compilers if (path := shutil.which(name))), None)
-
 
 LINUX = System(
     name="Linux",
@@ -61,7 +57,7 @@ def shared_library(
     The compiler runs in a temporary folder with relative names, so that the library contains no
     path and no time: the same sources and compiler give the same bytes.
     """
-    compiler = system.compiler()
+    compiler = next((path for name in system.compilers if (path := shutil.which(name))), None)
     if compiler is None:
         return None
     with tempfile.TemporaryDirectory() as directory:

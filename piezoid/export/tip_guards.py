@@ -19,14 +19,13 @@ import math
 
 from numpy.typing import ArrayLike
 
-from piezoid.design.converters import converters_of
 from piezoid.design.junction_task import (
     junction_family,
     missing_line,
     reading_range_A,
     set_point_A,
 )
-from piezoid.design.specification import Specification
+from piezoid.design.specification import Specification, converters_of
 from piezoid.errors import LabFileError
 from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.loop_noise import CurrentChain
@@ -84,7 +83,16 @@ def tip_guards(
     poles_s = (1.0 / loop.plant.amplifier_pole_Hz + 1.0 / sensor_Hz) / (2.0 * math.pi)
     reaction_samples = (delay_s + poles_s) * rate_Hz + 2.0
     bound_V = _MARGIN * distance / reaction_samples / largest_gain
-    step_V = _approach_step_V(lab, bound_V, m_per_V * rate_Hz)
+    step_V, speed_m_per_s = bound_V, declared.approach_m_per_s
+    if speed_m_per_s is not None:
+        step_V = speed_m_per_s / (m_per_V * rate_Hz)
+        if speed_m_per_s > bound_V * (m_per_V * rate_Hz):
+            raise _unusable(
+                lab,
+                f"approach_m_per_s is {speed_m_per_s:g}",
+                f"at most {bound_V * (m_per_V * rate_Hz):.3g} m/s, so that the loop responds in "
+                "time",
+            )
     longest_s = declared.retract_s * 2.0 ** min(declared.retract_limit, _MAX_DOUBLINGS)
     distance_m = declared.retract_m + declared.search_m
     window_s = max(_WINDOW_s, longest_s + _CYCLES * distance_m / (step_V * m_per_V * rate_Hz))
@@ -144,57 +152,36 @@ def _currents(lab: Lab, loop: LoopPlant) -> tuple[float, float, float]:
     return reference_A, declared.floor_A, declared.ceiling_A
 
 
-def _approach_step_V(lab: Lab, bound_V: float, m_per_s_per_V: float) -> float:
-    """Return the declared step of an approach, or its bound if none is declared."""
-    speed_m_per_s = lab.tunnelling.approach_m_per_s
-    if speed_m_per_s is None:
-        return bound_V
-    if speed_m_per_s > bound_V * m_per_s_per_V:
-        raise _unusable(
-            lab,
-            f"approach_m_per_s is {speed_m_per_s:g}",
-            f"at most {bound_V * m_per_s_per_V:.3g} m/s, so that the loop responds in time",
-        )
-    return speed_m_per_s / m_per_s_per_V
-
-
 def _stuck_sensor(
     lab: Lab, loop: LoopPlant, rate_Hz: float, contact_A: float
 ) -> tuple[int, float]:
     """Return the number of equal readings of a stuck sensor, and the current above which it
     counts.
 
-    The current is -1 A if Johnson noise alone moves the readings of a sensor without current.
+    A run of n equal readings of a sound sensor has a negligible probability:
+
+        p = erf(step / (2 sqrt(2) s)),   p^n <= chance
+
+    p is the probability that two consecutive readings lie in the same converter step, and s the
+    innovation of the Johnson and shot noise behind a first-order sensor. The current is -1 A if
+    Johnson noise alone moves the readings of a sensor without current.
     """
     min_samples = max(round(_STUCK_s * rate_Hz), 1)
     step_V, ohm = converters_of(lab, loop.axis).reading_step_V, lab.tunnelling.feedback_ohm
     if ohm is None or step_V == 0.0 or lab.tunnelling.floor_A is None:
         return max(min_samples, _MAX_STUCK), lab.tunnelling.floor_A or 0.0
-    without_current, in_contact = (
-        _equal_readings(loop, rate_Hz, ohm, step_V / ohm, current_A)
-        for current_A in (0.0, contact_A)
-    )
+    pole_Hz, step_A = loop.plant.sensor_pole_Hz, step_V / ohm
+    innovation = math.sqrt(1.0 - math.exp(-2.0 * math.pi * pole_Hz / rate_Hz) ** 2)
+    chain = CurrentChain(bandwidth_Hz=0.5 * math.pi * pole_Hz, feedback_ohm=ohm)
+    samples = []
+    for current_A in (0.0, contact_A):
+        innovation_A = math.hypot(chain.johnson_A, chain.shot_A(current_A)) * innovation
+        p = math.erf(step_A / (2.0 * math.sqrt(2.0) * innovation_A))
+        samples.append(_MAX_SAMPLES if p >= 1.0 else math.ceil(math.log(_CHANCE) / math.log(p)))
+    without_current, in_contact = samples
     if without_current <= _MAX_STUCK:
         return max(min_samples, without_current), -1.0
     return max(min_samples, min(in_contact, _MAX_STUCK)), lab.tunnelling.floor_A
-
-
-def _equal_readings(
-    loop: LoopPlant, rate_Hz: float, ohm: float, step_A: float, current_A: float
-) -> int:
-    """Return the shortest run of equal readings of negligible probability for a sound sensor.
-
-        p = erf(step / (2 sqrt(2) s)),   p^n <= chance
-
-    p is the probability that two consecutive readings lie in the same converter step, and s the
-    innovation of the Johnson and shot noise behind a first-order sensor.
-    """
-    pole_Hz = loop.plant.sensor_pole_Hz
-    pole = math.exp(-2.0 * math.pi * pole_Hz / rate_Hz)
-    chain = CurrentChain(bandwidth_Hz=0.5 * math.pi * pole_Hz, feedback_ohm=ohm)
-    innovation_A = math.hypot(chain.johnson_A, chain.shot_A(current_A)) * math.sqrt(1.0 - pole**2)
-    p = math.erf(step_A / (2.0 * math.sqrt(2.0) * innovation_A))
-    return _MAX_SAMPLES if p >= 1.0 else math.ceil(math.log(_CHANCE) / math.log(p))
 
 
 def _unusable(lab: Lab, fault: str, needed: str) -> LabFileError:

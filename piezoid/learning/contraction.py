@@ -67,16 +67,6 @@ class LearningFilter:
     worst: str
 
     @property
-    def is_driven(self) -> NDArray[np.bool_]:
-        """Whether the table may change at each harmonic, (harmonics,)."""
-        return self.learns | (np.abs(self.probe_V_per_m) > 0.0)
-
-    def share_learnt(self, wanted_m: Array) -> float:
-        """Return the share of a motion's power, without its mean, in learnt harmonics."""
-        power = np.abs(np.fft.rfft(wanted_m - wanted_m.mean())) ** 2
-        return float(power[self.learns].sum() / max(power.sum(), np.finfo(float).tiny))
-
-    @property
     def learns_to_Hz(self) -> float:
         """Frequency of the highest harmonic that is learnt."""
         return float(self.harmonic_Hz[self.learns].max())
@@ -122,6 +112,10 @@ def learning_filter(
     by_member = np.abs(1.0 - applied[:, learns]).max(axis=1)
     by_member += sector * np.abs(applied[:, learns]).max(axis=1)
 
+    # the largest probing step with at most ``_MAX_PROBED`` remaining on every plant
+    probed = np.stack([_remaining(probe * relative, sector) for probe in _PROBE_SHARES])
+    probe = np.where(probed <= _MAX_PROBED, _PROBE_SHARES[:, None], 0.0).max(axis=0)
+
     def inverse(rows: NDArray[np.bool_], share: Array | float) -> Response:
         """Return a share of the nominal inverse at some harmonics, 0 elsewhere."""
         result = np.zeros(len(q), dtype=complex)
@@ -134,7 +128,7 @@ def learning_filter(
         model_V_per_m=inverse(responds, _MODEL_SHARE),
         sensed=polynomial_response(nominal.B, q) / polynomial_response(nominal.B_position, q),
         learns=learns,
-        probe_V_per_m=inverse(usable & ~learns, _probe_shares(relative, sector)),
+        probe_V_per_m=inverse(usable & ~learns, probe),
         contraction=float(by_member.max()),
         sector=sector,
         worst=members[int(np.argmax(by_member))].label,
@@ -182,13 +176,6 @@ def table_response(member: Plant, values: Values | None, q: Response) -> Respons
 def _remaining(applied: Response, sector: float) -> Array:
     """Return the remaining share of the error after a period on the worst plant, (harmonics,)."""
     return np.asarray((np.abs(1.0 - applied) + sector * np.abs(applied)).max(axis=0))
-
-
-def _probe_shares(relative: Response, sector: float) -> Array:
-    """Return the largest step with at most ``_MAX_PROBED`` remaining on every plant."""
-    remaining = np.stack([_remaining(share * relative, sector) for share in _PROBE_SHARES])
-    allowed = np.where(remaining <= _MAX_PROBED, _PROBE_SHARES[:, None], 0.0)
-    return np.asarray(allowed.max(axis=0))
 
 
 def _contracting(

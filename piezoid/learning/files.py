@@ -58,13 +58,18 @@ def learned_files(
         voltage_V=learned.table_V,
     )
     if learned.closed_loop:
+        # in the precision of the build
+        volts, reference = (
+            ",\n".join(f"    PZ_REAL({value:.17g})" for value in values.tolist())
+            for values in (learned.table_V, learned.wanted_m)
+        )
         files[f"{learned.axis}_feedforward.h"] = _HEADER.format(
             axis=learned.axis,
             upper=learned.axis.upper(),
             points=len(learned.table_V),
             rate=learned.sampling_rate_Hz,
-            volts=_literals(learned.table_V),
-            wanted=_literals(learned.wanted_m),
+            volts=volts,
+            wanted=reference,
         ).encode()
     elif converter_V is not None and bits is not None:
         table = quantise(table, converter_V, bits)
@@ -89,7 +94,12 @@ def read_reference(path: Path, sampling_rate_Hz: float) -> Array:
     column of another rate.
     """
     table = read_table(path)
-    lengths = [c for c in table.columns if _dimension(c) is Dimension.LENGTH]
+    of_dimension: dict[Dimension, list[Column]] = {Dimension.LENGTH: [], Dimension.TIME: []}
+    for column in table.columns:
+        unit = column.heading.unit
+        if unit is not None and unit.dimension in of_dimension:
+            of_dimension[unit.dimension].append(column)
+    lengths, times = of_dimension[Dimension.LENGTH], of_dimension[Dimension.TIME]
     if len(lengths) != 1:
         headings = ", ".join(c.place for c in table.columns)
         raise RecordingError(
@@ -105,7 +115,6 @@ def read_reference(path: Path, sampling_rate_Hz: float) -> Array:
             needed="a number for each point",
             remedy="Write the whole period.",
         )
-    times = [c for c in table.columns if _dimension(c) is Dimension.TIME]
     if times and len(wanted_m) > 1:
         rate_Hz = (len(wanted_m) - 1) / float(np.ptp(times[0].si_values))
         if abs(rate_Hz / sampling_rate_Hz - 1.0) > MAX_CLOCK_ERROR:
@@ -116,13 +125,3 @@ def read_reference(path: Path, sampling_rate_Hz: float) -> Array:
                 remedy="Write the period at that rate.",
             )
     return wanted_m
-
-
-def _dimension(column: Column) -> Dimension | None:
-    unit = column.heading.unit
-    return None if unit is None else unit.dimension
-
-
-def _literals(values: Array) -> str:
-    """Return one literal per line, in the precision of the build."""
-    return ",\n".join(f"    PZ_REAL({value:.17g})" for value in values.tolist())

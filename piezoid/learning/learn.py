@@ -152,7 +152,9 @@ def first_table(
         sampling_rate_Hz=plant.sampling_rate_Hz,
         gain=gain,
     )
-    share = learner.share_learnt(wanted_m)
+    # of the motion's power, without its mean
+    power = np.abs(np.fft.rfft(wanted_m - wanted_m.mean())) ** 2
+    share = float(power[learner.learns].sum() / max(power.sum(), np.finfo(float).tiny))
     if share < _MIN_LEARNT_POWER:
         raise DesignError(
             f"axis {model.axis}: learning contracts up to "
@@ -212,7 +214,8 @@ def next_table(
         gain=previous.gain,
     )
     points, reference = len(previous.wanted_m), np.fft.rfft(previous.wanted_m)
-    sensed = np.where(learner.is_driven | (reference == 0.0), learner.sensed, 1.0)
+    is_driven = learner.learns | (np.abs(learner.probe_V_per_m) > 0.0)  # the table may change
+    sensed = np.where(is_driven | (reference == 0.0), learner.sensed, 1.0)
     measured_m, noise_rms_m = mean_period(
         period,
         previous.axis,
@@ -231,7 +234,7 @@ def next_table(
         change_V, change_m = previous.table_V - previous.played_V, measured_m - previous.read_m
         response = measured_response(change_V, change_m, noise_rms_m, response, learner)
     L = np.where(learner.learns, learner.L_V_per_m, learner.probe_V_per_m)
-    is_measured = ~learner.learns & (response != 0.0) & (np.abs(learner.probe_V_per_m) > 0.0)
+    is_measured = ~learner.learns & (response != 0.0) & is_driven
     L[is_measured] = _MEASURED_SHARE / response[is_measured]
     share = learning_shares(error, points, noise_rms_m)
     table_V = previous.table_V + np.fft.irfft(share * L * error, points)

@@ -12,7 +12,7 @@ from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller, Status
 from piezoid.runtime.library import Values
 from piezoid.verification.closed_loop import approach_path, run_law
-from piezoid.verification.loop_plant import rest_position
+from piezoid.verification.loop_plant import SettledPlant
 from piezoid.verification.plant import AxisPlant
 
 _SETTLING_s = 0.1  # before the periods that are returned: ten time constants of a loop of 16 Hz
@@ -77,7 +77,7 @@ def play(
         faded_V = np.tile(table_V, settling + periods)
         faded_V[:points] *= np.arange(points) / points
         controller = Controller(values)
-        rest_m = float(np.clip(rest_position(plant), *plant.reading_range))
+        rest_m = float(np.clip(SettledPlant(plant).rest_position, *plant.reading_range))
         controller.start(plant.rest_voltage_V, rest_m)
         table = iter(np.concatenate([np.zeros(len(approach_m)), faded_V]).tolist())
 

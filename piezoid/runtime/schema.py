@@ -6,6 +6,7 @@ compared with this table when the library is loaded (library.py) and its size wh
 
 import ctypes
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 SCHEMA = "piezoid.params/1"
@@ -58,10 +59,7 @@ class Parameter:
     @property
     def count(self) -> int:
         """Number of elements."""
-        count = 1
-        for extent in self.shape:
-            count *= extent
-        return count
+        return prod(self.shape)
 
 
 def _integer(name: str, upper: float, meaning: str, *, unit: str = "1") -> Parameter:

@@ -13,7 +13,7 @@ import numpy as np
 
 from piezoid.export.bundle import SAMPLES
 from piezoid.export.c_header import plain_ascii
-from piezoid.export.fmu import Unit, variables
+from piezoid.export.fmu import Unit
 from piezoid.numerics.arrays import Array
 from piezoid.verification.loop_plant import Linear, LoopPlant, Map, SettledPlant
 from piezoid.verification.plant import AxisPlant, Junction
@@ -56,7 +56,7 @@ def plant_units(name: str, plants: Sequence[AxisPlant]) -> Mapping[str, Unit]:
             f"at rest at {rest_V!r} V",
             header="fmu_plant.h",
             macros="",
-            variables=variables(
+            variables=(
                 ("voltage_V", "input", "V", rest_V, "The command, held for a period."),
                 (input_name, "input", "m", 0.0, disturbance),
                 (f"measured_{unit}", "output", unit, None, reading),

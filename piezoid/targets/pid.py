@@ -3,22 +3,27 @@
 The search maximises the rejection of slow disturbances over all plants of a family.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product as combinations
 
 import numpy as np
 
-from piezoid.design.family_grid import mode_lines_Hz
+from piezoid.design.loop_search import mode_lines_Hz
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.rst import LIGHT
-from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins
+from piezoid.design.sensitivity import (
+    Margins,
+    Template,
+    closed_loop_polynomial,
+    margins,
+    violations,
+)
 from piezoid.design.specification import Specification
-from piezoid.design.templates import Template, violations
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import Response, grid_Hz, polynomial_response, unit_circle
+from piezoid.numerics.frequency import grid_Hz, polynomial_response, unit_circle
 from piezoid.numerics.polynomial import product, spectral_radius, total
 
 _FILTER_SAMPLES = 2.0  # time constant of the filter of D
@@ -116,77 +121,56 @@ class Pid:
         return product(*tops), product(*bottoms)
 
 
-class PidController:
-    """The computation of ``Pid``: one call for each sample."""
+def pid_law(pid: Pid) -> Callable[[float, float], float]:
+    """Return the computation of ``Pid``, with its state.
 
-    def __init__(self, pid: Pid) -> None:
-        self._pid = pid
-        self._integral_V = self._derivative_m_per_s = 0.0
-        self._previous_m: float | None = None
-        self._voltage_V = pid.rest_V
-        self._sections = [notch.section(pid.sampling_rate_Hz) for notch in pid.notches]
-        self._states = [[0.0, 0.0] for _ in pid.notches]
+    It is called once for each sample, with reference and reading, m, and returns the output, V.
+    """
+    sections = [notch.section(pid.sampling_rate_Hz) for notch in pid.notches]
+    states = [[0.0, 0.0] for _ in pid.notches]
+    integral_V = derivative_m_per_s = 0.0
+    previous_m: float | None = None
+    voltage_V = pid.rest_V
 
-    def __call__(self, reference_m: float, measured_m: float) -> float:
-        """Return the output, V, for one reference and one reading."""
-        pid = self._pid
+    def step(reference_m: float, measured_m: float) -> float:
+        nonlocal integral_V, derivative_m_per_s, previous_m, voltage_V
         error_m = reference_m - measured_m
-        previous_m = error_m if self._previous_m is None else self._previous_m
-        rate_m_per_s = (error_m - previous_m) * pid.sampling_rate_Hz
-        self._previous_m = error_m
-        self._derivative_m_per_s += (1.0 - _DECAY) * (rate_m_per_s - self._derivative_m_per_s)
+        change_m = 0.0 if previous_m is None else error_m - previous_m
+        previous_m = error_m
+        derivative_m_per_s += (1.0 - _DECAY) * (
+            change_m * pid.sampling_rate_Hz - derivative_m_per_s
+        )
         increment_V = pid.integral_V_per_m_s * error_m / pid.sampling_rate_Hz
-        self._integral_V += increment_V
+        integral_V += increment_V
         value_V = (
             pid.proportional_V_per_m * error_m
-            + self._integral_V
-            + pid.derivative_V_s_per_m * self._derivative_m_per_s
+            + integral_V
+            + pid.derivative_V_s_per_m * derivative_m_per_s
         )
         # the notches, in transposed direct form II
-        for (b, a), state in zip(self._sections, self._states, strict=True):
+        for (b, a), state in zip(sections, states, strict=True):
             output_V = float(b[0]) * value_V + state[0]
             state[0] = float(b[1]) * value_V - float(a[1]) * output_V + state[1]
             state[1] = float(b[2]) * value_V - float(a[2]) * output_V
             value_V = output_V
         free_V = pid.rest_V + value_V
         step_V = pid.slew_V_per_s / pid.sampling_rate_Hz
-        limited_V = min(max(free_V, self._voltage_V - step_V), self._voltage_V + step_V)
+        limited_V = min(max(free_V, voltage_V - step_V), voltage_V + step_V)
         limited_V = min(max(limited_V, pid.minimum_V), pid.maximum_V)
         if (free_V - limited_V) * increment_V > 0.0:
-            self._integral_V -= increment_V
-        self._voltage_V = limited_V
+            integral_V -= increment_V
+        voltage_V = limited_V
         return pid.lsb_V * round(limited_V / pid.lsb_V) if pid.lsb_V > 0.0 else limited_V
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TunedPid:
-    """Settings of a PID, and the exact margins of every member of the family."""
-
-    pid: Pid
-    margins: tuple[Margins, ...]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Grid:
-    """Frequency responses and limits for the search.
-
-    w         (frequencies,)  rad/s
-    plants    (members, frequencies)  B / A
-    efforts   (frequencies,)  V per output unit, the largest allowed |Sup|
-    """
-
-    members: Sequence[Plant]
-    w: Array
-    q: Response
-    plants: Response
-    efforts: Array
+    return step
 
 
 def tuned_pid(
     axis: str, family: PlantFamily, blank: Pid, *, notches: int, specification: Specification
-) -> TunedPid:
-    """Return the settings with the largest integral gain within the limits, on every plant.
+) -> tuple[Pid, tuple[Margins, ...]]:
+    """Return the settings with the largest integral gain within the limits, and their margins.
 
+    The limits hold on every plant of the family, and the margins are exact, one for each plant.
     The integral rejects slow disturbances, |Syp| = 2 pi f / (gain integral).
 
     Args:
@@ -201,12 +185,12 @@ def tuned_pid(
         DesignError: no settings reach a loop of 1 Hz
     """
     efforts = tuple(template for template in specification.templates if template.function == "Sup")
-    grid = _grid(family, efforts)
+    largest_gain = _gain_search(family, efforts, specification)
     sign = float(np.sign(family.nominal.gain))
     best: Pid | None = None
     for candidate in _candidates(family.nominal, blank, notches, sign):
         best_gain = 0.0 if best is None else abs(best.integral_V_per_m_s)
-        best = _largest_gain(grid, candidate, best_gain, specification) or best
+        best = largest_gain(candidate, best_gain) or best
     min_integral = 2.0 * np.pi * _MIN_LOOP_Hz / abs(family.nominal.gain)
     while best is not None and abs(best.integral_V_per_m_s) >= min_integral:
         R, S = best.polynomials()
@@ -217,9 +201,7 @@ def tuned_pid(
             modulus_margin=specification.modulus_margin,
             delay_margin_s=specification.delay_margin_s,
         ):
-            return TunedPid(
-                pid=best, margins=tuple(margins(member, R, S) for member in family.members)
-            )
+            return best, tuple(margins(member, R, S) for member in family.members)
         best = best.scaled(0.93)
     gains = sorted((member.gain for member in family.members), key=lambda gain: gain * sign)
     raise DesignError(
@@ -234,26 +216,59 @@ def tuned_pid(
     )
 
 
-def _grid(family: PlantFamily, efforts: Sequence[Template]) -> _Grid:
+def _gain_search(
+    family: PlantFamily, efforts: Sequence[Template], specification: Specification
+) -> Callable[[Pid, float], Pid | None]:
+    """Return the search of the largest gain of a candidate, on a frequency grid of all plants.
+
+    The search returns the candidate with its largest allowed gain, or None if that does not exceed
+    the integral gain of the best candidate so far, its second argument.
+    """
     rate_Hz = family.nominal.sampling_rate_Hz
     lines = [grid_Hz(rate_Hz, lowest_Hz=0.1, count=_LINES)]
     lines += [template.frequency_Hz for template in efforts]
     lines += [mode_lines_Hz(member) for member in family.members]
-    frequency_Hz = np.unique(np.concatenate(lines))
-    frequency_Hz = frequency_Hz[frequency_Hz < 0.5 * rate_Hz]
-    q = unit_circle(frequency_Hz, rate_Hz)
-    plants = [polynomial_response(m.B, q) / polynomial_response(m.A, q) for m in family.members]
-    w = np.asarray(2.0 * np.pi * frequency_Hz)
-    limit_dB = np.min(
-        [template.limit_dB(frequency_Hz) for template in efforts], axis=0, initial=np.inf
+    f = np.unique(np.concatenate(lines))
+    f = f[f < 0.5 * rate_Hz]
+    q, w = unit_circle(f, rate_Hz), np.asarray(2.0 * np.pi * f)
+    plants = np.stack(
+        [polynomial_response(m.B, q) / polynomial_response(m.A, q) for m in family.members]
     )
-    return _Grid(
-        members=family.members,
-        w=w,
-        q=q,
-        plants=np.stack(plants),
-        efforts=np.broadcast_to(10.0 ** (limit_dB / 20.0), w.shape),
-    )
+    limit_dB = np.min([template.limit_dB(f) for template in efforts], axis=0, initial=np.inf)
+    max_effort = np.broadcast_to(10.0 ** (limit_dB / 20.0), w.shape)  # |Sup|, V per output unit
+
+    def largest_gain(candidate: Pid, best_gain: float) -> Pid | None:
+        R, S = candidate.polynomials()
+        controller = polynomial_response(R, q) / polynomial_response(S, q)
+        open_loop = plants * controller
+
+        def is_allowed(gain: float) -> bool:
+            scaled = gain * open_loop
+            distance = np.abs(1.0 + scaled) * _GRID_MARGIN
+            if distance.min() < specification.modulus_margin:
+                return False
+            if (gain * np.abs(controller) > max_effort * distance).any():
+                return False
+            is_above = np.abs(scaled) > 1.0
+            is_crossing = is_above[:, :-1] != is_above[:, 1:]
+            delay_s = (np.angle(-scaled) % (2.0 * np.pi) / w)[:, :-1][is_crossing]
+            if delay_s.size and delay_s.min() * _GRID_MARGIN < specification.delay_margin_s:
+                return False
+            return all(
+                spectral_radius(closed_loop_polynomial(member, gain * R, S)) < 1.0
+                for member in family.members
+            )
+
+        min_gain = 2.0 * np.pi * _MIN_LOOP_Hz / abs(family.nominal.gain)
+        low, high = max(best_gain * 1.001, min_gain), min_gain * _GAIN_RANGE
+        if not is_allowed(low):
+            return None
+        for _ in range(_BISECTIONS):
+            middle = float(np.sqrt(low * high))
+            low, high = (middle, high) if is_allowed(middle) else (low, middle)
+        return candidate.scaled(low)
+
+    return largest_gain
 
 
 def _candidates(nominal: Plant, blank: Pid, notches: int, sign: float) -> Iterator[Pid]:
@@ -279,41 +294,3 @@ def _candidates(nominal: Plant, blank: Pid, notches: int, sign: float) -> Iterat
             derivative_V_s_per_m=sign * share * lead_s**2,
             notches=bank,
         )
-
-
-def _largest_gain(
-    grid: _Grid, candidate: Pid, best_gain: float, specification: Specification
-) -> Pid | None:
-    """Return a candidate with its largest allowed gain, or None if ``best_gain`` is not exceeded.
-
-    ``best_gain`` is the integral gain of the best candidate so far.
-    """
-    R, S = candidate.polynomials()
-    controller = polynomial_response(R, grid.q) / polynomial_response(S, grid.q)
-    open_loop = grid.plants * controller
-
-    def is_allowed(gain: float) -> bool:
-        scaled = gain * open_loop
-        distance = np.abs(1.0 + scaled) * _GRID_MARGIN
-        if distance.min() < specification.modulus_margin:
-            return False
-        if (gain * np.abs(controller) > grid.efforts * distance).any():
-            return False
-        is_above = np.abs(scaled) > 1.0
-        is_crossing = is_above[:, :-1] != is_above[:, 1:]
-        delay_s = (np.angle(-scaled) % (2.0 * np.pi) / grid.w)[:, :-1][is_crossing]
-        if delay_s.size and delay_s.min() * _GRID_MARGIN < specification.delay_margin_s:
-            return False
-        return all(
-            spectral_radius(closed_loop_polynomial(member, gain * R, S)) < 1.0
-            for member in grid.members
-        )
-
-    min_gain = 2.0 * np.pi * _MIN_LOOP_Hz / abs(grid.members[0].gain)
-    low, high = max(best_gain * 1.001, min_gain), min_gain * _GAIN_RANGE
-    if not is_allowed(low):
-        return None
-    for _ in range(_BISECTIONS):
-        middle = float(np.sqrt(low * high))
-        low, high = (middle, high) if is_allowed(middle) else (low, middle)
-    return candidate.scaled(low)

@@ -8,11 +8,11 @@ import numpy as np
 from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.lateral import with_sector
 from piezoid.design.lateral_task import plant_family
+from piezoid.design.sensitivity import Margins
 from piezoid.export.c_header import plain_ascii
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import with_unit
-from piezoid.numerics.arrays import Array
-from piezoid.targets.pid import Pid, PidController, TunedPid, tuned_pid
+from piezoid.targets.pid import Pid, pid_law, tuned_pid
 from piezoid.targets.target_inputs import (
     SEED,
     Errors,
@@ -74,18 +74,20 @@ Worst of {plants} plants: modulus margin {modulus:.2f}, delay margin {delay}.
 class PidResult:
     """The PID of one axis, and its loss compared with the exported controller.
 
+    margins   of every plant of the family
     errors_m  rms error on a spiral by plant: exported controller and PID
     """
 
     axis: str
-    tuned: TunedPid
+    pid: Pid
+    margins: tuple[Margins, ...]
     errors_m: Errors
 
     @property
     def loss(self) -> str:
         """Errors of the PID and of the exported controller, as a sentence."""
         worst = worst_errors(self.errors_m)
-        pid = self.tuned.pid
+        pid = self.pid
         is_integral = pid.proportional_V_per_m == pid.derivative_V_s_per_m == 0.0
         controller = "an integral controller" if is_integral else "a PID"
         return (
@@ -109,19 +111,33 @@ def pid_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...
     ]
     if not results:
         return {}, tuple(notes)
-    update_Hz = inputs.hardware.update_Hz or results[0].tuned.pid.sampling_rate_Hz
+    update_Hz = inputs.hardware.update_Hz or results[0].pid.sampling_rate_Hz
     settings, sections = ["axis,setting,value,unit"], ["axis,section,b0,b1,b2,a1,a2"]
+    paragraphs = []
     for result in results:
-        pid = result.tuned.pid
+        pid = result.pid
         settings += [f"{result.axis},{n},{v!r},{u}" for n, v, u in _settings(pid)]
         for index, (b, a) in enumerate(pid.sections(update_Hz)):
             values = [*np.pad(b, (0, 3 - len(b))), *np.pad(a, (0, 3 - len(a)))[1:]]
             sections.append(",".join([result.axis, str(index), *(f"{v:.17g}" for v in values)]))
+        delays_s = [m.delay_margin_s for m in result.margins if m.delay_margin_s is not None]
+        paragraphs.append(
+            _AXIS.format(
+                axis=result.axis,
+                settings="\n".join(f"| {n} | {v:.6g} {u} |" for n, v, u in _settings(pid)),
+                loss=result.loss[0].upper() + result.loss[1:],
+                plants=len(result.margins),
+                modulus=min(m.modulus_margin for m in result.margins),
+                delay=with_unit(min(delays_s), "s") if delays_s else "none needed",
+                spiral=f"{_SPIRAL_Hz:g}",
+                rows=error_rows(result.errors_m),
+            )
+        )
     readme = _README.format(
         name=plain_ascii(inputs.file.name),
         notches=inputs.hardware.notches,
         update=with_unit(update_Hz, "Hz", 6),
-        axes="\n".join(_section(result) for result in results),
+        axes="\n".join(paragraphs),
     )
     texts = {
         "README.md": readme,
@@ -139,7 +155,7 @@ def pid_of(inputs: TargetInputs, axis: AxisParameters) -> PidResult:
         model.operator, model.certificate.reach_V, remainder_m=model.certificate.bound_m
     )
     plants = inputs.family(axis.axis)
-    tuned = tuned_pid(
+    pid, margins = tuned_pid(
         axis.axis,
         with_sector(plant_family(model, rate_Hz), bounds),
         Pid(
@@ -161,16 +177,16 @@ def pid_of(inputs: TargetInputs, axis: AxisParameters) -> PidResult:
         approach_m = approach_path(plant, float(path_m[0]))
         reference_m = np.concatenate([approach_m, path_m])
         rng = np.random.default_rng(SEED)
-        record = run_law(plant, PidController(tuned.pid), reference_m, rng=rng)
-        errors_m[plant.label] = {
-            "exported": _rms_m(exported_position_m(axis, plant, path_m) - path_m),
-            "pid": _rms_m(record.position[len(approach_m) :] - path_m),
+        record = run_law(plant, pid_law(pid), reference_m, rng=rng)
+        positions_m = {
+            "exported": exported_position_m(axis, plant, path_m),
+            "pid": record.position[len(approach_m) :],
         }
-    return PidResult(axis=axis.axis, tuned=tuned, errors_m=errors_m)
-
-
-def _rms_m(error_m: Array) -> float:
-    return float(np.sqrt(np.mean(error_m**2)))
+        errors_m[plant.label] = {
+            name: float(np.sqrt(np.mean((position_m - path_m) ** 2)))
+            for name, position_m in positions_m.items()
+        }
+    return PidResult(axis=axis.axis, pid=pid, margins=margins, errors_m=errors_m)
 
 
 def _settings(pid: Pid) -> list[tuple[str, float, str]]:
@@ -193,18 +209,3 @@ def _settings(pid: Pid) -> list[tuple[str, float, str]]:
         ("highest output", pid.maximum_V, "V"),
     ]
     return [setting for setting in settings if np.isfinite(setting[1])]
-
-
-def _section(result: PidResult) -> str:
-    margins = result.tuned.margins
-    delays_s = [m.delay_margin_s for m in margins if m.delay_margin_s is not None]
-    return _AXIS.format(
-        axis=result.axis,
-        settings="\n".join(f"| {n} | {v:.6g} {u} |" for n, v, u in _settings(result.tuned.pid)),
-        loss=result.loss[0].upper() + result.loss[1:],
-        plants=len(margins),
-        modulus=min(m.modulus_margin for m in margins),
-        delay=with_unit(min(delays_s), "s") if delays_s else "none needed",
-        spiral=f"{_SPIRAL_Hz:g}",
-        rows=error_rows(result.errors_m),
-    )

@@ -20,9 +20,9 @@ from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import polynomial_response, unit_circle
-from piezoid.targets.controller_hardware import ControllerHardware
 from piezoid.targets.target_inputs import (
     SEED,
+    ControllerHardware,
     TargetInputs,
     error_rows,
     exported_position_m,
@@ -159,8 +159,7 @@ def waveform_of(inputs: TargetInputs, axis: AxisParameters) -> Waveform:
     """Return one period of one axis, quantised if the range of the converter is known."""
     hardware, plant = inputs.hardware, inputs.family(axis.axis)[0]
     rate_Hz = hardware.rate_Hz or plant.sampling_rate_Hz
-    hold = _hold(axis.axis, plant.sampling_rate_Hz, rate_Hz)
-    points = _points(hardware, rate_Hz)
+    hold, points = _hold_and_points(axis.axis, hardware, plant.sampling_rate_Hz, rate_Hz)
     centre_m, half_m = half_range(axis, hardware.half_range_m, "half_range_m of [waveform]")
     unit = raster(rate_Hz, rate_Hz / points, 1.0).x
     if hardware.shape == "sine":
@@ -243,8 +242,14 @@ def half_range(axis: AxisParameters, requested_m: float | None, key: str) -> tup
     return span.centre_m, half_m
 
 
-def _hold(axis: str, plant_Hz: float, rate_Hz: float) -> int:
-    """Return the number of samples of the controller for which a point is held."""
+def _hold_and_points(
+    axis: str, hardware: ControllerHardware, plant_Hz: float, rate_Hz: float
+) -> tuple[int, int]:
+    """Return the samples of the controller for which a point is held, and the points of a period.
+
+    Raises ``ParameterFileError`` for a rate that does not divide that of the controller, and for
+    more points than the memory has, or too few.
+    """
     hold = max(round(plant_Hz / rate_Hz), 1)
     if abs(hold * rate_Hz - plant_Hz) > 1e-9 * plant_Hz:
         rates = ", ".join(f"{plant_Hz / n:g}" for n in (1, 2, 4, 5, 10))
@@ -254,11 +259,6 @@ def _hold(axis: str, plant_Hz: float, rate_Hz: float) -> int:
             needed=f"a rate that divides {plant_Hz:g} Hz",
             remedy=f"Set rate_Hz of [waveform] to {rates} Hz or the like.",
         )
-    return hold
-
-
-def _points(hardware: ControllerHardware, rate_Hz: float) -> int:
-    """Return the number of points of a period; refuse more points than the memory has."""
     points = round(rate_Hz / hardware.frequency_Hz)
     period = f"a period of {hardware.frequency_Hz:g} Hz has {points} points at {rate_Hz:g} Hz"
     if points > hardware.points:
@@ -276,7 +276,7 @@ def _points(hardware: ControllerHardware, rate_Hz: float) -> int:
             remedy=f"Set frequency_Hz to {rate_Hz / _MIN_POINTS:.4g} or less in [waveform] of "
             "box.toml.",
         )
-    return points
+    return hold, points
 
 
 def check_range(

@@ -22,6 +22,7 @@ current while the surface moves. Its bound is that of the linear loop.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -108,12 +109,11 @@ def _bound_at_speed(
 ) -> ErrorBound | None:
     """Return the figures at one speed; None if no run stays within the conditions."""
 
+    draw_path = partial(_draw_path, rng, slew, task.reach_m, task.nominal.sampling_rate_Hz)
+
     def run(case: tuple[AxisPlant, Array, int]) -> float | None:
         plant, path, noise = case
         return task.error(plant, path, np.random.default_rng(noise))
-
-    def draw_path() -> Array:
-        return _draw_path(rng, slew, task.reach_m, task.nominal.sampling_rate_Hz)
 
     def seeded(runs: Sequence[tuple[AxisPlant, Array]]) -> list[tuple[AxisPlant, Array, int]]:
         return [(plant, reference, int(rng.integers(2**31))) for plant, reference in runs]

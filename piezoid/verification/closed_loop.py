@@ -16,7 +16,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
-from piezoid.verification.loop_plant import LoopRun, SettledPlant, loop_library, rest_position
+from piezoid.verification.loop_plant import LoopRun, SettledPlant, loop_library
 from piezoid.verification.plant import AxisPlant, Junction
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def run_axis(
             remedy="Make the plant for the rate of the parameter file.",
         )
     samples = len(reference)
-    settled = SettledPlant(plant, _first_value(disturbance))
+    settled = SettledPlant(plant, disturbance)
     preview = int(parameters.values["preview_samples"])
     ahead = np.minimum(np.arange(samples) + preview, samples - 1)
     controller = Controller(parameters.values, precision=precision)
@@ -174,12 +174,8 @@ def run_law(
     state = np.zeros(2, dtype=np.uint32)  # the loop reads the status from the second word
     run = LoopRun(state=state.ctypes.data, samples=samples, reset_at=samples)
     run.step_double = ctypes.cast(step, ctypes.c_void_p).value
-    settled = SettledPlant(plant, _first_value(disturbance))
+    settled = SettledPlant(plant, disturbance)
     return _run_loop(settled, run, reference, plant.noise(samples, rng), disturbance, None)
-
-
-def _first_value(disturbance: Array | None) -> float:
-    return 0.0 if disturbance is None else float(disturbance[0])
 
 
 def _run_loop(
@@ -239,7 +235,7 @@ def approach_path(plant: AxisPlant, begin_m: float) -> Array:
     The approach is half a cosine, as by a user: its hysteresis is part of the error, the transient
     of a jump would not be.
     """
-    rest_m, rate_Hz = rest_position(plant), plant.sampling_rate_Hz
+    rest_m, rate_Hz = SettledPlant(plant).rest_position, plant.sampling_rate_Hz
     share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, round(_APPROACH_s * rate_Hz)))
     pause_m = np.full(round(_PAUSE_s * rate_Hz), begin_m)
     return np.concatenate([rest_m + (begin_m - rest_m) * share, pause_m])

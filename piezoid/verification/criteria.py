@@ -20,7 +20,6 @@ HOLD_TIME = "time without sensor until the output is held"
 SHAPE_RATIO = "shape error, ratio to no compensation"
 _SETTLED = 0.02  # of the largest step
 _BEFORE_NEXT_s = 5e-3  # a loop with preview moves before the next step
-_RECOVERED = 0.5  # nepers, within which the current has recovered
 _AFTERWARDS = 0.25  # share of a record, at its end, in which a fault must have no effect
 
 
@@ -187,19 +186,6 @@ def hold_verdicts(
         verdict(HOLD_TIME, scenario, blind_s, limits.blind_s, "s"),
         none_of("samples that moved while the output was held", scenario, changes),
     )
-
-
-def recovery_verdict(
-    scenario: str, nepers: Array, rate_Hz: float, allowed_s: float, *, is_far: bool
-) -> Verdict:
-    """Compare the time until the current recovers after a fault with its limit.
-
-    nepers  (samples,)  ln(i / i_set) since the end of the fault, longer than ``allowed_s``
-    """
-    outside = np.flatnonzero(np.abs(nepers) > _RECOVERED)
-    recovery_s = (int(outside[-1]) + 1 if len(outside) else 0) / rate_Hz
-    name = "time until the current recovers" + (" from far away" if is_far else "")
-    return verdict(name, scenario, recovery_s, allowed_s, "s")
 
 
 def limits_from_toml(text: str, source: str = "limits.toml") -> Limits:

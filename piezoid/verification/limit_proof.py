@@ -40,6 +40,34 @@ _UNSPECIFIED = re.compile(
     r"using specification for function (\w+)|Neither code nor.* function (\w+)"
 )
 
+_WITHIN = "\\is_finite({0}) && p->voltage_minimum_V <= {0} <= p->voltage_maximum_V"
+# The program that is proved: a start with any values, then endless steps.
+_HARNESS = """\
+#include "piezo_params.h"
+#include "piezoid_runtime.h"
+#include "__fc_builtin.h"
+static pz_state state;
+static volatile pz_real any;
+int main(void) {
+    const pz_parameters *const p = &piezo_params[AXIS];
+    pz_real u = pz_step_feedforward(&state, p, any, any, any);
+    //@ check @WITHIN@;
+    if (pz_start(&state, p, any, any) != PZ_OK) {
+        return 1;
+    }
+    while (1) {
+        if (Frama_C_nondet(0, 1)) {
+            pz_reset(&state);
+        }
+        if (Frama_C_nondet(0, 1)) {
+            pz_schedule(&state, p, any);
+        }
+        u = pz_step_feedforward(&state, p, any, any, any);
+@CHECKS@
+    }
+}
+"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LimitProof:
@@ -123,10 +151,11 @@ def prove_axis(
         folder = Path(name)
         for file_name, content in contents.items():
             (folder / file_name).write_bytes(content)
-        lines = _harness(claims)
-        (folder / "harness.c").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        checks = "\n".join(f"        //@ check {condition};" for condition in claims.values())
+        harness = _HARNESS.replace("@WITHIN@", _WITHIN.format("u")).replace("@CHECKS@", checks)
+        (folder / "harness.c").write_text(harness, encoding="utf-8")
         flags = f"-DAXIS={index} {PRECISIONS[precision]}".strip()
-        alarms, why_not = _analyse(folder, flags, lines, limit_s)
+        alarms, why_not = _analyse(folder, flags, harness.splitlines(), limit_s)
         times = folder / "time.txt"  # absent where the tool was stopped before it could write it
         words = times.read_text(encoding="utf-8").split() if times.is_file() else []
         version = run(
@@ -187,39 +216,6 @@ def _analyse(
         lines = ", ".join(f"harness.c:{line}" for line in (*missing, *dead))
         return (), f"never reached: {lines}"
     return alarms, ""
-
-
-def _harness(claims: Mapping[str, str]) -> list[str]:
-    """Return the program that is proved: a start with any values, then endless steps."""
-    checks = [f"        //@ check {condition};" for condition in claims.values()]
-    return [
-        '#include "piezo_params.h"',
-        '#include "piezoid_runtime.h"',
-        '#include "__fc_builtin.h"',
-        "static pz_state state;",
-        "static volatile pz_real any;",
-        "int main(void) {",
-        "    const pz_parameters *const p = &piezo_params[AXIS];",
-        "    pz_real u = pz_step_feedforward(&state, p, any, any, any);",
-        f"    //@ check {_WITHIN.format('u')};",
-        "    if (pz_start(&state, p, any, any) != PZ_OK) {",
-        "        return 1;",
-        "    }",
-        "    while (1) {",
-        "        if (Frama_C_nondet(0, 1)) {",
-        "            pz_reset(&state);",
-        "        }",
-        "        if (Frama_C_nondet(0, 1)) {",
-        "            pz_schedule(&state, p, any);",
-        "        }",
-        "        u = pz_step_feedforward(&state, p, any, any, any);",
-        *checks,
-        "    }",
-        "}",
-    ]
-
-
-_WITHIN = "\\is_finite({0}) && p->voltage_minimum_V <= {0} <= p->voltage_maximum_V"
 
 
 def _claims(axis: AxisParameters) -> dict[str, str]:

@@ -12,7 +12,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.identification.loop_model import rest_gain
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.compiled import opened
-from piezoid.operators.dead_zone import LINEAR, DeadZones
+from piezoid.operators.dead_zone import LINEAR
 from piezoid.operators.linear import ContinuousSystem, first_order, sample
 from piezoid.operators.linear import cascade as in_series
 from piezoid.operators.play import play_columns
@@ -102,21 +102,17 @@ def loop_library() -> ctypes.CDLL:
     return opened("piezoid.verification._plant_loop", functions)
 
 
-def rest_position(plant: AxisPlant) -> float:
-    """Return the position of the axis at rest: m, or A of a junction."""
-    return SettledPlant(plant).rest_position
-
-
 class SettledPlant:
     """A plant as ``pl_plant``, settled at its rest voltage, and the arrays that it references.
 
     structure  of the C loop; it must not outlive this object
     """
 
-    def __init__(self, plant: AxisPlant, disturbance: float = 0.0) -> None:
-        """Sample and settle a plant under its disturbance at the first sample."""
+    def __init__(self, plant: AxisPlant, disturbance: Array | None = None) -> None:
+        """Sample and settle a plant under the first sample of its disturbance."""
         rate_Hz = plant.sampling_rate_Hz * SUBSTEPS
         response, rest_V = plant.response, plant.rest_voltage_V
+        begin = 0.0 if disturbance is None else float(disturbance[0])
         gain = response.gain_nepers_per_V if isinstance(response, Junction) else 1.0
         self.plant, self._arrays = plant, list[Any]()
         self.structure = c = LoopPlant(substeps=SUBSTEPS)
@@ -127,7 +123,7 @@ class SettledPlant:
         if isinstance(response, Junction):
             c.kind, c.current_A = _EXPONENTIAL, response.current_A
             c.current_most = response.saturation_A or 0.0
-            disturbance += gain * rest_V
+            begin += gain * rest_V
         elif isinstance(response, Hysteresis):
             c.kind = _PLAYS
             self._fill_hysteresis(response)
@@ -141,7 +137,7 @@ class SettledPlant:
             c.cyclic_sine_m = self.address(np.array(plant.cyclic.sine_m))
         c.slew_step = (plant.slew_V_per_s or 0.0) * gain / rate_Hz
         c.driven = gain * rest_V
-        c.w = loop_library().pl_response(ctypes.addressof(c), gain * rest_V, disturbance)
+        c.w = loop_library().pl_response(ctypes.addressof(c), gain * rest_V, begin)
         c.before = self._settled(*_before_hysteresis(plant, rate_Hz, gain), rest_V)
         c.after = self._settled(*_after_hysteresis(plant, rate_Hz), c.w)
 
@@ -182,7 +178,11 @@ class SettledPlant:
             c.weight = self.address(operator.plays.weight)
             envelope, zones = operator.envelope, operator.dead_zones
             irreversible_m = float(operator.plays.weight[1:] @ states_V[1:])
-        c.envelope, c.zones = self._map(envelope), self._map(zones)
+        for name, curve in (("envelope", envelope), ("zones", zones)):
+            slope = self.address(np.ascontiguousarray(curve.slope))
+            knot = self.address(curve.threshold)
+            knots = len(curve.threshold)
+            setattr(c, name, Map(knots=knots, knot=knot, slope=slope, zero=curve.zero))
         if response.activation_s > 0.0:
             substeps_per_s = plant.sampling_rate_Hz * SUBSTEPS
             c.irreversible_m = irreversible_m
@@ -198,11 +198,6 @@ class SettledPlant:
             _, states_V = play_columns(past_V - centre_V, threshold_V, virgin_V)
             c.second_play_V = self.address(np.array(states_V))
             c.second_centre_V, c.second_reach_V = centre_V, discrepancy.reach_V
-
-    def _map(self, zones: DeadZones) -> Map:
-        slope = self.address(np.ascontiguousarray(zones.slope))
-        knot = self.address(zones.threshold)
-        return Map(knots=len(zones.threshold), knot=knot, slope=slope, zero=zones.zero)
 
     def _settled(
         self, A: Array, previous: Array, present: Array, C: Array, D: tuple[float, float], w: float

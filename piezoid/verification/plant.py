@@ -45,18 +45,6 @@ class Hysteresis:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
-    """Slow motion that the drive does not cause, with its largest range and speed in recordings.
-
-    half_range_m     m, > 0
-    fastest_m_per_s  its fastest change; 0: as fast as another axis is driven
-    """
-
-    half_range_m: float
-    fastest_m_per_s: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class Junction:
     """A tunnelling gap: i = current_A exp(gain (u - rest) - k height).
 
@@ -110,7 +98,8 @@ class AxisPlant:
     reading_zero      offset of the sensor
     reading_step      of the sensor's converter; 0: no rounding
     reading_range     of the sensor's converter
-    motions           motions that the drive does not cause
+    motions           half range in m and fastest change in m/s of each slow motion that the drive
+                      does not cause, as in recordings; 0 m/s: as fast as another axis is driven
     hums              frequency in Hz and amplitude of lines in the reading
     cyclic            periodic error of the sensor; None: none
     """
@@ -133,7 +122,7 @@ class AxisPlant:
     reading_zero: float = 0.0
     reading_step: float = 0.0
     reading_range: tuple[float, float] = (-np.inf, np.inf)
-    motions: tuple[Motion, ...] = ()
+    motions: tuple[tuple[float, float], ...] = ()
     hums: tuple[tuple[float, float], ...] = ()
     cyclic: PeriodicError | None = None
 
@@ -181,12 +170,11 @@ class AxisPlant:
         """
         time_s = np.arange(samples) / self.sampling_rate_Hz
         motion_m = np.zeros(samples)
-        for motion in self.motions:
-            if motion.fastest_m_per_s > 0.0:
-                phase = motion.fastest_m_per_s / motion.half_range_m * time_s
-                motion_m += motion.half_range_m * np.sin(phase)
+        for half_range_m, fastest_m_per_s in self.motions:
+            if fastest_m_per_s > 0.0:
+                motion_m += half_range_m * np.sin(fastest_m_per_s / half_range_m * time_s)
             else:
-                motion_m += motion.half_range_m * other_drive
+                motion_m += half_range_m * other_drive
         return motion_m
 
 
@@ -198,7 +186,10 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
     noise. Every reading has the noise of the recordings.
     """
     loop = loop_model(model, sampling_rate_Hz)
-    front_Hz = _poles_Hz(loop.front)
+    amplifier, sensor = (
+        tuple(Section(frequency_Hz=-float(pole) / (2.0 * np.pi)) for pole in np.diag(lags.A))
+        for lags in (loop.front, loop.sensor)
+    )
     low_V, high_V = loop.drive_range_V
     time_s, strain_m = loop.activation
     # Two histories over the full range: one with a last turning point a quarter below its upper
@@ -225,18 +216,14 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
         ),
         rest_voltage_V=float(np.clip(model.operator.voltage_offset_V, low_V, high_V)),
         delay_s=loop.delay_s,
-        amplifier=tuple(Section(frequency_Hz=f) for f in front_Hz),
-        sensor=tuple(Section(frequency_Hz=f) for f in _poles_Hz(loop.sensor)),
+        amplifier=amplifier,
+        sensor=sensor,
         measured=cascade(loop.behind, loop.slow),
         measured_gain=loop.slow_gain * loop.gain,
         slew_V_per_s=loop.slew_V_per_s if np.isfinite(loop.slew_V_per_s) else None,
         noise_rms=model.quality.noise_rms_m,
         noise_bandwidth_Hz=model.rig.sensor_bandwidth_Hz,
-        motions=tuple(
-            Motion(half_range_m=e.motion_m, fastest_m_per_s=e.motion_m_per_s)
-            for e in loop.effects
-            if e.motion_m > 0.0
-        ),
+        motions=tuple((e.motion_m, e.motion_m_per_s) for e in loop.effects if e.motion_m > 0.0),
         hums=tuple((e.reading_Hz, e.reading_m) for e in loop.effects if e.reading_Hz > 0.0),
         cyclic=periodic_errors[0] if periodic_errors else None,
     )
@@ -306,18 +293,3 @@ def with_gain(plant: AxisPlant, factor: float, label: str) -> AxisPlant:
     else:
         raise TypeError("a custom response has no gain to change")
     return replace(plant, response=changed, label=label)
-
-
-def with_histories(plant: AxisPlant) -> tuple[AxisPlant, ...]:
-    """Return the plant with each of its alternative histories; the plant itself if it has none."""
-    response = plant.response
-    if not isinstance(response, Hysteresis) or not response.histories_V:
-        return (plant,)
-    return tuple(
-        replace(plant, response=replace(response, history_V=history_V))
-        for history_V in response.histories_V
-    )
-
-
-def _poles_Hz(system: ContinuousSystem) -> tuple[float, ...]:
-    return tuple(-float(pole) / (2.0 * np.pi) for pole in np.diag(system.A))

@@ -1,7 +1,7 @@
 """Simulate the axes of a parameter file along paths, and collect the results."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,10 +11,9 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 from piezoid.verification.closed_loop import LoopRecord, approach_path, reference_range, run_axis
 from piezoid.verification.criteria import Limits, Verdict
-from piezoid.verification.plant import AxisPlant, Junction, with_histories
-from piezoid.verification.plotted_paths import SpiralTrace
+from piezoid.verification.plant import AxisPlant, Hysteresis, Junction
 from piezoid.verification.scenarios import Path, Scenario
-from piezoid.verification.tracking import Tracking, track
+from piezoid.verification.tracking import SpiralTrace, Tracking, track
 from piezoid.verification.verification import ComparisonRow, CurrentRow, SpiralRow
 
 
@@ -84,7 +83,14 @@ class ScenarioRunner:
 
     def histories(self) -> list[dict[str, AxisPlant]]:
         """Return all plants by axis with each possible history of the drive."""
-        by_axis = {name: with_histories(plant) for name, plant in self.plants.items()}
+        by_axis: dict[str, list[AxisPlant]] = {}
+        for name, plant in self.plants.items():
+            response, by_axis[name] = plant.response, [plant]
+            if isinstance(response, Hysteresis) and response.histories_V:
+                by_axis[name] = [
+                    replace(plant, response=replace(response, history_V=history_V))
+                    for history_V in response.histories_V
+                ]
         count = max(len(plants) for plants in by_axis.values())
         return [
             {name: plants[k % len(plants)] for name, plants in by_axis.items()}

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from piezoid.numerics.arrays import Array, frozen, same_length
+from piezoid.numerics.arrays import Array, freeze, same_length
 
 _CLV_CAP = 3.0
 _TABLE = 20001
@@ -31,8 +31,7 @@ class Path:
     turns: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "x", frozen(self.x, "x"))
-        object.__setattr__(self, "y", frozen(self.y, "y"))
+        freeze(self, "x", "y")
         same_length([("x", self.x), ("y", self.y)])
 
 
@@ -116,15 +115,6 @@ class Scenario:
     is_varied: bool = False
     fault: float | None = None
     fault_s: float = _FAULT_s
-
-    def fault_of(self, samples: int, rate_Hz: float) -> Array | None:
-        """Return the fault of the sensor, (samples,), or None."""
-        if self.fault is None:
-            return None
-        fault = np.zeros(samples)
-        duration = samples if np.isinf(self.fault_s) else round(self.fault_s * rate_Hz)
-        fault[samples // 2 : samples // 2 + duration] = self.fault
-        return fault
 
 
 def spiral_speed_m_per_s(frequency_Hz: float, radius_m: float) -> float:

@@ -26,6 +26,7 @@ from piezoid.verification.scenarios import Path, Scenario
 from piezoid.verification.verification import CurrentRow
 
 _WAVES = 40
+_RECOVERED = 0.5  # nepers, within which the current has recovered
 
 _ROUGHNESS_m = 0.1e-9
 _WAVELENGTH = 0.5  # shortest of the surface, as a share of the radius
@@ -39,28 +40,25 @@ _LATCHED_AFTER_s = 1.0  # time by which a permanent fault has latched
 _MAX_APPROACH = 0.9  # of the drive's range
 
 
-@dataclass(frozen=True, kw_only=True)
-class RoughSurface:
-    """A sum of plane waves of random direction, equal height and wavelengths over a decade.
+def rough_surface_m(
+    x_m: Array, y_m: Array, *, rms_m: float, shortest_m: float, seed: int = 0
+) -> Array:
+    """Return the height of a rough surface at each point, (samples,) m; 0 at the origin.
+
+    The surface is a sum of plane waves of random direction and equal height, with wavelengths over
+    a decade.
 
     rms_m       roughness, > 0
     shortest_m  wavelength, > 0; the longest is ten times that
     seed        of the random waves
     """
-
-    rms_m: float
-    shortest_m: float
-    seed: int = 0
-
-    def height(self, x_m: Array, y_m: Array) -> Array:
-        """Return the height at each point, (samples,) m; 0 at the origin."""
-        rng = np.random.default_rng(self.seed)
-        wavelength = self.shortest_m * 10.0 ** rng.uniform(0.0, 1.0, _WAVES)
-        direction, phase = rng.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
-        height_m = np.zeros_like(x_m)
-        for w, d, p in zip(2.0 * np.pi / wavelength, direction, phase, strict=True):
-            height_m += np.cos(w * (x_m * np.cos(d) + y_m * np.sin(d)) + p) - np.cos(p)
-        return np.asarray(self.rms_m * np.sqrt(2.0 / _WAVES) * height_m)
+    rng = np.random.default_rng(seed)
+    wavelength = shortest_m * 10.0 ** rng.uniform(0.0, 1.0, _WAVES)
+    direction, phase = rng.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
+    height_m = np.zeros_like(x_m)
+    for w, d, p in zip(2.0 * np.pi / wavelength, direction, phase, strict=True):
+        height_m += np.cos(w * (x_m * np.cos(d) + y_m * np.sin(d)) + p) - np.cos(p)
+    return np.asarray(rms_m * np.sqrt(2.0 / _WAVES) * height_m)
 
 
 def judge_tips(
@@ -93,8 +91,9 @@ def run_tips(
     radius_m = runner.radius_m or _DEFAULT_RADIUS_m
     positions_m = [r.position - runner.centre_m[name] for name, r in records.items()]
     ideal_m = [radius_m * path.x, radius_m * path.y]
-    surface = RoughSurface(rms_m=_ROUGHNESS_m, shortest_m=_WAVELENGTH * radius_m)
-    height_m = surface.height(*(*positions_m, *ideal_m[len(positions_m) :])[:2])
+    x_m, y_m = (*positions_m, *ideal_m[len(positions_m) :])[:2]
+    shortest_m = _WAVELENGTH * radius_m
+    height_m = rough_surface_m(x_m, y_m, rms_m=_ROUGHNESS_m, shortest_m=shortest_m)
     junctions = {name: _junction(plants[name]) for name in runner.tunnelling}
     return runner.run(
         [
@@ -181,7 +180,12 @@ def _trial_verdicts(
     axis, rate_Hz, limits = runner.file.axis(name), runner.rate_Hz, runner.limits
     plant = _plant(runner.plants[name], axis, trial)
     junction = _junction(plant)
-    cause = trial.cause or _lost_surface(axis, junction, step_m)
+    # A step beyond the search range loses the surface.
+    search_V = float(axis.values["search_voltage_V"])
+    contact_m = float(axis.values["contact_log"]) / junction.decay_per_m
+    search_m = search_V * junction.gain_nepers_per_V / junction.decay_per_m
+    is_lost = search_V > 0.0 and -step_m - contact_m > search_m
+    cause = trial.cause or (Status.NO_CURRENT if is_lost else None)
     reset_s = None if trial.cause or not cause else _EVENT_s + _LATCHED_AFTER_s
     is_far = trial.away_m > 0.0 or reset_s is not None
     allowed_s = limits.approach_s if is_far else limits.recovery_s
@@ -190,11 +194,7 @@ def _trial_verdicts(
     recovers_from_s = ends_s if reset_s is None else reset_s
     duration_s = recovers_from_s + (1.5 * _LATCHED_AFTER_s if trial.cause else 1.1 * allowed_s)
     samples = round(duration_s * rate_Hz)
-    fault = np.zeros(samples)
-    start = round((_EVENT_s + (_FAULT_DELAY_s if any(trial.steps_m) else 0.0)) * rate_Hz)
-    duration = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
-    fault[start : start + duration] = trial.fault
-    height_m = _height(axis, junction, trial, step_m, np.arange(samples) / rate_Hz)
+    height_m, fault = _height_and_fault(axis, junction, trial, step_m, samples, rate_Hz)
     run = AxisRun(
         axis=axis,
         plant=plant,
@@ -216,9 +216,10 @@ def _trial_verdicts(
         verdicts.append(none_of("faults not latched with their cause", trial.name, silent))
     if not trial.cause and trial.gain == 1.0:
         nepers = np.log(record.position[round(recovers_from_s * rate_Hz) :] / junction.current_A)
-        verdicts.append(
-            criteria.recovery_verdict(trial.name, nepers, rate_Hz, allowed_s, is_far=is_far)
-        )
+        outside = np.flatnonzero(np.abs(nepers) > _RECOVERED)
+        recovery_s = (int(outside[-1]) + 1 if len(outside) else 0) / rate_Hz
+        figure = "time until the current recovers" + (" from far away" if is_far else "")
+        verdicts.append(verdict(figure, trial.name, recovery_s, allowed_s, "s"))
     return verdicts
 
 
@@ -242,26 +243,27 @@ def _plant(plant: AxisPlant, axis: AxisParameters, trial: TipTrial) -> AxisPlant
     )
 
 
-def _lost_surface(axis: AxisParameters, junction: Junction, step_m: float) -> Status | None:
-    """Return the status after a step beyond the search range, or None if the step is smaller."""
-    search_V = float(axis.values["search_voltage_V"])
-    contact_m = float(axis.values["contact_log"]) / junction.decay_per_m
-    search_m = search_V * junction.gain_nepers_per_V / junction.decay_per_m
-    is_lost = search_V > 0.0 and -step_m - contact_m > search_m
-    return Status.NO_CURRENT if is_lost else None
-
-
-def _height(
-    axis: AxisParameters, junction: Junction, trial: TipTrial, step_m: float, time_s: Array
-) -> Array:
-    """Return the height of the surface, (samples,) m."""
+def _height_and_fault(
+    axis: AxisParameters,
+    junction: Junction,
+    trial: TipTrial,
+    step_m: float,
+    samples: int,
+    rate_Hz: float,
+) -> tuple[Array, Array]:
+    """Return the height of the surface, m, and the fault of the sensor, (samples,) each."""
+    time_s = np.arange(samples) / rate_Hz
     height_m = trial.drift_m_per_s * time_s
     height_m[round(_EVENT_s / (time_s[1] - time_s[0])) :] += step_m
     if trial.away_m:
         low_V, high_V = (float(axis.values[f"voltage_{e}_V"]) for e in ("minimum", "maximum"))
         range_m = (high_V - low_V) * junction.gain_nepers_per_V / junction.decay_per_m
         height_m -= min(trial.away_m, _MAX_APPROACH * range_m)
-    return height_m
+    fault = np.zeros(samples)
+    start = round((_EVENT_s + (_FAULT_DELAY_s if any(trial.steps_m) else 0.0)) * rate_Hz)
+    duration = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
+    fault[start : start + duration] = trial.fault
+    return height_m, fault
 
 
 def _junction(plant: AxisPlant) -> Junction:

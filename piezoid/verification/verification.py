@@ -1,7 +1,6 @@
 """The record of a verification, and its file ``verification.json``."""
 
 from dataclasses import dataclass
-from typing import Any
 
 from piezoid.digests import seal
 from piezoid.formatting import significant, with_unit
@@ -17,8 +16,8 @@ from piezoid.runtime.schema import METHOD_NAMES, METHODS
 from piezoid.summary import Summarised, Summary
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
-from piezoid.verification.plotted_paths import Motion, SpiralTrace
 from piezoid.verification.rebuild import Proof
+from piezoid.verification.tracking import Motion, SpiralTrace
 
 SCHEMA = "piezoid.verification/1"
 _LARGEST_m, _SMALLEST_m = 1e3, 1e-15  # of distances that a stage has and a picture can show
@@ -206,14 +205,17 @@ class Verification(Summarised):
         return seal(SCHEMA, {"passed": self.passed, **to_json(self, LAYOUTS)})
 
 
-def _fields(verification: Verification) -> dict[str, Any]:
-    """Return the entries of the file, without optional entries that are empty."""
-    optional = ("limit_proofs", "motions", "coupling", "bounds")
-    return {k: v for k, v in fields_of(verification).items() if v or k not in optional}
-
-
+# Entries that are not in the file if they are empty.
+_OPTIONAL = ("limit_proofs", "motions", "coupling", "bounds")
 LAYOUTS = (
-    RecordLayout(kind=Verification, write=_fields),
+    RecordLayout(
+        kind=Verification,
+        write=lambda verification: {
+            name: value
+            for name, value in fields_of(verification).items()
+            if value or name not in _OPTIONAL
+        },
+    ),
     *(
         RecordLayout(kind=kind, write=lambda run: {**fields_of(run), "passed": run.passed})
         for kind in (Verdict, Proof)

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from piezoid.design.converters import converters_of
 from piezoid.design.design import Design
 from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.design.junction_task import junction_family, reading_range_A
+from piezoid.design.specification import converters_of
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.actuator_model import ActuatorModel
@@ -198,17 +198,41 @@ def stage_plants(
 def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
     """Return the identified plant of one axis between the converters that lab.toml declares.
 
+    A tip is at its set point, in the middle of its voltage range, with the physical minimum of
+    noise: i_n^2 = 2 e i B + 4 k T B / R, B = pi f / 2 of a first-order sensor [Schottky 1918];
+    resistor and converter if lab.toml declares them.
+
     Raises ``ParameterFileError`` for a tunnelling axis without a plant in the model.
     """
-    if axis.method == "rst":
-        return _tip_plant(axis, _loop_of(axis, model.tunnelling), lab)
-    rate_Hz = float(axis.values["sampling_rate_Hz"])
-    plant = lateral_plant(model[axis.axis], sampling_rate_Hz=rate_Hz)
-    gain_V_per_m = lab.sensor_of(axis.axis).gain_V_per_m
-    if gain_V_per_m is None:
-        return plant
-    step_V = converters_of(lab, axis.axis).reading_step_V
-    return replace(plant, reading_step=step_V / abs(gain_V_per_m))
+    values, converters = axis.values, converters_of(lab, axis.axis)
+    if axis.method != "rst":
+        rate_Hz = float(values["sampling_rate_Hz"])
+        plant = lateral_plant(model[axis.axis], sampling_rate_Hz=rate_Hz)
+        gain_V_per_m = lab.sensor_of(axis.axis).gain_V_per_m
+        if gain_V_per_m is None:
+            return plant
+        return replace(plant, reading_step=converters.reading_step_V / abs(gain_V_per_m))
+    loop, resistor_ohm = _loop_of(axis, model.tunnelling), lab.tunnelling.feedback_ohm
+    set_point_A = float(values["current_reference_A"])
+    bandwidth_Hz = 0.5 * np.pi * loop.plant.sensor_pole_Hz
+    chain = CurrentChain(bandwidth_Hz=bandwidth_Hz, feedback_ohm=resistor_ohm)
+    plant = junction_axis_plant(
+        loop.plant,
+        axis=axis.axis,
+        set_point_A=set_point_A,
+        decay_per_m=decay_of_barrier(loop.barrier_eV),
+        noise_rms_A=float(np.hypot(chain.shot_A(set_point_A), chain.johnson_A)),
+        modes=loop.modes[:1],
+    )
+    middle_V = 0.5 * (float(values["voltage_minimum_V"]) + float(values["voltage_maximum_V"]))
+    if resistor_ohm is None or converters.reading_V is None:
+        return replace(plant, rest_voltage_V=middle_V)
+    return replace(
+        plant,
+        rest_voltage_V=middle_V,
+        reading_step=converters.reading_step_V / resistor_ohm,
+        reading_range=reading_range_A(lab, axis.axis) or plant.reading_range,
+    )
 
 
 def _loop_of(axis: AxisParameters, tunnelling: TunnellingModel | None) -> LoopPlant:
@@ -219,37 +243,6 @@ def _loop_of(axis: AxisParameters, tunnelling: TunnellingModel | None) -> LoopPl
             remedy="Call piezoid.verification.verify.verify with junction_axis_plant.",
         )
     return tunnelling.loop_plant
-
-
-def _tip_plant(axis: AxisParameters, loop: LoopPlant, lab: Lab) -> AxisPlant:
-    """Return the plant of a tunnelling axis at its set point, with the physical minimum of noise.
-
-    i_n^2 = 2 e i B + 4 k T B / R, B = pi f / 2 of a first-order sensor [Schottky 1918]; resistor
-    and converter if lab.toml declares them. It rests in the middle of its voltage range.
-    """
-    values, declared = axis.values, lab.tunnelling
-    set_point_A = float(values["current_reference_A"])
-    chain = CurrentChain(
-        bandwidth_Hz=0.5 * np.pi * loop.plant.sensor_pole_Hz, feedback_ohm=declared.feedback_ohm
-    )
-    middle_V = 0.5 * (float(values["voltage_minimum_V"]) + float(values["voltage_maximum_V"]))
-    plant = junction_axis_plant(
-        loop.plant,
-        axis=axis.axis,
-        set_point_A=set_point_A,
-        decay_per_m=decay_of_barrier(loop.barrier_eV),
-        noise_rms_A=float(np.hypot(chain.shot_A(set_point_A), chain.johnson_A)),
-        modes=loop.modes[:1],
-    )
-    converters, resistor_ohm = converters_of(lab, axis.axis), declared.feedback_ohm
-    if resistor_ohm is None or converters.reading_V is None:
-        return replace(plant, rest_voltage_V=middle_V)
-    return replace(
-        plant,
-        rest_voltage_V=middle_V,
-        reading_step=converters.reading_step_V / resistor_ohm,
-        reading_range=reading_range_A(lab, axis.axis) or plant.reading_range,
-    )
 
 
 def varied_plants(

@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from piezoid.design.damping import describe_mode
 from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.design_statements import error_parts_m, guaranteed_error_m, useful_bound_m
+from piezoid.design.lateral import describe_mode
 from piezoid.design.lateral_task import assumptions_of
-from piezoid.design.sensitivity import sensitivities
-from piezoid.design.templates import delay_limit
+from piezoid.design.sensitivity import delay_limit, sensitivities
 from piezoid.numerics.frequency import decibel
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over

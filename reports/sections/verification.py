@@ -7,8 +7,8 @@ import numpy as np
 from piezoid.design.design_statements import guaranteed_error_m
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.verification.criteria import SHAPE_ERROR, SHAPE_RATIO, Limits, Verdict
-from piezoid.verification.plotted_paths import UNCOMPENSATED, SpiralTrace, rms_from
 from piezoid.verification.scenarios import spiral_speed_m_per_s
+from piezoid.verification.tracking import UNCOMPENSATED, SpiralTrace, rms_from
 from piezoid.verification.verification import ComparisonRow, Verification
 from piezoid_reports.chart import Canvas, axis_over, decades_over
 from piezoid_reports.page import Page

@@ -13,10 +13,10 @@ from piezoid.design.plant import (
     family_from_chains,
     plant_from_chain,
 )
-from piezoid.design.rst import closed_loop_target, place_poles, sampled_poles
+from piezoid.design.rst import closed_loop_target, place_poles, section_poles
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.polynomial import roots_of
+from piezoid.numerics.polynomial import from_roots, roots_of
 
 RATE_Hz = 20e3
 LATERAL_m_per_V = 15 * 235e-9
@@ -108,7 +108,7 @@ def vertical_specification(bandwidth_Hz: float = 300.0) -> Specification:
 def poles(*sections: tuple[float, float | None]) -> Array:
     """Return values of z of (frequency, damping) sections at 20 kHz."""
     parts = [
-        roots_of(sampled_poles(Section(frequency_Hz=f, damping=zeta), RATE_Hz))
+        roots_of(from_roots(section_poles(Section(frequency_Hz=f, damping=zeta), RATE_Hz)))
         for f, zeta in sections
     ]
     return np.concatenate(parts)

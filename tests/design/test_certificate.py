@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.design.certificate import Operation, certify, impulse_response, peak_gain
+from piezoid.design.certificate import certify, impulse_response, peak_gain
 from piezoid.design.feedforward import ReferencePath, fit_reference_path
 from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.observer import linear_controller
@@ -47,10 +47,15 @@ def run_around_hysteresis(
 def certificate_of(slew_m_per_s, step_V=0.0, plants=(PLANT,)):
     c = CONTROLLER
     path = fit_reference_path([PLANT], c.R, c.S, c.T, band_Hz=100.0)
-    operation = Operation(
-        reference_slew_m_per_s=slew_m_per_s, voltage_step_V=step_V, sensor_noise_rms_m=1e-9
+    certificate = certify(
+        *(plants, c.R, c.S, c.T),
+        path=path,
+        bounds=BOUNDS,
+        reference_slew_m_per_s=slew_m_per_s,
+        voltage_step_V=step_V,
+        sensor_noise_rms_m=1e-9,
     )
-    return path, certify(plants, c.R, c.S, c.T, path=path, bounds=BOUNDS, operation=operation)
+    return path, certificate
 
 
 def test_the_norm_of_a_lag_is_its_geometric_sum():

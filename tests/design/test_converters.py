@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.converters import converters_of
 from piezoid.design.design_stage import design_stage
+from piezoid.design.specification import converters_of
 from piezoid.errors import PiezoidError
 from piezoid.export.export_stage import export_stage
 from piezoid.records.lab import Acquisition, Amplifier, Lab, Sensor

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.certificate import Operation, certify
+from piezoid.design.certificate import certify
 from piezoid.design.design import AxisDesign, Design, design_from_json
 from piezoid.design.feasibility import unmet
 from piezoid.design.hysteresis_bounds import HysteresisBounds
@@ -117,16 +117,13 @@ def test_only_a_form_with_bounds_has_a_certificate(lateral):
 def test_an_error_is_guaranteed_for_a_scan_over_the_reach_at_its_frequency(lateral):
     loop, asked = lateral.loop("dob"), lateral_specification()
     amplitude_m = SECTOR.reach_V * LATERAL_m_per_V
-    operation = Operation(
-        reference_slew_m_per_s=2.0 * np.pi * asked.scan_frequency_Hz * amplitude_m,
-        voltage_step_V=asked.voltage_step_V,
-        sensor_noise_rms_m=asked.sensor_noise_rms,
-    )
     again = certify(
         *(loop.members, loop.R, loop.S, loop.T),
         path=loop.reference,
         bounds=SECTOR,
-        operation=operation,
+        reference_slew_m_per_s=2.0 * np.pi * asked.scan_frequency_Hz * amplitude_m,
+        voltage_step_V=asked.voltage_step_V,
+        sensor_noise_rms_m=asked.sensor_noise_rms,
     )
     assert loop.certificate.guaranteed_error_m == pytest.approx(again.guaranteed_error_m)
 

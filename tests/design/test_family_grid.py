@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.family_grid import evaluate_loop, family_grid, worst_excess
 from piezoid.design.feasibility import noise_rms, unmet
+from piezoid.design.loop_search import evaluate_loop, family_grid, worst_excess
 from piezoid.design.plant import PlantFamily, plant_from_chain
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
 from piezoid.numerics.polynomial import spectral_radius

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.design.observer import ObserverFrame, disturbance_model, extended, placement_form
+from piezoid.design.observer import ObserverFrame, disturbance_model, extended, placement
 from piezoid.design.plant import plant_from_chain
 from piezoid.design.tuning import kalman_gain
 from piezoid.errors import DesignError
@@ -20,7 +20,7 @@ def test_state_feedback_places_random_and_repeated_poles(rng):
         repeated = np.full(order, 0.5)
         distinct = rng.uniform(-0.8, 0.8, order)
         for wanted in (repeated, distinct):
-            K = placement_form(A, B).gain(wanted)
+            K = placement(A, B)(wanted)
             placed = np.poly(A - np.outer(B, K)).real
             np.testing.assert_allclose(placed, from_roots(wanted), atol=1e-7)
 
@@ -29,7 +29,7 @@ def test_state_feedback_places_random_and_repeated_poles(rng):
 def test_a_state_that_the_input_cannot_reach_is_refused(link, input_size):
     """Or so little, beside what it does to another, that rounding reaches it as well."""
     with pytest.raises(DesignError, match="is not controllable"):
-        placement_form(np.array([[0.5, 0.0], [link, 0.3]]), np.array([input_size, 0.0]))
+        placement(np.array([[0.5, 0.0], [link, 0.3]]), np.array([input_size, 0.0]))
 
 
 @pytest.mark.parametrize("input_variance", [0.0, 1e-4])
@@ -101,7 +101,7 @@ def test_the_rounding_of_an_instantaneous_pole_hides_no_state():
     rounded = A.copy()
     rounded[2, 2] = 2.793248e-16
     poles = np.array([0.5, 0.4, 0.3])
-    gain = placement_form(rounded, B).gain(poles)
-    np.testing.assert_allclose(gain, placement_form(A, B).gain(poles), rtol=1e-6)
+    gain = placement(rounded, B)(poles)
+    np.testing.assert_allclose(gain, placement(A, B)(poles), rtol=1e-6)
     placed = np.sort(np.linalg.eigvals(A - np.outer(B, gain)).real)
     np.testing.assert_allclose(placed, np.sort(poles), atol=1e-6)

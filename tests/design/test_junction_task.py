@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.converters import converters_of
 from piezoid.design.design_stage import design_stage
 from piezoid.design.junction_task import reading_noise_A, vertical_task
+from piezoid.design.specification import converters_of
 from piezoid.errors import DesignError, LabFileError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.tunnelling.barrier_fit import GapLaw
@@ -23,7 +23,7 @@ LOOP = TunnellingModel(gap_law=None, loop_plant=loop_plant())
 
 def test_the_sampled_family_is_the_identified_one() -> None:
     """Two ways of sampling the same analogue chain, by different people."""
-    family = vertical_task(LOOP, replace(LAB, tunnelling=Tunnelling(set_point_A=1e-9))).family
+    family = vertical_task(LOOP, replace(LAB, tunnelling=Tunnelling(set_point_A=1e-9)))[0]
     assert len(family.members) == len(loop_plant().family)
     for sampled, identified in zip(family.members, loop_plant().family, strict=True):
         numerator, denominator = identified.polynomials()
@@ -34,7 +34,7 @@ def test_the_sampled_family_is_the_identified_one() -> None:
 
 
 def test_barriers_that_occur_are_in_the_family_their_gain_with_the_root() -> None:
-    gains = [member.gain for member in vertical_task(LOOP, LAB).family.members]
+    gains = [member.gain for member in vertical_task(LOOP, LAB)[0].members]
     assert gains[-2] / gains[0] == pytest.approx(0.5)
     assert gains[-1] / gains[0] == pytest.approx(2.0)
 

@@ -8,7 +8,7 @@ import pytest
 from piezoid.design.design import SCHEMA, Design, design_from_json
 from piezoid.design.design_stage import SpecificationText, design_stage
 from piezoid.design.hysteresis_bounds import draw_replicates
-from piezoid.design.lateral_task import LateralTask, lateral_task, relative_gain_half, unseen
+from piezoid.design.lateral_task import LateralTask, lateral_task, unseen
 from piezoid.design.specification import slowest_Hz
 from piezoid.digests import seal, unseal
 from piezoid.errors import DesignError, LabFileError, ParameterFileError, TemplateError
@@ -49,7 +49,8 @@ def default() -> Design:
 
 
 def test_the_family_spans_the_interval_of_the_gain(task: LateralTask) -> None:
-    half = relative_gain_half(rigged())
+    uncertainty = rigged().uncertainty
+    half = uncertainty.loading_half_m[-1] / abs(uncertainty.loading_m[-1])
     gains = [m.gain for m in task.families["inverse"].members]
     assert max(gains) / gains[0] == pytest.approx(1.0 + half)
     assert min(gains) / gains[0] == pytest.approx(1.0 - half)

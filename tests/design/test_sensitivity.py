@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from piezoid.design.plant import plant_from_chain
-from piezoid.design.sensitivity import margins, sensitivities
-from piezoid.design.templates import Template, attenuation, delay_limit, violations
+from piezoid.design.sensitivity import (
+    Template,
+    attenuation,
+    delay_limit,
+    margins,
+    sensitivities,
+    violations,
+)
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
 from tests.design.placed import plant_from_fraction
 from tests.design.rig import LOOPS, RATE_Hz, loop, vertical_chain, vertical_family

@@ -7,9 +7,8 @@ import pytest
 
 from piezoid.design.feasibility import unmet
 from piezoid.design.plant import PlantFamily
-from piezoid.design.sensitivity import margins
+from piezoid.design.sensitivity import Template, margins
 from piezoid.design.shaping import shape
-from piezoid.design.templates import Template
 from piezoid.design.youla import optimise
 from tests.design.rig import vertical_family, vertical_specification
 

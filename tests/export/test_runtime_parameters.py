@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from piezoid.design.certificate import Certificate
-from piezoid.design.design import AxisDesign, LoopDesign, family_margins
+from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import disturbance_model, linear_controller
 from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.sensitivity import margins
 from piezoid.errors import ParameterFileError
 from piezoid.export.export_stage import lateral_axis, observer_values, rst_values, tunnelling_axis
 from piezoid.export.parameter_file import ParameterFile, from_json, to_json
@@ -138,7 +139,7 @@ def loop_design(method, R, S, T, *, gain=GAIN_m_per_V, observer=None, certificat
         T=T,
         A_0=np.ones(1),
         reference=path(),
-        margins=family_margins(members, R, S),
+        margins=tuple(margins(member, R, S) for member in members),
         rejections=(),
         certificate=certificate,
         candidates=(),

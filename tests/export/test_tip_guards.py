@@ -13,7 +13,7 @@ from piezoid.identification.tunnelling.model import TunnellingModel
 from tests.design.junction_lab import LAB, loop_plant
 from tests.design.rig import NEPER_PER_V, RATE_Hz
 
-ASKED = vertical_task(TunnellingModel(gap_law=None, loop_plant=loop_plant()), LAB).specification
+ASKED = vertical_task(TunnellingModel(gap_law=None, loop_plant=loop_plant()), LAB)[1]
 
 
 def guards(**changed: float | None):

@@ -7,9 +7,9 @@ import pytest
 
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.verification.criteria import SHAPE_ERROR
-from piezoid.verification.plotted_paths import SPIRAL_POINTS, SpiralTrace
 from piezoid.verification.rebuild import Proof
 from piezoid.verification.scenarios import SCENARIOS
+from piezoid.verification.tracking import SPIRAL_POINTS, SpiralTrace
 from piezoid.verification.verification import ErrorBound, Verification, verification_from_json
 from piezoid.verification.verify import verify
 from piezoid_reports.page import Page

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ParameterFileError
-from piezoid.targets.controller_hardware import ControllerHardware
 from piezoid.targets.nanonis import (
     creep_after_move,
     hysteresis_table,
     line_errors_m,
     nanonis_files,
 )
+from piezoid.targets.target_inputs import ControllerHardware
 from tests.runtime.compiler import run, write_files
 from tests.targets.known_inputs import exported
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from collections import namedtuple
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +10,13 @@ import pytest
 from scipy.signal import lfilter
 
 from piezoid.design.plant import PlantFamily, plant_from_chain
-from piezoid.design.sensitivity import margins, sensitivities
+from piezoid.design.sensitivity import Template, margins, sensitivities
 from piezoid.design.specification import default_specification
-from piezoid.design.templates import Template
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
-from piezoid.targets.controller_hardware import ControllerHardware
-from piezoid.targets.pid import Notch, PidController, tuned_pid
+from piezoid.targets.pid import Notch, pid_law, tuned_pid
 from piezoid.targets.pid_files import pid_files, pid_of
+from piezoid.targets.target_inputs import ControllerHardware
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.plant import CustomResponse
 from tests.targets.known_inputs import BLANK, chain, exported, family
@@ -34,13 +34,16 @@ SOME = replace(
 )
 
 
+Tuned = namedtuple("Tuned", "pid margins")
+
+
 def tuned(plants=None, notches=1, blank=BLANK, delay_margin_s=5e-5, templates=()):
     plants = plants or family()
     specification = default_specification(
         plants, voltage_min_V=0.0, voltage_max_V=10.0, sensor_noise_rms=0.0, disturbance_rms=1e-8
     )
     specification = replace(specification, delay_margin_s=delay_margin_s, templates=templates)
-    return tuned_pid("x", plants, blank, notches=notches, specification=specification)
+    return Tuned(*tuned_pid("x", plants, blank, notches=notches, specification=specification))
 
 
 def test_a_mode_that_no_recording_shows_limits_the_box_as_it_limits_the_exported_loop():
@@ -61,7 +64,7 @@ def test_a_mode_that_no_recording_shows_limits_the_box_as_it_limits_the_exported
 
 
 def answers(pid, errors_m):
-    box = PidController(pid)
+    box = pid_law(pid)
     return np.array([box(error, 0.0) for error in errors_m])
 
 
@@ -131,7 +134,7 @@ def test_the_box_in_the_loop_rejects_what_its_fraction_says():
     wave_m = 1e-7 * np.sin(2 * np.pi * 40.0 * time_s)
     moved = run_law(
         plant,
-        PidController(pid),
+        pid_law(pid),
         np.zeros(20000),
         rng=np.random.default_rng(0),
         disturbance=wave_m,
@@ -147,7 +150,7 @@ def test_files_hold_settings_and_sections_and_the_loss():
     result = pid_of(exported(), exported().lateral[0])
     rows = list(csv.DictReader(io.StringIO(made["settings.csv"].decode())))
     settings = {row["setting"]: (float(row["value"]), row["unit"]) for row in rows}
-    assert settings["integral"] == (result.tuned.pid.integral_V_per_m_s, "V/(m s)")
+    assert settings["integral"] == (result.pid.integral_V_per_m_s, "V/(m s)")
     rows = result.errors_m.values()
     exported_m, pid_m = (max(row[name] for row in rows) for name in ("exported", "pid"))
     assert (
@@ -162,7 +165,7 @@ def test_files_hold_settings_and_sections_and_the_loss():
 def test_sections_answer_as_the_controller_at_their_rate(update_Hz):
     hardware = ControllerHardware(update_Hz=update_Hz)
     made, _ = pid_files(replace(exported(), hardware=hardware))
-    pid = pid_of(exported(), exported().lateral[0]).tuned.pid
+    pid = pid_of(exported(), exported().lateral[0]).pid
     frequency_Hz = np.geomspace(1.0, 2e3, 40)
     q = np.exp(-2j * np.pi * frequency_Hz / (update_Hz or RATE_Hz))
     response = np.ones(40, dtype=complex)
@@ -180,6 +183,6 @@ def test_a_slew_limit_is_simulated():
     axis = exported().lateral[0]
     slow = pid_of(replace(exported(), hardware=ControllerHardware(slew_V_per_s=50.0)), axis)
     free = pid_of(exported(), axis)
-    assert slow.tuned.pid.slew_V_per_s == 50.0
+    assert slow.pid.slew_V_per_s == 50.0
     label = next(iter(free.errors_m))
     assert slow.errors_m[label]["pid"] > 2 * free.errors_m[label]["pid"]

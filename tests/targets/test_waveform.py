@@ -9,7 +9,7 @@ import pytest
 
 from piezoid.errors import ParameterFileError
 from piezoid.identification.extensions.linear_mode import LinearMode
-from piezoid.targets.controller_hardware import ControllerHardware, read_hardware
+from piezoid.targets.target_inputs import ControllerHardware, read_hardware
 from piezoid.targets.waveform import scan_errors_m, waveform_files, waveform_of
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.plant import Hysteresis, lateral_plant

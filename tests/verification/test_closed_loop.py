@@ -9,7 +9,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.operators.linear import ContinuousSystem
 from piezoid.runtime.controller import Controller, Status
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.loop_plant import rest_position
+from piezoid.verification.loop_plant import SettledPlant
 from piezoid.verification.plant import AxisPlant, CustomResponse, Hysteresis
 from tests.verification.rig import (
     AMPLIFIER,
@@ -102,7 +102,7 @@ def test_the_reference_is_given_as_much_ahead_as_the_parameters_preview(rng):
 
 def test_every_run_begins_at_rest(rng):
     plant = lateral(response=Hysteresis(operator=operator(offset_V=3.0)), rest_voltage_V=3.0)
-    still = np.full(200, rest_position(plant))
+    still = np.full(200, SettledPlant(plant).rest_position)
     offset = lateral_parameters().for_method("none").with_values({"voltage_offset_V": 3.0})
     found = run_axis(plant, offset, still, rng=rng)
     lsb_m = 1.1 * GAIN_m_per_V * 20 / 65536

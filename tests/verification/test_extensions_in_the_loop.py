@@ -27,7 +27,7 @@ from piezoid.operators.limits import slewed
 from piezoid.runtime.library import complete
 from piezoid.runtime.schema import MAX_RELAXATIONS
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.loop_plant import SUBSTEPS, rest_position
+from piezoid.verification.loop_plant import SUBSTEPS, SettledPlant
 from piezoid.verification.plant import lateral_plant
 from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.verify import verify
@@ -66,7 +66,7 @@ def test_a_stage_that_crept_begins_where_it_rests(method, rng):
     """What its creep adds at rest is in the first reading; nothing is left to be corrected."""
     plant = plant_with(replace(CREEP, share=tuple(10.0 * s for s in CREEP.share)))
     plant = replace(plant, response=replace(plant.response, history_V=(8.0, -3.0)))
-    still = np.full(400, rest_position(plant))
+    still = np.full(400, SettledPlant(plant).rest_position)
     found = run_axis(plant, lateral_parameters().for_method(method), still, rng=rng)
     lsb_m = 1.1 * GAIN_m_per_V * 20 / 65536
     assert abs(still[0]) > 100 * lsb_m

@@ -1,5 +1,7 @@
 """Paths are what they say, and the numbers made of them are the known ones."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -10,7 +12,7 @@ from piezoid.verification.scenarios import (
     raster,
     steps,
 )
-from piezoid.verification.tip_trials import RoughSurface
+from piezoid.verification.tip_trials import rough_surface_m
 from piezoid.verification.tracking import align, track
 
 RATE_Hz = 20e3
@@ -137,9 +139,9 @@ def test_what_is_left_is_measured_from_the_spline_through_the_path(samples, dela
 
 
 def test_a_surface_has_its_roughness_and_stands_still_under_the_start():
-    surface = RoughSurface(rms_m=1e-10, shortest_m=1e-6, seed=4)
+    surface = partial(rough_surface_m, rms_m=1e-10, shortest_m=1e-6, seed=4)
     points = np.random.default_rng(0).uniform(-1e-3, 1e-3, (2, 20_000))
-    assert np.std(surface.height(*points)) == pytest.approx(1e-10, rel=0.03)
-    assert surface.height(np.zeros(1), np.zeros(1))[0] == 0.0
-    near = surface.height(np.array([1e-8]), np.zeros(1))[0]
+    assert np.std(surface(*points)) == pytest.approx(1e-10, rel=0.03)
+    assert surface(np.zeros(1), np.zeros(1))[0] == 0.0
+    near = surface(np.array([1e-8]), np.zeros(1))[0]
     assert abs(near) < 2 * np.pi * 1e-2 * np.sqrt(2 * 40) * 1e-10

@@ -1,24 +1,34 @@
-"""A plant family sampled on a frequency grid, to evaluate thousands of candidate loops quickly.
+"""Search a loop over a plant family: its figures on a frequency grid, and the minimisation.
 
-These figures steer a search. The margins of the record are computed by ``sensitivity`` on a finer
-grid with exact crossings.
+The grid evaluates thousands of candidate loops quickly. The margins of the record are computed by
+``sensitivity`` on a finer grid with exact crossings. The minimisation needs no gradients, is
+deterministic, and begins from several starts.
 """
 
+import contextlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.rst import LIGHT
+from piezoid.design.rst import LIGHT, damping_ratios
+from piezoid.design.sensitivity import FUNCTIONS, delay_limit
 from piezoid.design.specification import Specification
-from piezoid.design.templates import FUNCTIONS, delay_limit
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.derivative_free import direct_search
 from piezoid.numerics.frequency import Response, decibel, grid_Hz, polynomial_response, unit_circle
 
 _UNSTABLE_dB = 60.0
 _WIDTHS, _LINES = 4.0, 13  # half widths on either side of a mode, and lines there
 _HARMONICS = np.array([1, 3, 5, 7])
+_STEP_TOLERANCE = 1e-3
+_POLISHING_STEPS = (0.1, 0.05, 0.1, 0.05)
+_MAX_RESERVE_dB = 1.0  # beyond which the constraint is constant
+
+Evaluate = Callable[[Array], tuple[float, float]]
+"""Function of the parameters; returns (cost to minimise, excess over the limits in dB)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,8 +106,7 @@ def family_grid(
 
 def mode_lines_Hz(plant: Plant) -> Array:
     """Return lines about the lightly damped modes of a plant, spaced below their width."""
-    s = np.log(plant.poles)
-    damping = -s.real / np.abs(s)
+    s, damping = np.log(plant.poles), damping_ratios(plant.poles)
     light = (damping < LIGHT) & (s.imag > 0.0)
     natural_Hz = np.abs(s[light]) * plant.sampling_rate_Hz / (2.0 * np.pi)
     widths = np.linspace(-_WIDTHS, _WIDTHS, _LINES)
@@ -125,7 +134,8 @@ def evaluate_loop(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> LoopFigures:
     """Return excess over the limits and predicted error of one loop over the family."""
     functions, unstable_poles = magnitudes(grid, R, S)
     excess_dB = float(decibel((functions / grid.limits[:, None, :]).max()))
-    excess_dB = _with_instability(excess_dB, unstable_poles)
+    if unstable_poles:
+        excess_dB = _UNSTABLE_dB * unstable_poles + max(excess_dB, 0.0)
     specification = grid.specification
     r, s = polynomial_response(R, grid.q_scan), polynomial_response(S, grid.q_scan)
     sensitivity = np.abs(grid.A_scan * s / (grid.A_scan * s + grid.B_scan * r))
@@ -150,18 +160,17 @@ def worst_excess(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> WorstExcess:
     functions, unstable_poles = magnitudes(grid, R, S)
     ratio = (functions / grid.limits[:, None, :]).max(axis=1)
     row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+    excess_dB = float(decibel(ratio[row, column]))
+    if unstable_poles:
+        excess_dB = _UNSTABLE_dB * unstable_poles + max(excess_dB, 0.0)
     band = grid.frequency_Hz <= grid.specification.bandwidth_Hz * (1.0 + 1e-12)
     scale = grid.specification.bandwidth_Hz / grid.frequency_Hz[band]
     return WorstExcess(
         function=FUNCTIONS[row],
         frequency_Hz=float(grid.frequency_Hz[column]),
-        excess_dB=_with_instability(float(decibel(ratio[row, column])), unstable_poles),
+        excess_dB=excess_dB,
         rejection=float((functions[0][:, band].max(axis=0) * scale).max()),
     )
-
-
-def _with_instability(excess_dB: float, unstable_poles: int) -> float:
-    return _UNSTABLE_dB * unstable_poles + max(excess_dB, 0.0) if unstable_poles else excess_dB
 
 
 def magnitudes(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> tuple[Array, int]:
@@ -182,3 +191,71 @@ def magnitudes(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> tuple[Array, int
     turns = np.round(np.diff(angle) / (2.0 * np.pi)).sum(axis=1)
     winding = angle[:, -1] - angle[:, 0] - 2.0 * np.pi * turns
     return functions, int(np.round(np.abs(winding) / np.pi).max())
+
+
+class _LimitsMetError(Exception):
+    """Stops the optimiser at the first feasible point; caught in this module."""
+
+
+def search(
+    evaluate: Evaluate,
+    lower: Array,
+    upper: Array,
+    starts: Sequence[Array],
+    *,
+    evaluations: int = 250,
+    reserve_dB: float = 0.1,
+    until_met: bool = False,
+) -> Array:
+    """Minimise the cost where the excess is at most -reserve_dB; else minimise the excess.
+
+    From each start COBYLA [Powell 1994] descends in the unit cube for at most ``evaluations``
+    calls. It is restarted from the best point with smaller steps, because it can stop at an edge
+    of the maximum over members. The best of all evaluated points is returned.
+
+    reserve_dB  allowance for peaks between the points of the search's grid
+    until_met   stop at the first point that meets every limit, to decide feasibility
+    """
+    evaluated: list[tuple[bool, float, Array]] = []
+    span = upper - lower
+
+    def evaluate_unit(unit: Array) -> tuple[float, float]:
+        parameters = lower + np.clip(unit, 0.0, 1.0) * span
+        cost, excess_dB = evaluate(parameters)
+        is_feasible = excess_dB <= -reserve_dB
+        evaluated.append((not is_feasible, cost if is_feasible else excess_dB, parameters))
+        if is_feasible and until_met:
+            raise _LimitsMetError
+        return cost, excess_dB
+
+    def descend(start: Array, step: float) -> None:
+        cache: dict[bytes, tuple[float, float]] = {}
+
+        def cached(unit: Array) -> tuple[float, float]:
+            """Evaluate cost and constraint of one point together."""
+            key = unit.tobytes()
+            if key not in cache:
+                cache.clear()
+                cache[key] = evaluate_unit(unit)
+            return cache[key]
+
+        direct_search(
+            lambda unit: cached(unit)[0],
+            np.clip((start - lower) / span, 0.0, 1.0),
+            (np.zeros(len(start)), np.ones(len(start))),
+            initial_step=step,
+            max_evaluations=evaluations,
+            constraint=lambda unit: max(cached(unit)[1], -_MAX_RESERVE_dB) + reserve_dB,
+            step_tolerance=_STEP_TOLERANCE,
+        )
+
+    with contextlib.suppress(_LimitsMetError):
+        for start in starts:
+            descend(start, 0.15)
+        polished = set()
+        for step in _POLISHING_STEPS:
+            best = min(evaluated, key=lambda item: item[:2])
+            if (id(best), step) not in polished:  # else the same evaluations would repeat
+                polished.add((id(best), step))
+                descend(best[2], step)
+    return min(evaluated, key=lambda item: item[:2])[2]
