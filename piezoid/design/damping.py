@@ -23,7 +23,7 @@ from piezoid.design.templates import Template
 from piezoid.design.tuning import DAMPED, METHODS, tune_observer
 from piezoid.errors import TemplateError
 from piezoid.formatting import significant, with_unit
-from piezoid.numerics.frequency import decibel
+from piezoid.numerics.polynomial import decibel
 
 HYSTERESIS = "small gain of the hysteresis"
 _RESERVE = 0.95  # of the small gain, for peaks between the lines of a search's grid

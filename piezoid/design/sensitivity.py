@@ -11,15 +11,17 @@ from numpy.typing import ArrayLike
 
 from piezoid.design.plant import Fraction
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import (
+from piezoid.numerics.polynomial import (
     Response,
     decibel,
     grid_Hz,
     polynomial_response,
+    product,
     response,
+    spectral_radius,
+    total,
     unit_circle,
 )
-from piezoid.numerics.polynomial import product, spectral_radius, total
 
 _LOWEST_Hz = 1e-3
 _GRID = 4000

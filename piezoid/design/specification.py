@@ -10,7 +10,7 @@ import numpy as np
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.templates import FUNCTIONS, Template, attenuation
 from piezoid.errors import LabFileError
-from piezoid.numerics.frequency import decibel
+from piezoid.numerics.polynomial import decibel
 from piezoid.toml_files import read_toml
 
 _AT_BANDWIDTH_dB = -3.0

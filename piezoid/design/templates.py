@@ -10,7 +10,7 @@ from piezoid.design.plant import Fraction
 from piezoid.design.sensitivity import margins, sensitivities
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array, freeze, same_length, strictly_increasing
-from piezoid.numerics.frequency import decibel, grid_Hz
+from piezoid.numerics.polynomial import decibel, grid_Hz
 
 FUNCTIONS = ("Syp", "Sup", "Syb", "Syv")
 

@@ -1,7 +1,13 @@
-"""Small convex least squares with linear constraints and an optimality certificate."""
+"""Small convex least squares with linear constraints, and the triangular factor of tall problems.
+
+Least squares with a million rows [J | e] needs only the small triangle R of their QR
+factorisation: |J x + e|^2 = |R (x, 1)|^2. Updating R block by block keeps memory constant and,
+unlike the Gram matrix J'J, does not square the condition number, which reaches 2e7 for play
+regressors.
+"""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy import optimize, sparse
@@ -21,6 +27,7 @@ _UNBOUNDED = 1e30  # daqp's infinite bound
 _EQUALITY = 5  # daqp's constraint type of equal bounds
 _SOLVED = 1  # daqp's status
 _PRIMAL_TOLERANCE = 1e-11  # of variables of order one
+_REFLECTED_COLUMNS = 16  # together, in an update of the triangular factor
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -221,3 +228,35 @@ def _by_active_set(factor: Array, target: Array, lower: Array, upper: Array) -> 
             tol=1e-12,
         ).x
     return np.asarray(x)
+
+
+def empty_triangle(columns: int) -> Array:
+    """Return the factor of an empty problem: zeros, (columns, columns)."""
+    return np.zeros((columns, columns), order="F")
+
+
+def gather(triangle: Array, rows: Array, *, spend: bool = False) -> Array:
+    """Update a triangular factor with further rows.
+
+    triangle  (columns, columns)  from ``empty_triangle`` or ``gather``
+    rows      (samples, columns)
+    spend     whether column-major rows may be overwritten
+    returned  (columns, columns), upper triangular
+
+    The zeros of the triangle are not accessed.
+    """
+    columns = len(triangle)
+    if triangle.shape != (columns, columns):
+        raise ValueError(f"a triangle of shape {triangle.shape}, expected {columns, columns}")
+    if not columns or not len(rows):
+        return triangle
+    block = np.asfortranarray(rows)
+    may_overwrite = spend or block is not rows
+    factorisation = lapack.dtpqrt(
+        0,
+        min(_REFLECTED_COLUMNS, columns),
+        np.asfortranarray(triangle),
+        block,
+        overwrite_b=may_overwrite,
+    )
+    return cast(Array, factorisation[0])

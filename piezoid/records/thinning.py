@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.reversals import noise_of, reversals_of
 
 # A fit takes about 740 bytes a row: with 2^18 rows it stays below 400 MB.

@@ -9,7 +9,7 @@ from piezoid.design.lateral_task import assumptions_of
 from piezoid.design.sensitivity import sensitivities
 from piezoid.design.templates import delay_limit
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import decibel
+from piezoid.numerics.polynomial import decibel
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.page import Page

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import polynomial_response, unit_circle
 from piezoid.numerics.polynomial import (
     delayed,
     from_roots,
+    polynomial_response,
     product,
     roots_of,
     solve_bezout,
@@ -18,6 +18,7 @@ from piezoid.numerics.polynomial import (
     sylvester,
     total,
     trimmed,
+    unit_circle,
 )
 
 

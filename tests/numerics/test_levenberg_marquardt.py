@@ -22,7 +22,7 @@ from piezoid.numerics.levenberg_marquardt import (
     eliminated,
     minimise,
 )
-from piezoid.numerics.triangle import empty_triangle, gather
+from piezoid.numerics.quadratic_program import empty_triangle, gather
 
 Residual = Callable[[Array], Array]
 EXACT = Rule(tolerance=1e-14, iterations=500, evaluations=5000)

@@ -16,9 +16,9 @@ from piezoid.identification.dynamics.bandwidth import (
 )
 from piezoid.identification.dynamics.behind_hysteresis import (
     measure_response,
+    most_exciting,
     voltage_behind_hysteresis,
 )
-from piezoid.identification.dynamics.excitation import most_exciting
 from piezoid.identification.dynamics.fit_dynamics import (
     fit_dynamics,
     is_identifiable,

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
-from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.modal import LinearDynamics, SlowPart
 from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
-from piezoid.identification.dynamics.records import SlowPart
 from piezoid.identification.dynamics.vector_fitting import (
     stacked,
     start_poles,

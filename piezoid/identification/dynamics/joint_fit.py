@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from piezoid.identification.dynamics.fit_dynamics import STEP, sorted_terms
-from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.modal import JointFit, LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
-from piezoid.identification.dynamics.records import JointFit
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, behind_pole
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, ComplexArray

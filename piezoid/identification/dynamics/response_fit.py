@@ -28,9 +28,13 @@ from piezoid.identification.dynamics.fit_dynamics import (
     resolved_modes,
 )
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smoothed
-from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.modal import (
+    LinearDynamics,
+    MAX_LAG_deg,
+    MAX_SLOPE_dB,
+    SlowPart,
+)
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
-from piezoid.identification.dynamics.records import MAX_LAG_deg, MAX_SLOPE_dB, SlowPart
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.records.frequency_response import (
     MIN_COHERENCE,

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from piezoid.identification.tunnelling.barrier_fit import GapLaw
-from piezoid.identification.tunnelling.junction import fit_sweeps_of_tip
-from piezoid.identification.tunnelling.model import TunnellingModel
+from piezoid.identification.tunnelling.junction import TunnellingModel, fit_sweeps_of_tip
 from piezoid.numerics.arrays import Array
 from piezoid.records.readers import read_table
 
