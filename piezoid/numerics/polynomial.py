@@ -103,7 +103,20 @@ def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
     target[: len(p)] = p
     singular = np.linalg.svd(matrix, compute_uv=False)
     if singular[-1] < _MIN_RATIO * singular[0]:
-        _refuse_common_root(a, b, float(singular[-1] / singular[0]))
+        poles, zeros = roots_of(a), roots_of(b)
+        if not zeros.size:
+            zeros = np.array([np.inf + 0j])
+        distance = np.abs(poles[:, None] - zeros[None, :])
+        row, column = np.unravel_index(int(np.argmin(distance)), distance.shape)
+        ratio = float(singular[-1] / singular[0])
+        raise DesignError(
+            f"the pole z = {poles[row]:.6g} and the zero z = {zeros[column]:.6g} of the plant "
+            f"with its fixed parts nearly cancel (singular values in the ratio {ratio:.1e})",
+            needed="A H_S and B H_R must have no common root",
+            remedy="Remove the fixed part that makes the root, or reduce the model's order.",
+            pole=complex(poles[row]),
+            zero=complex(zeros[column]),
+        )
     solution = np.linalg.solve(matrix, target)
     solution += np.linalg.solve(matrix, target - matrix @ solution)
     S, R = solution[: degree_s + 1], solution[degree_s + 1 :] / scale
@@ -129,22 +142,6 @@ def sylvester(A: Array, B: Array, degree_s: int) -> Array:
         stop = min(rows, column + len(B))
         matrix[column:stop, degree_s + 1 + column] = B[: stop - column]
     return matrix
-
-
-def _refuse_common_root(A: Array, B: Array, ratio: float) -> None:
-    poles, zeros = roots_of(A), roots_of(B)
-    if not zeros.size:
-        zeros = np.array([np.inf + 0j])
-    distance = np.abs(poles[:, None] - zeros[None, :])
-    row, column = np.unravel_index(int(np.argmin(distance)), distance.shape)
-    raise DesignError(
-        f"the pole z = {poles[row]:.6g} and the zero z = {zeros[column]:.6g} of the plant with "
-        f"its fixed parts nearly cancel (singular values in the ratio {ratio:.1e})",
-        needed="A H_S and B H_R must have no common root",
-        remedy="Remove the fixed part that makes the root, or reduce the model's order.",
-        pole=complex(poles[row]),
-        zero=complex(zeros[column]),
-    )
 
 
 Response = NDArray[np.complex128]

@@ -189,45 +189,34 @@ def bounded_step(triangle: Array, target: Array, lower: Array, upper: Array) -> 
     height = float(max(np.linalg.norm(target), nearest)) or 1.0
     factor, right = triangle / scale, target / height
     below, above = lower * (scale / height), upper * (scale / height)
-    x = _from_normal_equations(factor, right, below, above)
-    if x is None:
-        x = _by_active_set(factor, right, below, above)
-    return np.asarray(np.clip(x * (height / scale), lower, upper))
-
-
-def _from_normal_equations(
-    factor: Array, target: Array, lower: Array, upper: Array
-) -> Array | None:
-    """Return the minimum, or None if it violates the KKT conditions; unit columns and target."""
-    gram = factor.T @ factor + JITTER * np.eye(len(lower))
+    gram = factor.T @ factor + JITTER * np.eye(len(below))
     try:
-        x = bounded_minimum(gram, factor.T @ target, lower, upper)
+        x = bounded_minimum(gram, factor.T @ right, below, above)
     except np.linalg.LinAlgError:
-        return None
-    free = (x > lower) & (x < upper)
-    if free.any():
-        x[free] = 0.0
-        _, solution, _ = lapack.dgels(factor[:, free], target - factor @ x)
-        x[free] = solution[: int(free.sum())]
-    slope = factor.T @ (factor @ x - target)
-    is_stationary = np.where(x <= lower, slope >= -ROUNDING, np.abs(slope) <= ROUNDING)
-    is_stationary |= (x >= upper) & (slope <= ROUNDING)
-    is_feasible = (x >= lower - ROUNDING) & (x <= upper + ROUNDING)
-    return x if bool((is_stationary & is_feasible).all()) else None
-
-
-def _by_active_set(factor: Array, target: Array, lower: Array, upper: Array) -> Array:
-    movable = upper > lower
-    x = np.clip(np.zeros_like(lower), lower, upper)
-    if movable.any():
-        x[movable] = optimize.lsq_linear(
-            factor[:, movable],
-            target - factor[:, ~movable] @ x[~movable],
-            (lower[movable], upper[movable]),
-            method="bvls",
-            tol=1e-12,
-        ).x
-    return np.asarray(x)
+        is_minimum = False
+    else:
+        free = (x > below) & (x < above)
+        if free.any():
+            x[free] = 0.0
+            _, solution, _ = lapack.dgels(factor[:, free], right - factor @ x)
+            x[free] = solution[: int(free.sum())]
+        slope = factor.T @ (factor @ x - right)
+        is_stationary = np.where(x <= below, slope >= -ROUNDING, np.abs(slope) <= ROUNDING)
+        is_stationary |= (x >= above) & (slope <= ROUNDING)
+        is_feasible = (x >= below - ROUNDING) & (x <= above + ROUNDING)
+        is_minimum = bool((is_stationary & is_feasible).all())
+    if not is_minimum:
+        movable = above > below
+        x = np.clip(np.zeros_like(below), below, above)
+        if movable.any():
+            x[movable] = optimize.lsq_linear(
+                factor[:, movable],
+                right - factor[:, ~movable] @ x[~movable],
+                (below[movable], above[movable]),
+                method="bvls",
+                tol=1e-12,
+            ).x
+    return np.asarray(np.clip(x * (height / scale), lower, upper))
 
 
 def empty_triangle(columns: int) -> Array:

@@ -118,8 +118,10 @@ def budget_of(
     positions  number of independent positions of the largest error; at least 2
     draws      of the propagation; 1e5 give two digits of a 95 % interval
     """
-    combined = math.sqrt(sum(contribution.standard**2 for contribution in contributions))
-    freedom = effective_freedom(contributions)
+    combined_variance = sum(contribution.standard**2 for contribution in contributions)
+    combined = math.sqrt(combined_variance)
+    loss = sum(contribution.standard**4 / contribution.freedom for contribution in contributions)
+    freedom = combined_variance**2 / loss if loss > 0.0 else math.inf
     factor = float(student_quantile(0.5 + CONFIDENCE / 2, freedom))
     rng = np.random.default_rng(seed)
     shared = sum(
@@ -146,13 +148,6 @@ def budget_of(
         largest_error=np.quantile(largest, GRID),
         draws=draws,
     )
-
-
-def effective_freedom(contributions: Sequence[Contribution]) -> float:
-    """Return nu_eff of Welch and Satterthwaite; infinite if all freedoms are infinite."""
-    combined = sum(contribution.standard**2 for contribution in contributions)
-    loss = sum(contribution.standard**4 / contribution.freedom for contribution in contributions)
-    return combined**2 / loss if loss > 0.0 else math.inf
 
 
 def tail_of(quantile_ratio: float, probability: float = 0.999) -> float:
@@ -192,19 +187,18 @@ def _errors(
     tail = min(tails, default=math.inf)
     top = rng.uniform(size=len(shared)) ** (1.0 / positions)
     low = top * -np.expm1(np.log(rng.uniform(size=len(shared))) / (positions - 1))
-    extremes = (shared + standard * _unit_quantile(p, tail) for p in (top, low))
-    return single, np.maximum(*(np.abs(end) for end in extremes))
-
-
-def _unit_quantile(probability: Array, tail: float) -> Array:
-    """Return quantiles of unit variance, normal or of Student's t."""
-    inside = np.clip(probability, 1e-15, 1.0 - 1e-15)
-    if math.isinf(tail):
-        return np.asarray(normal_quantile(inside))
-    score = normal_quantile(inside)  # quantiles of t are a smooth function of the normal score
-    knots = np.linspace(score.min(), score.max(), QUANTILE_KNOTS)
-    quantile = np.interp(score, knots, student_quantile(ndtr(knots), tail))
-    return np.asarray(quantile * math.sqrt((tail - 2.0) / tail))
+    ends = []
+    for probability in (top, low):
+        score = normal_quantile(np.clip(probability, 1e-15, 1.0 - 1e-15))
+        if math.isinf(tail):
+            ends.append(np.abs(shared + standard * score))
+            continue
+        # Quantiles of t are a smooth function of the normal score.
+        knots = np.linspace(score.min(), score.max(), QUANTILE_KNOTS)
+        quantile = np.interp(score, knots, student_quantile(ndtr(knots), tail))
+        quantile = quantile * math.sqrt((tail - 2.0) / tail)
+        ends.append(np.abs(shared + standard * quantile))
+    return single, np.maximum(*ends)
 
 
 def _draw(contribution: Contribution, draws: int, rng: np.random.Generator) -> Array:

@@ -1,7 +1,6 @@
 """Prandtl-Ishlinskii operators: weighted plays, their exact inverse and their differences."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -80,10 +79,6 @@ class PrandtlIshlinskii:
         Its memory is ``inverse_memory`` of that of this operator. Raises ``NotInvertibleError`` if
         a W_i <= 0.
         """
-        return self._inverse
-
-    @cached_property
-    def _inverse(self) -> "PrandtlIshlinskii":
         slope = self.slope
         if not self.is_invertible:
             row = int(np.argmin(slope))
@@ -119,19 +114,6 @@ class WorstCase:
     extrema: Array
 
 
-def slope_difference(
-    first: PrandtlIshlinskii, second: PrandtlIshlinskii, reach: float
-) -> tuple[Array, Array]:
-    """Return the edges in [0, reach] between which both slopes are constant, and W1 - W2.
-
-    returned  (edges,) increasing from 0 to reach, and (edges - 1,)
-    """
-    inner = np.concatenate([first.threshold, second.threshold])
-    edges = np.unique(np.concatenate([[0.0, reach], inner[inner < reach]]))
-    middle = (edges[1:] + edges[:-1]) / 2
-    return edges, _slope_at(first, middle) - _slope_at(second, middle)
-
-
 def worst_case(first: PrandtlIshlinskii, second: PrandtlIshlinskii, reach: float) -> WorstCase:
     """Return the exact worst difference of two operators over all inputs with |u| <= reach.
 
@@ -141,7 +123,15 @@ def worst_case(first: PrandtlIshlinskii, second: PrandtlIshlinskii, reach: float
     attaining input has the extrema u = lambda(c) + s c at the corners c of a memory curve of slope
     -sign(W_1 - W_2), from wide plays to narrow ones.
     """
-    edges, difference = slope_difference(first, second, reach)
+    # Between the edges both slopes are constant: that of the last play whose threshold is below.
+    inner = np.concatenate([first.threshold, second.threshold])
+    edges = np.unique(np.concatenate([[0.0, reach], inner[inner < reach]]))
+    middle = (edges[1:] + edges[:-1]) / 2
+    slopes = [
+        operator.slope[np.searchsorted(operator.threshold, middle, side="right") - 1]
+        for operator in (first, second)
+    ]
+    difference = slopes[0] - slopes[1]
     bound = float((np.abs(difference) * np.diff(edges)).sum())
     sign = np.sign(difference)
     nonzero = np.flatnonzero(sign)
@@ -162,8 +152,3 @@ def worst_case(first: PrandtlIshlinskii, second: PrandtlIshlinskii, reach: float
         extrema.append(corner + s * edges[lower])
         upper = lower
     return WorstCase(bound=bound, extrema=np.array(extrema))
-
-
-def _slope_at(operator: PrandtlIshlinskii, r: Array) -> Array:
-    """Return W(r): the slope of the last play whose threshold is at most r."""
-    return np.asarray(operator.slope[np.searchsorted(operator.threshold, r, side="right") - 1])

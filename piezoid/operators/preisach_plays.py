@@ -265,21 +265,19 @@ def _values(operator: PreisachPlays, level_V: Array) -> Array:
 
 
 def _half_range(value_m: Array, allowed: Mask) -> Array:
-    """Return half the range of sums over admissible states, (sums,).
+    """Return half the range of sums over admissible states, by dynamic programming, (sums,).
 
     value_m  (sums, plays, levels)
     """
-    return 0.5 * (_maximum(value_m, allowed) + _maximum(-value_m, allowed))
-
-
-def _maximum(value_m: Array, allowed: Mask) -> Array:
-    """Return the maximum of each sum over the admissible states, by dynamic programming."""
-    best_m = np.where(allowed[-1], value_m[:, -1], -np.inf)
-    for play in range(value_m.shape[1] - 2, -1, -1):
-        padded_m = np.pad(best_m, ((0, 0), (1, 1)), constant_values=-np.inf)
-        best_m = np.maximum(np.maximum(padded_m[:, :-2], padded_m[:, 2:]), best_m)
-        best_m = np.where(allowed[play], value_m[:, play] + best_m, -np.inf)
-    return np.asarray(best_m.max(axis=1))
+    extremes = []
+    for signed_m in (value_m, -value_m):
+        best_m = np.where(allowed[-1], signed_m[:, -1], -np.inf)
+        for play in range(value_m.shape[1] - 2, -1, -1):
+            padded_m = np.pad(best_m, ((0, 0), (1, 1)), constant_values=-np.inf)
+            best_m = np.maximum(np.maximum(padded_m[:, :-2], padded_m[:, 2:]), best_m)
+            best_m = np.where(allowed[play], signed_m[:, play] + best_m, -np.inf)
+        extremes.append(best_m.max(axis=1))
+    return np.asarray(0.5 * (extremes[0] + extremes[1]))
 
 
 def _branch_slopes(value_m: Array, allowed: Mask) -> Array:

@@ -156,8 +156,7 @@ class HysteresisStates:
 
     def follow(self, drive: Array) -> States:
         """Return the states along the next samples of the drive, (samples, states) each."""
-        states = _states_along(drive, self._end)
-        self._end = _end(drive, states)
+        states, self._end = _states_along(drive, self._end)
         return states
 
 
@@ -171,16 +170,11 @@ def _end_of_history(history: tuple[float, ...]) -> _End:
     drive = np.concatenate(segments)
     friction = np.zeros(len(REACH) * len(FRICTION_POWERS))
     start = (0.0, np.zeros(len(WIDTHS)), friction, np.zeros(len(BOUC_WEN)))
-    return _end(drive, _states_along(drive, start))
+    return _states_along(drive, start)[1]
 
 
-def _end(drive: Array, states: States) -> _End:
-    plays, friction, bouc_wen = states
-    return float(drive[-1]), plays[-1].copy(), friction[-1].copy(), bouc_wen[-1].copy()
-
-
-def _states_along(drive: Array, start: _End) -> States:
-    """Return the states along a drive that continues from the end of another one."""
+def _states_along(drive: Array, start: _End) -> tuple[States, _End]:
+    """Return the states along a drive that continues from the end of another one, and its end."""
     start_drive, plays, friction, bouc_wen = start
     path = np.concatenate([[start_drive], drive])
     reach = np.tile(REACH, len(FRICTION_POWERS))
@@ -188,11 +182,13 @@ def _states_along(drive: Array, start: _End) -> States:
     limit, exponent, unloading = BOUC_WEN.T
     loading = 0.5 * limit**-exponent
     beta, gamma = loading * (1.0 + unloading), loading * (1.0 - unloading)
-    return (
+    states = (
         play_columns(drive, WIDTHS, plays)[0],
         friction_states(path, reach, friction, power=power)[1:],
         bouc_wen_states(path, beta, gamma, exponent, bouc_wen)[1:],
     )
+    plays, friction, bouc_wen = (columns[-1].copy() for columns in states)
+    return states, (float(drive[-1]), plays, friction, bouc_wen)
 
 
 def cells(position: Array) -> Array:
