@@ -22,7 +22,6 @@ from scipy.ndimage import uniform_filter1d
 
 from piezoid.errors import ExcitationError, IdentificationError
 from piezoid.identification.coupled.coupled_stage import (
-    Columns,
     CoupledStage,
     ModalShape,
     level_coordinate,
@@ -79,16 +78,6 @@ class LevelSpectra:
             weight=1.0 / (np.abs(response) ** 2).sum(axis=(0, 1)),
         )
 
-    def without(self, realisation: int) -> "LevelSpectra":
-        """Return the spectra of all realisations but one."""
-        remaining = np.arange(len(self.weight)) != realisation
-        return replace(
-            self,
-            drive=self.drive[..., remaining],
-            displacement=self.displacement[..., remaining],
-            weight=self.weight[remaining],
-        )
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModalProblem:
@@ -119,11 +108,6 @@ class ModalProblem:
         """Return the position of a level between the smallest, -1, and the largest, 1."""
         return level_coordinate(level.level_V, self.levels_V)
 
-    def pack(self, shape: ModalShape) -> Array:
-        """Return the parameter vector of a shape."""
-        poles = np.stack([shape.log_frequency, shape.log_damping], axis=1)[: self.orders]
-        return np.append(poles.ravel(), shape.delay_s * self.rate_Hz)
-
     def unpack(self, x: Array) -> ModalShape:
         """Return the shape of a parameter vector."""
         poles = np.zeros((2, 2, self.modes))
@@ -134,22 +118,20 @@ class ModalProblem:
             delay_s=float(x[-1]) / self.rate_Hz,
         )
 
-    def bounds(self, start: Array) -> tuple[Array, Array, Array]:
-        """Return lower and upper bounds and the longest step: no pole passes its neighbour."""
-        count = len(start) - 1
-        reach = np.append(np.repeat([0.2, 3.0, 0.05, 1.0], self.modes)[:count], 10.0)
-        longest = np.append(np.tile(np.repeat([0.03, 0.4], self.modes), self.orders), 0.3)
-        upper = start + reach
-        upper[self.modes : 2 * self.modes] = np.log(MAX_DAMPING)
-        return np.minimum(start - reach, upper), upper, longest
-
 
 def fit_modal_sum(
     problem: ModalProblem, start: ModalShape, rule: Rule
 ) -> tuple[ModalShape, Array]:
     """Minimise the cost from a start; return shape and residues (2, columns, outputs, inputs)."""
-    x = problem.pack(start)
-    lower, upper, longest = problem.bounds(x)
+    modes, orders = problem.modes, problem.orders
+    poles = np.stack([start.log_frequency, start.log_damping], axis=1)[:orders]
+    x = np.append(poles.ravel(), start.delay_s * problem.rate_Hz)
+    # No pole passes its neighbour.
+    reach = np.append(np.repeat([0.2, 3.0, 0.05, 1.0], modes)[: len(x) - 1], 10.0)
+    longest = np.append(np.tile(np.repeat([0.03, 0.4], modes), orders), 0.3)
+    upper = x + reach
+    upper[modes : 2 * modes] = np.log(MAX_DAMPING)
+    lower = np.minimum(x - reach, upper)
     best = minimise(lambda x: Point(problem, x), x, (lower, upper), rule=rule, longest=longest)
     return problem.unpack(best.x), best.point.residues
 
@@ -168,11 +150,14 @@ def residual_spectra(
 class _WeightedLevel:
     """Weighted data and columns of one level at one shape, the delay removed from the data.
 
+    columns, by_frequency, by_damping  as ``ModalShape.columns``
     powers  (orders,)  factors of the residues: 1 and the coordinate of the level
     """
 
     frequency_Hz: Array
-    columns: Columns
+    columns: ComplexArray
+    by_frequency: ComplexArray
+    by_damping: ComplexArray
     drive: ComplexArray
     displacement: ComplexArray
     powers: Array
@@ -182,7 +167,7 @@ class _WeightedLevel:
 
         (A'A)_(ci, dk) = sum_f Re( conj(b_c) b_d sum_r conj(V_i) V_k ),   b columns, V the drive
         """
-        b = self.columns.value
+        b = self.columns
         count, inputs = b.shape[1], self.drive.shape[1]
         power = self.drive.conj() @ self.drive.transpose(0, 2, 1)
         gram = np.empty((count, inputs, count, inputs))
@@ -198,10 +183,10 @@ class _WeightedLevel:
         rows  (vectors, lines, outputs, realisations)  t
         """
         vectors, lines, outputs, _ = rows.shape
-        count, inputs = self.columns.value.shape[1], self.drive.shape[1]
+        count, inputs = self.columns.shape[1], self.drive.shape[1]
         by_input = np.matmul(rows, self.drive.conj().transpose(0, 2, 1))
         flat = by_input.transpose(1, 0, 2, 3).reshape(lines, -1)
-        products = (self.columns.value.conj().T @ flat).real
+        products = (self.columns.conj().T @ flat).real
         products = products.reshape(count, vectors, outputs, inputs).transpose(0, 3, 2, 1)
         products = products.reshape(count * inputs, outputs, vectors)
         return np.concatenate([power * products for power in self.powers])
@@ -217,9 +202,12 @@ class Point:
             f, coordinate = level.frequency_Hz, problem.coordinate(level)
             root = np.sqrt(level.weight)
             advance = np.exp(2j * np.pi * f * shape.delay_s)[:, None, None]
+            columns, by_frequency, by_damping = shape.columns(f, problem.lag_Hz, coordinate)
             weighted = _WeightedLevel(
                 frequency_Hz=f,
-                columns=shape.columns(f, problem.lag_Hz, coordinate),
+                columns=columns,
+                by_frequency=by_frequency,
+                by_damping=by_damping,
                 drive=level.drive * root,
                 displacement=level.displacement * root * advance,
                 powers=np.array([1.0, coordinate])[: problem.orders],
@@ -240,7 +228,7 @@ class Point:
         self.residues[: problem.orders] = by_order.transpose(0, 1, 3, 2)
         self.residuals = [
             level.displacement
-            - np.einsum("fc,coi->foi", level.columns.value, self._residues_at(level)) @ level.drive
+            - np.einsum("fc,coi->foi", level.columns, self._residues_at(level)) @ level.drive
             for level in self.levels
         ]
         self.cost = float(sum((np.abs(residual) ** 2).sum() for residual in self.residuals))
@@ -278,7 +266,7 @@ class Point:
                 0.5
                 * (direct[:, m, None, None] * R + conjugate[:, m, None, None] * R.conj())
                 @ level.drive
-                for direct, conjugate in (level.columns.by_frequency, level.columns.by_damping)
+                for direct, conjugate in (level.by_frequency, level.by_damping)
                 for m, R in enumerate(residues)
             ]
         )
@@ -317,7 +305,15 @@ def fit_coupled(
     fits = [(shape, residues)] * count
     if is_left_out:
         for r in range(count):
-            remaining = tuple(level.without(r) for level in problem.levels)
+            remaining = tuple(
+                replace(
+                    level,
+                    drive=np.delete(level.drive, r, axis=2),
+                    displacement=np.delete(level.displacement, r, axis=2),
+                    weight=np.delete(level.weight, r),
+                )
+                for level in problem.levels
+            )
             fits[r] = fit_modal_sum(replace(problem, levels=remaining), shape, JACKKNIFE_RULE)
     errors_m = []
     for level in problem.levels:

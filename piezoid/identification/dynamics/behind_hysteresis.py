@@ -1,4 +1,4 @@
-"""Estimate the response from the output of the fitted hysteresis to the displacement.
+"""Select recordings that excite the dynamics, and estimate responses behind the hysteresis.
 
     u -> H -> v = (H[u] - y_off) / a -> G(s) -> y
 
@@ -13,7 +13,7 @@ import numpy as np
 from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smoothed
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.arrays import Array, ComplexArray, runs_of
+from piezoid.numerics.arrays import Array, runs_of
 from piezoid.records.recording import Quantity, Recording
 
 MIN_COHERENCE = 0.8
@@ -24,6 +24,18 @@ OVERLAP_LOSS = 1.0 + 2.0 / 36.0  # Hann windows that overlap by half share (1/6)
 MAIN_LOBE_LINES = 2  # over which a Hann window smears the mean
 MIN_POWER = 1e-10  # of the strongest line: weaker lines are not driven
 TINY = float(np.finfo(np.float64).tiny)
+HIGHEST_Hz = 50.0  # a drive below shows hysteresis and creep, not dynamics
+BANDS_PER_DECADE = 6
+BROAD_dB = -40.0  # of the strongest band: weaker ones are leakage and harmonics of slow drives
+BROAD_DECADES = 1.25  # between harmonics of a triangle there are empty bands; chirps have 1.3
+# Of 58 stages of birch and alder (seeds 1-13, 101-111, 161-180) nine have a sweep that is not
+# broad by that measure: four follow slow loops, 45 dB below their density (2.4 decades or more,
+# 0.45 % of the power or more), five pass only the resonance (0.67 decades or more, 99 % of the
+# power). Among other drives stairs are most similar: at most 1.04 decades and 2.7 %.
+LEVEL_dB = -15.0  # within a band that is level
+LEVEL_DECADES = 0.45  # three bands: one sine may lie in two
+NARROW_SHARE = 0.5  # of the power: of a level band narrower than BROAD_DECADES
+BROAD_SHARE = 1e-3  # white noise of a monitored drive would be 3 % of its rms
 
 
 def measure_response(drive_V: Array, recording: Recording, axis: str) -> FrequencyResponse:
@@ -85,14 +97,13 @@ def estimate_response_by_coherence(
         )
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(segment_samples) / segment_samples)
 
-    def windowed_spectra(signal: Array) -> ComplexArray:
-        """Return the spectra of half-overlapping Hann windows, (lines, windows)."""
+    spectra = []  # of half-overlapping Hann windows, (lines, windows)
+    for signal in (voltage_V, displacement_m):
         pieces = np.lib.stride_tricks.sliding_window_view(signal, segment_samples)
         pieces = pieces[:: segment_samples // 2]
         level = pieces - pieces.mean(axis=1, keepdims=True)
-        return np.asarray(np.fft.rfft(level * window, axis=1).T)
-
-    U, Y = windowed_spectra(voltage_V), windowed_spectra(displacement_m)
+        spectra.append(np.asarray(np.fft.rfft(level * window, axis=1).T))
+    U, Y = spectra
     drive, output = (np.abs(U) ** 2).sum(axis=1), (np.abs(Y) ** 2).sum(axis=1)
     cross = (Y * U.conj()).sum(axis=1)
     is_driven = drive > MIN_POWER * drive.max()
@@ -122,20 +133,6 @@ def estimate_response_by_coherence(
         variance_freedom=float(np.median(freedom)),
         drive_rms_V=np.array([voltage_V.std()]),
     )
-
-
-HIGHEST_Hz = 50.0  # a drive below shows hysteresis and creep, not dynamics
-BANDS_PER_DECADE = 6
-BROAD_dB = -40.0  # of the strongest band: weaker ones are leakage and harmonics of slow drives
-BROAD_DECADES = 1.25  # between harmonics of a triangle there are empty bands; chirps have 1.3
-# Of 58 stages of birch and alder (seeds 1-13, 101-111, 161-180) nine have a sweep that is not
-# broad by that measure: four follow slow loops, 45 dB below their density (2.4 decades or more,
-# 0.45 % of the power or more), five pass only the resonance (0.67 decades or more, 99 % of the
-# power). Among other drives stairs are most similar: at most 1.04 decades and 2.7 %.
-LEVEL_dB = -15.0  # within a band that is level
-LEVEL_DECADES = 0.45  # three bands: one sine may lie in two
-NARROW_SHARE = 0.5  # of the power: of a level band narrower than BROAD_DECADES
-BROAD_SHARE = 1e-3  # white noise of a monitored drive would be 3 % of its rms
 
 
 def excites_dynamics(

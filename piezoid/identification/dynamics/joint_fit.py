@@ -28,7 +28,6 @@ from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis,
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, behind_pole
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, ComplexArray
-from piezoid.numerics.executor import Once
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
 from piezoid.numerics.robust import NORMAL_95
 from piezoid.operators.dead_zone import DeadZones
@@ -83,18 +82,13 @@ class Segment:
     sensor: ComplexArray
     padded: int
 
-    @property
-    def samples(self) -> int:
-        """Number of samples of the segment."""
-        return len(self.measured_m)
-
     def spectrum(self, signals: Array) -> ComplexArray:
         """Return the padded spectra of signals minus their first samples, (..., lines)."""
         return np.asarray(rfft(signals - signals[..., :1], self.padded))
 
     def signal(self, spectrum: ComplexArray) -> Array:
         """Return the signal of a padded spectrum, (samples,)."""
-        return np.asarray(irfft(spectrum, self.padded))[: self.samples]
+        return np.asarray(irfft(spectrum, self.padded))[: len(self.measured_m)]
 
 
 def segments_of(
@@ -375,40 +369,34 @@ def _line_weights(
     if it had as many lines as the longest: its residual is an error of the operator rather than
     noise, and not independent in every line.
     """
-    longest = max(segment.samples for segment in segments)
+    longest = max(len(segment.measured_m) for segment in segments)
     updated = []
     for segment, previous in zip(segments, weights, strict=True):
         power = np.abs(rfft(_residual(layout, theta, segment))) ** 2
+        samples = len(segment.measured_m)
         lines = np.arange(len(power))
         band = np.floor(BANDS_PER_DECADE * np.log10(np.maximum(lines / BAND_LINES, 1.0)))
         band = band.astype(np.int64)
         count = np.bincount(band)
         mean, middle = np.bincount(band, power) / count, np.bincount(band, lines) / count
         weight = 1.0 / np.sqrt(np.maximum(np.interp(lines, middle, mean), TINY))
-        weight[0] = weight[lines > MAX_FREQUENCY * segment.samples] = 0.0
-        updated.append(np.maximum(np.sqrt(longest / segment.samples) * weight, previous))
+        weight[0] = weight[lines > MAX_FREQUENCY * samples] = 0.0
+        updated.append(np.maximum(np.sqrt(longest / samples) * weight, previous))
     return updated
 
 
-@dataclass(frozen=True, eq=False)
 class _Point:
     """Parameters and the weighted residual spectra of all segments."""
 
-    segments: Sequence[Segment]
-    layout: Layout
-    weights: Sequence[Array]
-    theta: Array
-
-    @Once
-    def errors(self) -> list[Array]:
-        return [
-            _weighted_lines(_residual(self.layout, self.theta, segment), weight)
-            for segment, weight in zip(self.segments, self.weights, strict=True)
+    def __init__(
+        self, segments: Sequence[Segment], layout: Layout, weights: Sequence[Array], theta: Array
+    ) -> None:
+        self.segments, self.layout, self.weights, self.theta = segments, layout, weights, theta
+        self.errors = [
+            _weighted_lines(_residual(layout, theta, segment), weight)
+            for segment, weight in zip(segments, weights, strict=True)
         ]
-
-    @property
-    def cost(self) -> float:
-        return sum(float(error @ error) for error in self.errors)
+        self.cost = sum(float(error @ error) for error in self.errors)
 
     def linearised(self) -> NormalEquations:
         size = self.layout.size
@@ -450,7 +438,8 @@ def _covariance(
                 _residual(layout, theta, segment),
             ]
         )
-        whitened = irfft(rfft(signals) * weight, segment.samples) * np.sqrt(segment.samples)
+        samples = signals.shape[1]
+        whitened = irfft(rfft(signals) * weight, samples) * np.sqrt(samples)
         tangents, scores = whitened[:-1], whitened[:-1] * whitened[-1]
         curvature += tangents @ tangents.T
         edges = np.zeros((len(scores), NEIGHBOURS))

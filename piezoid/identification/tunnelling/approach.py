@@ -177,10 +177,10 @@ def read_approach(
 ) -> ApproachCurve:
     """Return the sweep of two columns, without missing and saturated rows.
 
-    height_m   (rows,)  increases when the tip retracts; NaN in missing rows current_A  (rows,)  of
-    either polarity; NaN in missing rows bias_V     at the sample or the tip, of which only the
-    sign matters; None or 0: the sign is that
-               of the current
+    height_m   (rows,)  increases when the tip retracts; NaN in missing rows
+    current_A  (rows,)  of either polarity; NaN in missing rows
+    bias_V     at the sample or the tip, of which only the sign matters; None or 0: the sign is
+               that of the current
     pair, duration_s  as in ``ApproachCurve``
 
     Raises ``RecordingError`` for columns of unequal length, ``ExcitationError`` for too few rows

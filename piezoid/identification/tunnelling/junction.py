@@ -21,7 +21,6 @@ from piezoid.identification.tunnelling.approach import (
 from piezoid.identification.tunnelling.barrier_fit import GapLaw, fit_barrier
 from piezoid.identification.tunnelling.closed_loop import (
     ClosedLoopFit,
-    Offset,
     identify_closed_loop,
 )
 from piezoid.identification.tunnelling.instrument_fit import ModeEstimate
@@ -152,7 +151,7 @@ def fit_junction(
         return model
     offset = None
     if gap_law is not None:
-        offset = Offset(value_A=gap_law.offset_A, standard_A=gap_law.offset_standard_A)
+        offset = (gap_law.offset_A, gap_law.offset_standard_A)
     loop = fit_loops(*loops_of(recordings, lab or Lab()), offset)
     if model is None or gap_law is None:
         return TunnellingModel(gap_law=None, loop_plant=loop)
@@ -198,11 +197,11 @@ def curves_of(sweeps: Sequence[RawTable]) -> tuple[ApproachCurve, ...]:
 
 
 def fit_loops(
-    rig: LoopRig, loops: Sequence[LoopRecord], offset: Offset | None = None
+    rig: LoopRig, loops: Sequence[LoopRecord], offset: tuple[float, float] | None = None
 ) -> LoopPlant:
     """Identify the plant of every closed-loop record, their mean, and their family.
 
-    offset  of the current, from sweeps; None: unknown
+    offset  of the current and its standard deviation, from sweeps, A; None: unknown
     """
 
     def identify(loop: LoopRecord, mode: ModeEstimate | None) -> ClosedLoopFit:
