@@ -98,7 +98,14 @@ def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
     if scale == 0.0 or len(a) < 2:
         raise ValueError("solve_bezout needs a non-zero B and a denominator A of degree >= 1")
     degree_s = max(len(b) - 2, len(p) - len(a), 0)
-    matrix = sylvester(a, b / scale, degree_s)
+    # The Sylvester matrix M of A S + B R = M [S; R]: shifts of A, then shifts of B.
+    rows, scaled = len(a) + degree_s, b / scale
+    matrix = np.zeros((rows, rows))
+    for column in range(degree_s + 1):
+        matrix[column : column + len(a), column] = a
+    for column in range(len(a) - 1):
+        stop = min(rows, column + len(b))
+        matrix[column:stop, degree_s + 1 + column] = scaled[: stop - column]
     target = np.zeros(len(matrix))
     target[: len(p)] = p
     singular = np.linalg.svd(matrix, compute_uv=False)
@@ -107,15 +114,15 @@ def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
         if not zeros.size:
             zeros = np.array([np.inf + 0j])
         distance = np.abs(poles[:, None] - zeros[None, :])
-        row, column = np.unravel_index(int(np.argmin(distance)), distance.shape)
+        pole, zero = np.unravel_index(int(np.argmin(distance)), distance.shape)
         ratio = float(singular[-1] / singular[0])
         raise DesignError(
-            f"the pole z = {poles[row]:.6g} and the zero z = {zeros[column]:.6g} of the plant "
+            f"the pole z = {poles[pole]:.6g} and the zero z = {zeros[zero]:.6g} of the plant "
             f"with its fixed parts nearly cancel (singular values in the ratio {ratio:.1e})",
             needed="A H_S and B H_R must have no common root",
             remedy="Remove the fixed part that makes the root, or reduce the model's order.",
-            pole=complex(poles[row]),
-            zero=complex(zeros[column]),
+            pole=complex(poles[pole]),
+            zero=complex(zeros[zero]),
         )
     solution = np.linalg.solve(matrix, target)
     solution += np.linalg.solve(matrix, target - matrix @ solution)
@@ -127,21 +134,6 @@ def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
         residual=float(np.abs(residual).max() / np.abs(p).max()),
         condition=float(singular[0] / singular[-1]),
     )
-
-
-def sylvester(A: Array, B: Array, degree_s: int) -> Array:
-    """Return the square matrix M of A S + B R = M [S; R] with deg R = deg A - 1.
-
-    returned  (deg A + degree_s + 1,) squared; columns: shifts of A, then shifts of B
-    """
-    rows = len(A) + degree_s
-    matrix = np.zeros((rows, rows))
-    for column in range(degree_s + 1):
-        matrix[column : column + len(A), column] = A
-    for column in range(len(A) - 1):
-        stop = min(rows, column + len(B))
-        matrix[column:stop, degree_s + 1 + column] = B[: stop - column]
-    return matrix
 
 
 Response = NDArray[np.complex128]

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from piezoid.numerics.arrays import Array, freeze
+from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import normal_quantile, student_quantile
 
 CONFIDENCE = 0.95
 DRAWS = 200_000
-GRID = np.linspace(0.0, 1.0, 201)
 QUANTILE_KNOTS = 4000  # linear interpolation between so many quantiles has an error of 1e-5
 NORMAL, RECTANGULAR, HEAVY = "normal", "rectangular", "heavy"
 
@@ -79,10 +78,6 @@ class Budget:
     propagated       half width of the 95 % interval of a single error, from draws
     positions        number of positions of the largest error
     largest          (2,)  2.5 % and 97.5 % quantile of the largest error of these positions
-    probability      (points,)
-    single_error     (points,)  quantiles of the size of a single error
-    largest_error    (points,)  quantiles of the largest error
-    draws            number of draws behind the last four
     """
 
     contributions: tuple[Contribution, ...]
@@ -93,13 +88,6 @@ class Budget:
     propagated: float
     positions: int
     largest: tuple[float, float]
-    probability: Array
-    single_error: Array
-    largest_error: Array
-    draws: int
-
-    def __post_init__(self) -> None:
-        freeze(self, "probability", "single_error", "largest_error")
 
     def share(self, contribution: Contribution) -> float:
         """Return the share of a contribution in the variance."""
@@ -143,10 +131,6 @@ def budget_of(
         propagated=float(np.quantile(single, CONFIDENCE)),
         positions=positions,
         largest=(float(np.quantile(largest, tails[0])), float(np.quantile(largest, tails[1]))),
-        probability=GRID,
-        single_error=np.quantile(single, GRID),
-        largest_error=np.quantile(largest, GRID),
-        draws=draws,
     )
 
 

@@ -26,12 +26,6 @@ from piezoid.operators.library import KERNELS, address, contiguous
 TILE = 32  # PK_CHAIN_TILE of chain.h
 
 
-class _Filter(ctypes.Structure):
-    _fields_ = tuple(
-        (name, ctypes.c_double) for name in ("p", "b0", "b1", "p_by_s", "b0_by_s", "b1_by_s")
-    )
-
-
 class _Chain(ctypes.Structure):
     _fields_ = (
         ("plays", ctypes.c_size_t),
@@ -42,6 +36,7 @@ class _Chain(ctypes.Structure):
         ("has_delay", ctypes.c_int),
         ("share", ctypes.c_double),
         ("rate_Hz", ctypes.c_double),
+        # To p, b0, b1 and their derivatives by the time constant.
         ("lag", ctypes.c_void_p),
         ("sensor", ctypes.c_void_p),
     )
@@ -105,8 +100,8 @@ class Following:
         knot = contiguous(chain.envelope.threshold[chain.envelope.zero + 1 :])
         zones = chain.zones.kernel_map()
         filters = [
-            None if low_pass is None else _Filter(*low_pass.coefficients, *low_pass.by_time)
-            for low_pass in (chain.lag, chain.sensor)
+            None if lag is None else np.array([*lag.coefficients, *lag.by_time])
+            for lag in (chain.lag, chain.sensor)
         ]
         self._view = _Chain(
             chain.plays,
@@ -117,7 +112,7 @@ class Following:
             int(chain.share is not None),
             chain.share or 0.0,
             chain.rate_Hz,
-            *(None if low_pass is None else ctypes.addressof(low_pass) for low_pass in filters),
+            *(address(coefficients) for coefficients in filters),
         )
         self._referenced = (arrays, knot, zones, filters)
 

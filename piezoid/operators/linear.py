@@ -252,16 +252,11 @@ def recursive_filter(numerator: ArrayLike, denominator: ArrayLike, signal: Array
         len(source),
         address(source),
         order,
-        address(_padded(b / a[0], order)),
-        address(_padded(a / a[0], order)),
+        *(address(np.pad(part / a[0], (0, order + 1 - len(part)))) for part in (b, a)),
         address(np.zeros(order + 1)),
         address(output),
     )
     return output
-
-
-def _padded(coefficients: Array, order: int) -> Array:
-    return np.pad(coefficients, (0, order + 1 - len(coefficients)))
 
 
 def first_order(frequency_Hz: float) -> ContinuousSystem:

@@ -26,6 +26,7 @@ from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.library import KERNELS, address, contiguous
 from piezoid.operators.play import play_columns
 
+Mask = NDArray[np.bool_]
 UNEVEN = 1e-9  # of a step: rounding of numbers read from a file
 
 
@@ -166,9 +167,6 @@ def straight_between(x: Array, edge: Array, value: Array) -> Array:
     return result
 
 
-Mask = NDArray[np.bool_]
-
-
 def farthest_from_line_m(operator: PreisachPlays, slope_m_per_V: float, reach_V: float) -> float:
     """Return sup |y - slope u - c| over all drives within a reach of u_off, for the best c.
 
@@ -201,10 +199,10 @@ def farthest_apart_m(
     >>> farthest_apart_m(straight, [straight], 2.0)
     array([0.])
     """
-    level_V, allowed = _lattice(model, reach_V)
+    level_V, allowed = _lattice(model, reach_V, alternatives)
     model_m = _values(model, level_V)
     difference_m = np.array(
-        [_values(alternative, level_V) - model_m for alternative in _alike(model, alternatives)]
+        [_values(alternative, level_V) - model_m for alternative in alternatives]
     )
     return _half_range(difference_m, allowed)
 
@@ -224,31 +222,30 @@ def slope_ratios(
     >>> slope_ratios(straight, [straight], 2.0)
     array([[1., 1.]])
     """
-    level_V, allowed = _lattice(model, reach_V)
+    level_V, allowed = _lattice(model, reach_V, alternatives)
     slope = _branch_slopes(_values(model, level_V), allowed)
     ratios = []
-    for alternative in _alike(model, alternatives):
+    for alternative in alternatives:
         ratio = _branch_slopes(_values(alternative, level_V), allowed) / slope
         ratios.append((np.nanmin(ratio), np.nanmax(ratio)))
     return np.array(ratios)
 
 
-def _alike(model: PreisachPlays, alternatives: Sequence[PreisachPlays]) -> Sequence[PreisachPlays]:
-    for alternative in alternatives:
-        if (
-            alternative.value_m.shape != model.value_m.shape
-            or alternative.step_V != model.step_V
-            or not np.array_equal(alternative.edge_V, model.edge_V)
-        ):
-            raise ValueError("plays or edges of two operators differ, expected one lattice")
-    return alternatives
-
-
-def _lattice(operator: PreisachPlays, reach_V: float) -> tuple[Array, Mask]:
+def _lattice(
+    operator: PreisachPlays, reach_V: float, alternatives: Sequence[PreisachPlays] = ()
+) -> tuple[Array, Mask]:
     """Return the drive levels of the lattice, and which of them the state of each play can reach.
 
-    returned  (levels,) V, and (plays, levels); the reach is rounded up to the lattice
+    alternatives  operators that must have the same lattice
+    returned      (levels,) V, and (plays, levels); the reach is rounded up to the lattice
     """
+    for alternative in alternatives:
+        if (
+            alternative.value_m.shape != operator.value_m.shape
+            or alternative.step_V != operator.step_V
+            or not np.array_equal(alternative.edge_V, operator.edge_V)
+        ):
+            raise ValueError("plays or edges of two operators differ, expected one lattice")
     first_V, step_V = operator.edge_V[0], operator.step_V
     slack = 1e-9
     low = np.floor((-reach_V - first_V) / step_V + slack)

@@ -15,7 +15,6 @@ from piezoid.numerics.polynomial import (
     roots_of,
     solve_bezout,
     spectral_radius,
-    sylvester,
     total,
     trimmed,
     unit_circle,
@@ -122,16 +121,3 @@ def test_a_common_root_is_never_divided_by(poles: Array, zeros: Array, common: A
     B = delayed(from_roots(np.concatenate([zeros, common])), 1)
     with pytest.raises(DesignError, match="nearly cancel"):
         solve_bezout(A, B, [1.0])
-
-
-@given(coefficients(2, 6), coefficients(1, 6), st.integers(0, 4), st.data())
-def test_the_sylvester_matrix_is_the_product_written_out(
-    A: Array, B: Array, degree_s: int, data: st.DataObject
-) -> None:
-    assume(len(B) <= degree_s + 2)  # deg B R <= deg A S
-    S = data.draw(coefficients(degree_s + 1, degree_s + 1))
-    R = data.draw(coefficients(len(A) - 1, len(A) - 1))
-    np.testing.assert_array_equal(
-        sylvester(A, B, degree_s) @ np.concatenate([S, R]),
-        total(product(A, S), product(B, R), np.zeros(len(A) + degree_s)),
-    )

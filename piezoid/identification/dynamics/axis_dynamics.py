@@ -71,10 +71,24 @@ def quasi_static(
         return tuple(recordings), ()
     if not resolved_modes(dynamics).any():
         return tuple(recordings), ()
-    static = tuple(r for r in recordings if _mode_share(r, axis, dynamics) <= QUASI_STATIC)
+    # Terms of the linear fit that imitate hysteresis at low frequency are not resolved modes.
+    peak = np.abs(dynamics.mode_gain_m_per_V) / dynamics.mode_damping
+    strongest = int(np.where(resolved_modes(dynamics), peak, -1.0).argmax())
+    damping = dynamics.mode_damping[strongest]
+    static = []
+    for recording in recordings:
+        drive = recording.voltage_V(axis)
+        level = drive - drive.mean()
+        frequency_Hz = np.fft.rfftfreq(len(level), 1.0 / recording.sampling_rate_Hz)
+        x = frequency_Hz / dynamics.mode_frequency_Hz[strongest]
+        change = np.abs(1.0 / (1.0 - x**2 + 2j * damping * x)) - 1.0
+        power = np.abs(np.fft.rfft(level * np.hanning(len(level)))) ** 2
+        share = np.sqrt((change**2 * power).sum() / max(power.sum(), 1e-300))
+        if share <= QUASI_STATIC:
+            static.append(recording)
     if not static:
         return tuple(recordings), ()
-    return static, tuple(r for r in recordings if r not in static)
+    return tuple(static), tuple(r for r in recordings if r not in static)
 
 
 def with_dynamics(
@@ -121,7 +135,7 @@ def with_dynamics(
     verdict = decide_bandwidth(
         measured,
         Declaration(hold="band_limited", filters=declared),
-        delay_s=_delay_interval_s(axis),
+        delay_s=dynamics.delay_interval_s().tolist(),
         stated_Hz=stated_Hz,
     )
     return _with_bandwidth(axis, verdict)
@@ -143,13 +157,6 @@ def _with_bandwidth(axis: AxisModel, verdict: BandwidthVerdict) -> AxisModel:
     return _with_remarks(axis, verdict.text)
 
 
-def _delay_interval_s(axis: AxisModel) -> tuple[float, float]:
-    if axis.dynamics is None:
-        return UNKNOWN_DELAY_s
-    low_s, high_s = axis.dynamics.delay_interval_s().tolist()
-    return low_s, high_s
-
-
 def is_determined(dynamics: LinearDynamics) -> bool:
     """Return whether the fit explains its lines and all its parameters are identifiable.
 
@@ -157,23 +164,6 @@ def is_determined(dynamics: LinearDynamics) -> bool:
     response without features meets neither condition, however small its residual.
     """
     return dynamics.cost_ratio <= MAX_COST and is_identifiable(dynamics)
-
-
-def _mode_share(recording: Recording, axis: str, dynamics: LinearDynamics) -> float:
-    """Return the rms change of a drive by the strongest resolved mode, relative to its rms.
-
-    Terms of the linear fit that imitate hysteresis at low frequency are not resolved modes.
-    """
-    drive = recording.voltage_V(axis)
-    level = drive - drive.mean()
-    frequency_Hz = np.fft.rfftfreq(len(level), 1.0 / recording.sampling_rate_Hz)
-    peak = np.abs(dynamics.mode_gain_m_per_V) / dynamics.mode_damping
-    strongest = int(np.where(resolved_modes(dynamics), peak, -1.0).argmax())
-    x = frequency_Hz / dynamics.mode_frequency_Hz[strongest]
-    damping = dynamics.mode_damping[strongest]
-    change = np.abs(1.0 / (1.0 - x**2 + 2j * damping * x)) - 1.0
-    power = np.abs(np.fft.rfft(level * np.hanning(len(level)))) ** 2
-    return float(np.sqrt((change**2 * power).sum() / max(power.sum(), 1e-300)))
 
 
 def _with_recorded_dynamics(
@@ -194,7 +184,9 @@ def _with_recorded_dynamics(
     verdict = decide_bandwidth(
         measured,
         Declaration(filters=_declared(axis.rig)),
-        delay_s=_delay_interval_s(axis),
+        delay_s=(
+            UNKNOWN_DELAY_s if axis.dynamics is None else axis.dynamics.delay_interval_s().tolist()
+        ),
         stated_Hz=stated_Hz,
     )
     if obstacle:

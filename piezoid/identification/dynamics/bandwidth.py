@@ -1,5 +1,6 @@
 """Bandwidth verdict: whether a first-order pole or a resonance limits the stage."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -74,7 +75,7 @@ def decide_bandwidth(
     measured: FrequencyResponse,
     declaration: Declaration,
     *,
-    delay_s: tuple[float, float] = UNKNOWN_DELAY_s,
+    delay_s: Sequence[float] = UNKNOWN_DELAY_s,
     stated_Hz: float | None = None,
 ) -> BandwidthVerdict:
     """Decide by phase and peak whether a first-order pole or a resonance limits the stage.

@@ -156,22 +156,22 @@ def detect_distortion(data: PeriodicData) -> DetectionLines:
     drive, displacement = data.spectra(silent)
     residual = displacement - np.einsum("koi,kirp->korp", G, drive)
     spread = residual.var(axis=3, ddof=1).mean(axis=2) / periods
-    _, driven_spectra = data.spectra(excited)
+    _, driven = data.spectra(excited)
+    driven_m, amplitude_m = (
+        np.sqrt((np.abs(amplitude.mean(axis=3)) ** 2).mean(axis=2))
+        for amplitude in (driven, residual)
+    )
     return DetectionLines(
         driven_Hz=response.frequency_Hz,
-        driven_m=_rms_over_realisations(driven_spectra),
+        driven_m=driven_m,
         frequency_Hz=frequency_Hz,
         is_even=silent % 2 == 0,
-        amplitude_m=_rms_over_realisations(residual),
+        amplitude_m=amplitude_m,
         noise_m=np.sqrt(spread),
         drive_rms_V=response.drive_rms_V,
         realisations=realisations,
         periods=periods,
     )
-
-
-def _rms_over_realisations(amplitude: NDArray[np.complex128]) -> Array:
-    return np.asarray(np.sqrt((np.abs(amplitude.mean(axis=3)) ** 2).mean(axis=2)))
 
 
 def _cut(group: Sequence[tuple[Recording, Repetition]], axis: str) -> PeriodicData:

@@ -51,18 +51,6 @@ PARTS_QUANTILE = 2.2010  # Student's of eleven degrees of freedom, 95 %
 TINY = 1e-300
 
 
-def with_small_plays(threshold_V: Array, voltage_V: Array) -> Array:
-    """Return increasing thresholds: of the operator, and of plays smaller than a drive.
-
-    threshold_V  (plays,)    of the operator
-    voltage_V    (samples,)  of the recording that excites the modes
-    """
-    reach_V = 2.0 * float(np.median(np.abs(voltage_V - np.median(voltage_V))))
-    small_V = reach_V * np.array(SMALL_PLAYS)
-    distance_V = np.abs(small_V[:, None] - threshold_V).min(axis=1)
-    return np.unique(np.concatenate([threshold_V, small_V[distance_V > MIN_DISTANCE * reach_V]]))
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segment:
     """One uninterrupted segment of one recording.
@@ -200,7 +188,11 @@ def fit_jointly(
         modes=len(dynamics.mode_frequency_Hz), lags=len(dynamics.lag_frequency_Hz)
     )
     coarse_V = axis.hysteresis.plays.threshold
-    threshold_V = with_small_plays(coarse_V, exciting.voltage_V(axis.axis))
+    exciting_V = exciting.voltage_V(axis.axis)
+    reach_V = 2.0 * float(np.median(np.abs(exciting_V - np.median(exciting_V))))
+    small_V = reach_V * np.array(SMALL_PLAYS)
+    small_V = small_V[np.abs(small_V[:, None] - coarse_V).min(axis=1) > MIN_DISTANCE * reach_V]
+    threshold_V = np.unique(np.concatenate([coarse_V, small_V]))
     segments = [
         segment
         for recording in recordings

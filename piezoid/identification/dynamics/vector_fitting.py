@@ -45,7 +45,22 @@ def vector_fit(
         solution = np.linalg.lstsq(matrix / size, target, rcond=None)[0] / size
         d = float(solution[-1])
         d = d if abs(d) > 1e-8 else float(np.copysign(1e-8, d))
-        previous, poles = poles, _zeros_of_sigma(poles, solution[:-1], d)
+        # The zeros of sigma, made stable, are the new poles.
+        pairs, real = poles[poles.imag > 0], poles[poles.imag == 0].real
+        n = len(pairs)
+        pair = np.arange(n)
+        realised = np.zeros((2 * n + len(real), 2 * n + len(real)))
+        realised[pair, pair] = realised[n + pair, n + pair] = pairs.real
+        realised[pair, n + pair], realised[n + pair, pair] = pairs.imag, -pairs.imag
+        realised[2 * n :, 2 * n :] = np.diag(real)
+        residue_sums = np.concatenate([np.full(n, 2.0), np.zeros(n), np.ones(len(real))])
+        zeros = np.linalg.eigvals(realised - np.outer(residue_sums, solution[:-1]) / d)
+        stable = -np.abs(zeros.real) + 1j * zeros.imag
+        tiny = 1e-12 * np.abs(stable)
+        upper = stable[stable.imag > tiny]
+        upper = upper[np.argsort(upper.imag)]
+        flat = np.sort(stable[np.abs(stable.imag) <= tiny].real)[::-1]
+        previous, poles = poles, np.concatenate([upper, flat.astype(np.complex128)])
         if len(poles) != len(previous):
             continue
         if (np.abs(poles - previous) < TOLERANCE * np.abs(poles)).all():
@@ -84,21 +99,3 @@ def _fractions(s: ComplexArray, poles: ComplexArray) -> ComplexArray:
     pairs, real = poles[poles.imag > 0], poles[poles.imag == 0]
     upper, lower = 1 / (s[:, None] - pairs), 1 / (s[:, None] - np.conj(pairs))
     return np.concatenate([upper + lower, 1j * (upper - lower), 1 / (s[:, None] - real)], axis=1)
-
-
-def _zeros_of_sigma(poles: ComplexArray, c: Array, d: float) -> ComplexArray:
-    pairs, real = poles[poles.imag > 0], poles[poles.imag == 0].real
-    n = len(pairs)
-    matrix = np.zeros((2 * n + len(real), 2 * n + len(real)))
-    pair = np.arange(n)
-    matrix[pair, pair] = matrix[n + pair, n + pair] = pairs.real
-    matrix[pair, n + pair], matrix[n + pair, pair] = pairs.imag, -pairs.imag
-    matrix[2 * n :, 2 * n :] = np.diag(real)
-    residue_sums = np.concatenate([np.full(n, 2.0), np.zeros(n), np.ones(len(real))])
-    zeros = np.linalg.eigvals(matrix - np.outer(residue_sums, c) / d)
-    stable = -np.abs(zeros.real) + 1j * zeros.imag
-    tiny = 1e-12 * np.abs(stable)
-    upper = stable[stable.imag > tiny]
-    flat = stable[np.abs(stable.imag) <= tiny].real
-    upper = upper[np.argsort(upper.imag)]
-    return np.concatenate([upper, np.sort(flat)[::-1].astype(np.complex128)])

@@ -145,11 +145,25 @@ def fit_junction(
     Returns None if there are neither sweeps nor closed loops. Raises as ``read_z_spectroscopy``,
     ``fit_barrier``, ``loops_of`` and ``identify_closed_loop``.
     """
-    model = fit_sweeps_of_tip(sweeps) if sweeps else None
-    gap_law = None if model is None else model.gap_law
+    model = gap_law = offset = None
+    if sweeps:
+        curves = curves_of(sweeps)
+        fits = {
+            direction: fit_barrier(same_direction)
+            for direction in Direction
+            if (same_direction := [curve for curve in curves if curve.direction is direction])
+        }
+        gap_law = common_law(curves, fits)
+        model = TunnellingModel(gap_law=gap_law, loop_plant=None)
+        if len(fits) == len(Direction):
+            forward, backward = fits.values()
+            try:
+                shift = compare_directions(forward, backward)
+            except ExcitationError:
+                shift = None  # no current is above the noise in both directions
+            model = replace(model, forward=forward.law, backward=backward.law, shift=shift)
     if not any(is_loop(recording) for recording in recordings):
         return model
-    offset = None
     if gap_law is not None:
         offset = (gap_law.offset_A, gap_law.offset_standard_A)
     loop = fit_loops(*loops_of(recordings, lab or Lab()), offset)
@@ -164,31 +178,6 @@ def fit_junction(
         ),
     )
     return replace(model, loop_plant=loop, joint=joint)
-
-
-def fit_sweeps_of_tip(sweeps: Sequence[RawTable]) -> TunnellingModel:
-    """Fit the gap law, with drift, to all sweeps of Z spectroscopies with one tip."""
-    curves = curves_of(sweeps)
-    fits = {
-        direction: fit_barrier(same_direction)
-        for direction in Direction
-        if (same_direction := [curve for curve in curves if curve.direction is direction])
-    }
-    gap_law = common_law(curves, fits)
-    if len(fits) < len(Direction):
-        return TunnellingModel(gap_law=gap_law, loop_plant=None)
-    forward, backward = fits.values()
-    try:
-        shift = compare_directions(forward, backward)
-    except ExcitationError:
-        shift = None  # no current is above the noise in both directions
-    return TunnellingModel(
-        gap_law=gap_law,
-        loop_plant=None,
-        forward=forward.law,
-        backward=backward.law,
-        shift=shift,
-    )
 
 
 def curves_of(sweeps: Sequence[RawTable]) -> tuple[ApproachCurve, ...]:
