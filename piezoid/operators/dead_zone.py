@@ -60,11 +60,6 @@ class DeadZones:
         slope.setflags(write=False)
         return slope
 
-    @property
-    def is_invertible(self) -> bool:
-        """Whether every slope is positive."""
-        return bool((self.slope > 0).all())
-
     def run(self, h: Array, *, slope_out: Array | None = None) -> Array:
         """Return Psi(h), sample by sample, and write the local slope Psi'(h) to ``slope_out``."""
         source = contiguous(h)
@@ -112,7 +107,7 @@ class DeadZones:
         Raises ``NotInvertibleError`` if a slope is not positive.
         """
         slope = self.slope
-        if not self.is_invertible:
+        if not (slope > 0).all():
             raise NotInvertibleError(
                 f"a slope of the dead-zone superposition is {slope.min():.6g}",
                 needed="all slopes must be positive for an inverse",

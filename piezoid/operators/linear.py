@@ -68,14 +68,6 @@ class DiscreteSystem:
         z = np.exp(2j * np.pi * f * self.interval_s)
         return _transfer(self.A, self.B, self.C, self.D, z)
 
-    def step(self, state: Array, drive: Array) -> tuple[Array, Array]:
-        """Return the next state and this sample's output.
-
-        state  (states,)
-        drive  (inputs,)
-        """
-        return self.A @ state + self.B @ drive, self.C @ state + self.D @ drive
-
     def run(self, drive: Array, state: Array | None = None) -> tuple[Array, Array]:
         """Return the outputs for a whole record, and the state behind it.
 
@@ -111,7 +103,7 @@ class DiscreteSystem:
         response = (blocks @ forced.T + starts @ observe.T).reshape(block_count * length, outputs)
         remaining = np.empty((count - len(response), outputs))
         for k, row in enumerate(u[len(response) :]):
-            x, remaining[k] = self.step(x, row)
+            x, remaining[k] = self.A @ x + self.B @ row, self.C @ x + self.D @ row
         response = np.concatenate([response, remaining])
         return (response[:, 0] if is_vector and outputs == 1 else response), x
 

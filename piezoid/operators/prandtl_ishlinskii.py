@@ -37,11 +37,6 @@ class PrandtlIshlinskii:
         """Cumulative slopes W_i, (plays,)."""
         return np.cumsum(self.weight)
 
-    @property
-    def is_invertible(self) -> bool:
-        """Whether the loading curve increases everywhere."""
-        return bool((self.slope > 0).all())
-
     def virgin_memory(self) -> Array:
         """Return the de-poled state: every play at zero, the input at zero."""
         return np.zeros_like(self.threshold)
@@ -80,7 +75,7 @@ class PrandtlIshlinskii:
         a W_i <= 0.
         """
         slope = self.slope
-        if not self.is_invertible:
+        if not (slope > 0).all():
             row = int(np.argmin(slope))
             raise NotInvertibleError(
                 f"the cumulative slope W_{row} is {slope[row]:.6g}",

@@ -104,10 +104,6 @@ class ModalProblem:
         """1 if all data have one level, 2 if parameters change with the level."""
         return 1 if len(self.levels) == 1 else 2
 
-    def coordinate(self, level: LevelSpectra) -> float:
-        """Return the position of a level between the smallest, -1, and the largest, 1."""
-        return level_coordinate(level.level_V, self.levels_V)
-
     def unpack(self, x: Array) -> ModalShape:
         """Return the shape of a parameter vector."""
         poles = np.zeros((2, 2, self.modes))
@@ -140,7 +136,7 @@ def residual_spectra(
     problem: ModalProblem, level: LevelSpectra, shape: ModalShape, residues: Array
 ) -> ComplexArray:
     """Return the residual of one level, delay removed, (lines, outputs, realisations)."""
-    coordinate = problem.coordinate(level)
+    coordinate = level_coordinate(level.level_V, problem.levels_V)
     response = shape.response(level.frequency_Hz, problem.lag_Hz, coordinate, residues)
     advance = np.exp(2j * np.pi * level.frequency_Hz * shape.delay_s)[:, None, None]
     return np.asarray(advance * level.displacement - response @ level.drive)
@@ -199,7 +195,7 @@ class Point:
         self.problem, shape = problem, problem.unpack(x)
         self.levels = []
         for level in problem.levels:
-            f, coordinate = level.frequency_Hz, problem.coordinate(level)
+            f, coordinate = level.frequency_Hz, level_coordinate(level.level_V, problem.levels_V)
             root = np.sqrt(level.weight)
             advance = np.exp(2j * np.pi * f * shape.delay_s)[:, None, None]
             columns, by_frequency, by_damping = shape.columns(f, problem.lag_Hz, coordinate)
@@ -239,10 +235,26 @@ class Point:
 
     def linearised(self) -> NormalEquations:
         """Return the projected normal equations, in Kaufman's form."""
-        gram, slope = np.zeros(()), np.zeros(())
+        modes, gram, slope = self.problem.modes, np.zeros(()), np.zeros(())
         inner, penalised = np.zeros(()), np.zeros(())
         for level, residual in zip(self.levels, self.residuals, strict=True):
-            tangents = self._tangents(level)
+            # Derivatives of the model, (parameters, lines, outputs, realisations).
+            real = self._residues_at(level)
+            residues = real[:modes] + 1j * real[modes : 2 * modes]
+            by_pole = np.stack(
+                [
+                    0.5
+                    * (direct[:, m, None, None] * R + conjugate[:, m, None, None] * R.conj())
+                    @ level.drive
+                    for direct, conjugate in (level.by_frequency, level.by_damping)
+                    for m, R in enumerate(residues)
+                ]
+            )
+            by_sample = -2j * np.pi * level.frequency_Hz[:, None, None] / self.problem.rate_Hz
+            by_delay = (by_sample * level.displacement)[None]
+            tangents = np.ascontiguousarray(
+                np.concatenate([*(power * by_pole for power in level.powers), by_delay])
+            )
             flat = tangents.reshape(len(tangents), -1).view(np.float64)
             gram = gram + flat @ flat.T
             slope = slope - flat @ residual.reshape(-1).view(np.float64)
@@ -256,24 +268,6 @@ class Point:
             slope=np.asarray(slope + np.einsum("aon,ao->n", solution, penalised)),
             cost=self.cost,
         )
-
-    def _tangents(self, level: _WeightedLevel) -> ComplexArray:
-        """Return the derivatives of the model, (parameters, lines, outputs, realisations)."""
-        modes, real = self.problem.modes, self._residues_at(level)
-        residues = real[:modes] + 1j * real[modes : 2 * modes]
-        by_pole = np.stack(
-            [
-                0.5
-                * (direct[:, m, None, None] * R + conjugate[:, m, None, None] * R.conj())
-                @ level.drive
-                for direct, conjugate in (level.by_frequency, level.by_damping)
-                for m, R in enumerate(residues)
-            ]
-        )
-        by_sample = -2j * np.pi * level.frequency_Hz[:, None, None] / self.problem.rate_Hz
-        by_delay = (by_sample * level.displacement)[None]
-        tangents = [*(power * by_pole for power in level.powers), by_delay]
-        return np.ascontiguousarray(np.concatenate(tangents))
 
 
 @on_one_thread
