@@ -41,7 +41,7 @@ def delayed(polynomial: ArrayLike, samples: int) -> Array:
     return np.concatenate([np.zeros(samples), np.asarray(polynomial, dtype=np.float64)])
 
 
-def trimmed(polynomial: ArrayLike) -> Array:
+def trim(polynomial: ArrayLike) -> Array:
     """Drop trailing zero coefficients, so that the length shows the degree."""
     array = np.asarray(polynomial, dtype=np.float64)
     nonzero = np.flatnonzero(array)
@@ -50,7 +50,7 @@ def trimmed(polynomial: ArrayLike) -> Array:
 
 def roots_of(polynomial: ArrayLike) -> Roots:
     """Return the roots of a polynomial in z, without roots at z = 0."""
-    array = trimmed(polynomial)
+    array = trim(polynomial)
     nonzero = np.flatnonzero(array)
     return np.asarray(np.roots(array[nonzero[0] :]), dtype=np.complex128)
 
@@ -93,7 +93,7 @@ def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
     B is scaled by its largest coefficient, so that the accuracy does not depend on its unit.
     Raises ``DesignError`` naming the root that A and B (nearly) share.
     """
-    a, b, p = trimmed(A), trimmed(B), trimmed(P)
+    a, b, p = trim(A), trim(B), trim(P)
     scale = float(np.abs(b).max())
     if scale == 0.0 or len(a) < 2:
         raise ValueError("solve_bezout needs a non-zero B and a denominator A of degree >= 1")

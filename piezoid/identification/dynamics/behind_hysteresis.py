@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smoothed
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smooth_lines
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, runs_of
 from piezoid.records.recording import Quantity, Recording
@@ -112,7 +112,7 @@ def estimate_response_by_coherence(
     coherence = np.where(is_driven, explained / np.maximum(output, TINY), 0.0)
     # Number of windows that drive each line: a chirp passes through few of them. The power is
     # first smoothed over lines, to average the fluctuations of random drives.
-    power = smoothed(np.abs(U) ** 2, min(LEVEL_LINES, (len(U) - 1) // 2 * 2 + 1))
+    power = smooth_lines(np.abs(U) ** 2, min(LEVEL_LINES, (len(U) - 1) // 2 * 2 + 1))
     squared = np.maximum((power**2).sum(axis=1), TINY)
     freedom = np.maximum(power.sum(axis=1) ** 2 / squared / OVERLAP_LOSS - 1.0, 0.5)
     variance = np.maximum(output - explained, 0.0) / freedom * inverse

@@ -15,13 +15,13 @@ from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics, SlowPart
 from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
 from piezoid.identification.dynamics.vector_fitting import (
-    stacked,
+    stack_parts,
     start_poles,
     vector_fit,
     weighted_misfit,
 )
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, eliminated, minimise
+from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, eliminate, minimise
 
 # Half of ``enough`` is the gain in log likelihood: a tenth of a standard deviation.
 RULE = Rule(tolerance=0.0, enough=1e-2, evaluations=40)
@@ -172,8 +172,9 @@ class _Point:
         self.basis, self.shape, self.weight = basis, shape, weight
         columns = basis.columns(shape)
         try:
-            self.path = eliminated(
-                stacked(columns * weight[:, None]), stacked((response * weight)[:, None])[:, 0]
+            self.path = eliminate(
+                stack_parts(columns * weight[:, None]),
+                stack_parts((response * weight)[:, None])[:, 0],
             )
         except np.linalg.LinAlgError as error:
             raise IdentificationError(
@@ -189,7 +190,7 @@ class _Point:
         The sum of the scores is the negative slope of half the cost, with the gains eliminated.
         """
         derivatives = self.basis.derivatives(self.shape, STEP)
-        weighted = stacked((derivatives @ self.path.coefficients).T * self.weight[:, None])
+        weighted = stack_parts((derivatives @ self.path.coefficients).T * self.weight[:, None])
         tangent, gain_slope = self.path.across(weighted)
         scores = (tangent * self.path.residual[:, None]).reshape(2, len(self.weight), -1)
         return tangent.T @ tangent, scores.sum(axis=0), gain_slope

@@ -174,8 +174,8 @@ class ModalBasis:
             numerator = numerator * np.prod(-poles).real
             pole = np.hstack([pole, np.broadcast_to(poles, (len(shapes), len(poles)))])
             return sampled_fractions(
-                numerator[:, None, None], pole, delay_s, self.sampling_rate_Hz, self.frequency_Hz
-            )[:, :, 0]
+                numerator, pole, delay_s, self.sampling_rate_Hz, self.frequency_Hz
+            )
         s = 2j * np.pi * self.frequency_Hz
         factor = self._declared_response * np.exp(-s * delay_s[:, None])
         for pole_of_shape in pole.T:

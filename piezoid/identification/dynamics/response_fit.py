@@ -27,7 +27,7 @@ from piezoid.identification.dynamics.fit_dynamics import (
     is_identifiable,
     resolved_modes,
 )
-from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smoothed
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smooth_lines
 from piezoid.identification.dynamics.modal import (
     LinearDynamics,
     MAX_LAG_deg,
@@ -304,7 +304,7 @@ def _variance(response: ComplexArray, residual: ComplexArray, coherence: Array |
     if coherence is not None:
         share = (1.0 - coherence) / coherence
         width = min(COHERENCE_LINES, (len(share) - 1) // 2 * 2 + 1)
-        smooth = smoothed(share[:, None], width)[:, 0]
+        smooth = smooth_lines(share[:, None], width)[:, 0]
         floor = MIN_SHARE * float(np.median(smooth))
         shapes = [power * np.maximum(smooth, floor if floor > 0.0 else 1.0)]
     else:

@@ -33,7 +33,7 @@ def vector_fit(
         triangles = []
         for g, w in zip(response.T, weight.T, strict=True):
             sigma = -g[:, None] * numerator
-            equations = stacked(np.concatenate([numerator, sigma], axis=1) * w[:, None])
+            equations = stack_parts(np.concatenate([numerator, sigma], axis=1) * w[:, None])
             unknowns = numerator.shape[1]
             triangles.append(np.asarray(np.linalg.qr(equations, mode="r"))[unknowns:, unknowns:])
         # Coefficients of sigma, its mean over the lines held at one (relaxed form, not d = 1).
@@ -82,14 +82,14 @@ def weighted_misfit(
     columns = np.concatenate([_fractions(s, poles), np.ones((len(s), 1))], axis=1)
     misfit = 0.0
     for g, w in zip(response.T, weight.T, strict=True):
-        matrix, target = stacked(columns * w[:, None]), stacked((g * w)[:, None])[:, 0]
+        matrix, target = stack_parts(columns * w[:, None]), stack_parts((g * w)[:, None])[:, 0]
         scale = np.linalg.norm(matrix, axis=0)
         solution = np.linalg.lstsq(matrix / scale, target, rcond=None)[0]
         misfit += float(np.sum((target - (matrix / scale) @ solution) ** 2))
     return misfit
 
 
-def stacked(matrix: ComplexArray) -> Array:
+def stack_parts(matrix: ComplexArray) -> Array:
     """Return real parts above imaginary parts: complex least squares with real unknowns."""
     return np.concatenate([matrix.real, matrix.imag])
 
