@@ -294,15 +294,16 @@ class Layout:
             np.append(shares, 1.0 - shares.sum()),
         )
 
-    def simulate(self, theta: Array, segment: Segment) -> Array:
-        """Return the displacement of the model minus its first value, (samples,)."""
+    def residual(self, theta: Array, segment: Segment) -> Array:
+        """Return the measured minus the modelled displacement without its line, (samples,)."""
         weight, zones, shape, shares = self.split(theta)
         static_m = zones.run(weight @ segment.states_V)
         response = segment.sensor * (segment.basis.columns(shape) @ shares)
-        return segment.signal(response * segment.spectrum(static_m))
+        modelled_m = segment.signal(response * segment.spectrum(static_m))
+        return _without_line(segment.measured_m - modelled_m)
 
     def tangents(self, theta: Array, segment: Segment) -> Array:
-        """Return the derivatives of ``simulate``, (parameters, samples)."""
+        """Return the derivatives of the model without their lines, (parameters, samples)."""
         weight, zones, shape, shares = self.split(theta)
         inner = weight @ segment.states_V
         static_m, slope = zones.run_with_slope(inner)
@@ -314,7 +315,8 @@ class Layout:
         changes = [*by_shape, *(fractions[:, :-1] - fractions[:, -1:]).T]
         spectrum = segment.sensor * segment.spectrum(static_m)
         signals = [segment.signal(response * segment.spectrum(signal)) for signal in static]
-        return np.array([*signals, *(segment.signal(change * spectrum) for change in changes)])
+        signals += [segment.signal(change * spectrum) for change in changes]
+        return _without_line(np.array(signals))
 
 
 def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Array, list[Array]]:
@@ -336,12 +338,8 @@ def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Arr
     return theta, weights
 
 
-def _residual(layout: Layout, theta: Array, segment: Segment) -> Array:
-    return _without_line(segment.measured_m - layout.simulate(theta, segment))
-
-
 def _residual_rms(segments: Sequence[Segment], layout: Layout, theta: Array) -> tuple[float, ...]:
-    return tuple(float(np.std(_residual(layout, theta, segment))) for segment in segments)
+    return tuple(float(np.std(layout.residual(theta, segment))) for segment in segments)
 
 
 def _without_line(signals: Array) -> Array:
@@ -364,7 +362,7 @@ def _line_weights(
     longest = max(len(segment.measured_m) for segment in segments)
     updated = []
     for segment, previous in zip(segments, weights, strict=True):
-        power = np.abs(rfft(_residual(layout, theta, segment))) ** 2
+        power = np.abs(rfft(layout.residual(theta, segment))) ** 2
         samples = len(segment.measured_m)
         lines = np.arange(len(power))
         band = np.floor(BANDS_PER_DECADE * np.log10(np.maximum(lines / BAND_LINES, 1.0)))
@@ -385,7 +383,7 @@ class _Point:
     ) -> None:
         self.segments, self.layout, self.weights, self.theta = segments, layout, weights, theta
         self.errors = [
-            _weighted_lines(_residual(layout, theta, segment), weight)
+            _weighted_lines(layout.residual(theta, segment), weight)
             for segment, weight in zip(segments, weights, strict=True)
         ]
         self.cost = sum(float(error @ error) for error in self.errors)
@@ -394,8 +392,7 @@ class _Point:
         size = self.layout.size
         gram, slope = np.zeros((size, size)), np.zeros(size)
         for segment, weight, error in zip(self.segments, self.weights, self.errors, strict=True):
-            tangents = _without_line(self.layout.tangents(self.theta, segment))
-            J = _weighted_lines(tangents, weight)
+            J = _weighted_lines(self.layout.tangents(self.theta, segment), weight)
             gram += J @ J.T
             slope -= J @ error
         return NormalEquations(gram=gram, slope=slope, cost=self.cost)
@@ -426,8 +423,8 @@ def _covariance(
     for segment, weight in zip(segments, weights, strict=True):
         signals = np.vstack(
             [
-                _without_line(layout.tangents(theta, segment)),
-                _residual(layout, theta, segment),
+                layout.tangents(theta, segment),
+                layout.residual(theta, segment),
             ]
         )
         samples = signals.shape[1]
