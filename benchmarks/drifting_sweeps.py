@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from piezoid.identification.tunnelling.barrier_fit import GapLaw
-from piezoid.identification.tunnelling.junction import fit_sweeps_of_tip
+from piezoid.identification.tunnelling.junction import fit_junction
 from piezoid.numerics.arrays import Array
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.readers import read_table
@@ -155,7 +155,7 @@ def fitted(text: str, folder: Path) -> GapLaw:
     """Return what a file says of the barrier."""
     path = folder / "z.dat"
     path.write_text(text)
-    law = fit_sweeps_of_tip([read_table(path)]).gap_law
+    law = fit_junction([read_table(path)]).gap_law
     if law is None:
         raise ValueError("sweeps without a law")
     return law

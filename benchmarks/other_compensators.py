@@ -49,8 +49,7 @@ from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.identification.hysteresis.unit_scaling import to_si_units
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import polynomial_response, unit_circle
-from piezoid.numerics.polynomial import product, total
+from piezoid.numerics.polynomial import polynomial_response, product, total, unit_circle
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller

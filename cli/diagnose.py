@@ -140,7 +140,7 @@ def _diagnose_files(
 
 def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:
     """Print the recordings that do not contribute to the diagnosis of an axis."""
-    from piezoid.identification.dynamics.excitation import excites_dynamics
+    from piezoid.identification.dynamics.behind_hysteresis import excites_dynamics
     from piezoid.identification.fit import driven_recordings, recordings_of_axis
     from piezoid.records.checks.feedback import is_held_throughout
 

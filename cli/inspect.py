@@ -11,7 +11,6 @@ from piezoid_cli.terminal import Json, Quiet, RecordingLab, print_record, rich_t
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from piezoid.records.frequency_response import PathSummary
     from piezoid.records.inspection import ColumnSummary, Inspection
     from piezoid.statement import Statement
 

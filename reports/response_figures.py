@@ -4,12 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.identification.dynamics.distortion import DetectionLines, distortion_of
-from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.records import ResponseFit
+from piezoid.identification.dynamics.modal import LinearDynamics, ResponseFit
 from piezoid.identification.dynamics.response_fit import measured_response
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import decibel
+from piezoid.numerics.polynomial import decibel
 from piezoid.records.frequency_response import MIN_COHERENCE
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.page import Page

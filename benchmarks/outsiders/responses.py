@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.outsiders.lateral import StageResult, judge
 from benchmarks.outsiders.simulators import NAMES, RATE_Hz, Simulator
-from piezoid.identification.dynamics.excitation import excites_dynamics
+from piezoid.identification.dynamics.behind_hysteresis import excites_dynamics
 from piezoid.numerics.arrays import Array
 from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab

@@ -12,8 +12,7 @@ from piezoid.identification.hysteresis.gauss_newton import Task, rms_of, simulat
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.search import Settings, task_for
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quadratic_program import bounded_step
-from piezoid.numerics.triangle import empty_triangle, gather
+from piezoid.numerics.quadratic_program import bounded_step, empty_triangle, gather
 
 BLOCK = 4096  # rows gathered at once
 

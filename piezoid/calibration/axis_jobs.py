@@ -18,9 +18,8 @@ from piezoid.identification.fit import (
 )
 from piezoid.identification.loop_shape_fit import with_loop_shape
 from piezoid.identification.model import AxisModel
-from piezoid.identification.tunnelling.junction import fit_junction
+from piezoid.identification.tunnelling.junction import TunnellingModel, fit_junction
 from piezoid.identification.tunnelling.loop_files import is_loop
-from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.raw_counts import errors_in_counts, in_counts, texts_in_counts
 from piezoid.records.collection import Collection
 from piezoid.records.frequency_response import FrequencyResponseRecord

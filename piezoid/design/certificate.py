@@ -13,8 +13,7 @@ from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitiv
 from piezoid.errors import UnstableLoopError
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import grid_Hz, response
-from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
+from piezoid.numerics.polynomial import delayed, grid_Hz, product, response, spectral_radius, total
 from piezoid.operators.linear import recursive_filter
 from piezoid.record_json import Unbounded
 

@@ -12,8 +12,7 @@ from piezoid.design.plant import Fraction
 from piezoid.design.sensitivity import Violation, closed_loop_polynomial, margins, violations
 from piezoid.design.specification import Specification
 from piezoid.errors import TemplateError
-from piezoid.numerics.frequency import decibel
-from piezoid.numerics.polynomial import product
+from piezoid.numerics.polynomial import decibel, product
 
 _BISECTIONS = 4
 _STEPS_DOWN, _STEP_DOWN = 20, -0.02  # the step is in ln(bandwidth)

@@ -10,8 +10,14 @@ from piezoid.design.plant import Fraction
 from piezoid.design.rst import ringing_mode
 from piezoid.design.sensitivity import closed_loop_polynomial
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.numerics.frequency import Response, polynomial_response, response, unit_circle
-from piezoid.numerics.polynomial import product, roots_of
+from piezoid.numerics.polynomial import (
+    Response,
+    polynomial_response,
+    product,
+    response,
+    roots_of,
+    unit_circle,
+)
 
 _GRID = 60
 _TAPS = 7  # of the filter; at most 9: four sections of second order in the runtime

@@ -37,14 +37,13 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from piezoid.operators.preisach_bounds import (
+from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii, worst_case
+from piezoid.operators.preisach_plays import (
+    PreisachPlays,
     farthest_apart_m,
     farthest_from_line_m,
     slope_ratios,
 )
-from piezoid.operators.preisach_plays import PreisachPlays
-from piezoid.operators.worst_case import worst_case
 
 _DRAWS = 200
 _STEPS = 96  # of the range, an even number

@@ -26,7 +26,7 @@ from piezoid.design.specification import MODE_SHARE, Specification
 from piezoid.design.tuning import DAMPED, METHODS, tune_observer
 from piezoid.errors import DesignError, TemplateError
 from piezoid.formatting import significant, with_unit
-from piezoid.numerics.frequency import decibel
+from piezoid.numerics.polynomial import decibel
 from piezoid.runtime.schema import MAX_ORDER
 
 _NO_DISTURBANCES = Disturbances()

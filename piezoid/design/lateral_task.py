@@ -37,7 +37,7 @@ from piezoid.identification.loop_model import (
     mode_half,
 )
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.frequency import decibel
+from piezoid.numerics.polynomial import decibel
 from piezoid.numerics.zero_order_hold import fraction, sample
 from piezoid.operators.linear import cascade, first_order
 

@@ -18,7 +18,13 @@ from piezoid.design.sensitivity import FUNCTIONS, delay_limit
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.derivative_free import direct_search
-from piezoid.numerics.frequency import Response, decibel, grid_Hz, polynomial_response, unit_circle
+from piezoid.numerics.polynomial import (
+    Response,
+    decibel,
+    grid_Hz,
+    polynomial_response,
+    unit_circle,
+)
 
 _UNSTABLE_dB = 60.0
 _WIDTHS, _LINES = 4.0, 13  # half widths on either side of a mode, and lines there

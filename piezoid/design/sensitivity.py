@@ -13,15 +13,17 @@ from numpy.typing import ArrayLike
 from piezoid.design.plant import Fraction
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array, freeze, same_length, strictly_increasing
-from piezoid.numerics.frequency import (
+from piezoid.numerics.polynomial import (
     Response,
     decibel,
     grid_Hz,
     polynomial_response,
+    product,
     response,
+    spectral_radius,
+    total,
     unit_circle,
 )
-from piezoid.numerics.polynomial import product, spectral_radius, total
 
 FUNCTIONS = ("Syp", "Sup", "Syb", "Syv")
 _LOWEST_Hz = 1e-3

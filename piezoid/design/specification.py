@@ -10,7 +10,7 @@ import numpy as np
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.sensitivity import FUNCTIONS, Template, attenuation
 from piezoid.errors import LabFileError
-from piezoid.numerics.frequency import decibel
+from piezoid.numerics.polynomial import decibel
 from piezoid.records.checks.command_range import command_range_V, gain_of
 from piezoid.records.lab import Lab
 from piezoid.toml_files import read_toml

@@ -29,8 +29,7 @@ from piezoid.design.rst import INTEGRATOR, OPEN_AT_NYQUIST, RstController
 from piezoid.design.shaping import ShapedController
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import Response, polynomial_response
-from piezoid.numerics.polynomial import product
+from piezoid.numerics.polynomial import Response, polynomial_response, product
 
 _MIN_REAL = 0.05
 _SLACK_WEIGHT = 100.0

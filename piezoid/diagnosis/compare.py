@@ -22,7 +22,7 @@ from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording
-from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.recording import Quantity, Recording, counted_in
 from piezoid.statement import Kind, Level, Statement
 

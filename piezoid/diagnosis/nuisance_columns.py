@@ -14,9 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.bouc_wen import bouc_wen_states
-from piezoid.operators.friction import friction_states
-from piezoid.operators.polynomials import sum_of_polynomials
+from piezoid.operators.wide_hysteresis import bouc_wen_states, friction_states, sum_of_polynomials
 
 PLAYS = 18
 POWERS = 4

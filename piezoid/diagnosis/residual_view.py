@@ -17,7 +17,7 @@ from piezoid.diagnosis.nuisance_columns import BoucWenLaw
 from piezoid.diagnosis.segments import BLOCKS, Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
-from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.sample_statistics import step_size
 
 PAST_RATE_Hz = 1e-9  # sampling rate of turning points before a recording: no limit acts on them

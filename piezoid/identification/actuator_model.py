@@ -14,7 +14,7 @@ from piezoid.identification.interchange import to_control, to_scipy
 from piezoid.identification.model import AxisModel
 from piezoid.identification.parameters import parameters_of
 from piezoid.identification.simulation import Comparison, compare, predict
-from piezoid.identification.tunnelling.model import TunnellingModel
+from piezoid.identification.tunnelling.junction import TunnellingModel
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 from piezoid.summary import Summarised, Summary

@@ -40,8 +40,7 @@ from piezoid.identification.simulation import (
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import bounded_step
 from piezoid.operators.play import play_columns
-from piezoid.operators.preisach_bounds import farthest_apart_m
-from piezoid.operators.preisach_plays import PreisachPlays
+from piezoid.operators.preisach_plays import PreisachPlays, farthest_apart_m
 from piezoid.records.recording import Recording
 
 EDGE_STEPS = 4  # thresholds from edge to edge: more edges gave no improvement on the zoo

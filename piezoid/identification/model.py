@@ -7,8 +7,7 @@ from numpy.typing import ArrayLike
 
 from piezoid.errors import IdentificationError, NotInvertibleError, RecordingError
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
-from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.records import JointFit, ResponseFit
+from piezoid.identification.dynamics.modal import JointFit, LinearDynamics, ResponseFit
 from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.forward import Forward

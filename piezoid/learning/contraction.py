@@ -24,7 +24,7 @@ from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import Response, polynomial_response, unit_circle
+from piezoid.numerics.polynomial import Response, polynomial_response, unit_circle
 from piezoid.runtime.library import Values
 from piezoid.runtime.schema import METHODS
 

@@ -24,7 +24,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.learning.contraction import LearningFilter, learning_filter
 from piezoid.learning.period import LIMITED, learning_shares, mean_period, play
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.numerics.frequency import Response
+from piezoid.numerics.polynomial import Response
 from piezoid.record_json import read_sealed, to_json
 from piezoid.records.recording import Recording
 from piezoid.targets.waveform import inverse_V

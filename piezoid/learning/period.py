@@ -7,7 +7,7 @@ import numpy as np
 from piezoid.errors import RecordingError
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import Response
+from piezoid.numerics.polynomial import Response
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller, Status
 from piezoid.runtime.library import Values

@@ -2,7 +2,6 @@
 
 import ctypes
 from collections.abc import Mapping
-from functools import cache
 from importlib.util import find_spec
 from typing import Any
 
@@ -19,16 +18,6 @@ def opened(name: str, signatures: Signatures) -> ctypes.CDLL:
 
     Raises ``RuntimeLibraryError`` if the installation does not contain the module.
     """
-    library = _load(name)
-    for function, (result, arguments) in signatures.items():
-        getattr(library, function).restype = result
-        if arguments is not None:
-            getattr(library, function).argtypes = arguments
-    return library
-
-
-@cache
-def _load(name: str) -> ctypes.CDLL:
     module = find_spec(name)
     if module is None or module.origin is None:
         raise RuntimeLibraryError(
@@ -36,4 +25,9 @@ def _load(name: str) -> ctypes.CDLL:
             needed="an installation that compiled it",
             remedy="Install piezoid with a C compiler present: pip install .",
         )
-    return ctypes.CDLL(module.origin)
+    library = ctypes.CDLL(module.origin)
+    for function, (result, arguments) in signatures.items():
+        getattr(library, function).restype = result
+        if arguments is not None:
+            getattr(library, function).argtypes = arguments
+    return library

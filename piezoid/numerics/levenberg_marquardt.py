@@ -5,7 +5,7 @@
     d(mu) = argmin_d  |J d + r|^2 + mu |D d|^2,   l <= x + d <= u,   D_ii = |J_i|
 
 A step that lowers c is accepted and mu decreases; otherwise mu increases and J is used again.
-Priors are additional rows of r. ``eliminated`` eliminates linear parameters beforehand.
+Priors are additional rows of r. ``eliminate`` eliminates linear parameters beforehand.
 
 Source: Marquardt, SIAM J. 11 (1963), for mu; More, Lecture Notes in Mathematics 630 (1978), for D.
 The bounds are constraints of the problem of the step, which is solved exactly. Limit: at a kink of
@@ -251,7 +251,7 @@ class Eliminated:
         return tangent - self.Q @ inside, -self.root @ inside
 
 
-def eliminated(columns: Array, target: Array) -> Eliminated:
+def eliminate(columns: Array, target: Array) -> Eliminated:
     """Solve a linear least-squares problem for the coefficients of columns.
 
     columns  (rows, columns)

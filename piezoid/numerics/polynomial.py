@@ -1,4 +1,4 @@
-"""Polynomials in q^-1: products, roots, the Bezout equation.
+"""Polynomials in q^-1: products, roots, the Bezout equation, responses of fractions.
 
 An array ``p`` represents p[0] + p[1] q^-1 + ... + p[n] q^-n, where q^-1 delays by one sample.
 "Root" always means a value of z = q. The notation is that of Landau & Zito (2006); control
@@ -41,7 +41,7 @@ def delayed(polynomial: ArrayLike, samples: int) -> Array:
     return np.concatenate([np.zeros(samples), np.asarray(polynomial, dtype=np.float64)])
 
 
-def trimmed(polynomial: ArrayLike) -> Array:
+def trim(polynomial: ArrayLike) -> Array:
     """Drop trailing zero coefficients, so that the length shows the degree."""
     array = np.asarray(polynomial, dtype=np.float64)
     nonzero = np.flatnonzero(array)
@@ -50,7 +50,7 @@ def trimmed(polynomial: ArrayLike) -> Array:
 
 def roots_of(polynomial: ArrayLike) -> Roots:
     """Return the roots of a polynomial in z, without roots at z = 0."""
-    array = trimmed(polynomial)
+    array = trim(polynomial)
     nonzero = np.flatnonzero(array)
     return np.asarray(np.roots(array[nonzero[0] :]), dtype=np.complex128)
 
@@ -93,17 +93,37 @@ def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
     B is scaled by its largest coefficient, so that the accuracy does not depend on its unit.
     Raises ``DesignError`` naming the root that A and B (nearly) share.
     """
-    a, b, p = trimmed(A), trimmed(B), trimmed(P)
+    a, b, p = trim(A), trim(B), trim(P)
     scale = float(np.abs(b).max())
     if scale == 0.0 or len(a) < 2:
         raise ValueError("solve_bezout needs a non-zero B and a denominator A of degree >= 1")
     degree_s = max(len(b) - 2, len(p) - len(a), 0)
-    matrix = sylvester(a, b / scale, degree_s)
+    # The Sylvester matrix M of A S + B R = M [S; R]: shifts of A, then shifts of B.
+    rows, scaled = len(a) + degree_s, b / scale
+    matrix = np.zeros((rows, rows))
+    for column in range(degree_s + 1):
+        matrix[column : column + len(a), column] = a
+    for column in range(len(a) - 1):
+        stop = min(rows, column + len(b))
+        matrix[column:stop, degree_s + 1 + column] = scaled[: stop - column]
     target = np.zeros(len(matrix))
     target[: len(p)] = p
     singular = np.linalg.svd(matrix, compute_uv=False)
     if singular[-1] < _MIN_RATIO * singular[0]:
-        _refuse_common_root(a, b, float(singular[-1] / singular[0]))
+        poles, zeros = roots_of(a), roots_of(b)
+        if not zeros.size:
+            zeros = np.array([np.inf + 0j])
+        distance = np.abs(poles[:, None] - zeros[None, :])
+        pole, zero = np.unravel_index(int(np.argmin(distance)), distance.shape)
+        ratio = float(singular[-1] / singular[0])
+        raise DesignError(
+            f"the pole z = {poles[pole]:.6g} and the zero z = {zeros[zero]:.6g} of the plant "
+            f"with its fixed parts nearly cancel (singular values in the ratio {ratio:.1e})",
+            needed="A H_S and B H_R must have no common root",
+            remedy="Remove the fixed part that makes the root, or reduce the model's order.",
+            pole=complex(poles[pole]),
+            zero=complex(zeros[zero]),
+        )
     solution = np.linalg.solve(matrix, target)
     solution += np.linalg.solve(matrix, target - matrix @ solution)
     S, R = solution[: degree_s + 1], solution[degree_s + 1 :] / scale
@@ -116,32 +136,47 @@ def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
     )
 
 
-def sylvester(A: Array, B: Array, degree_s: int) -> Array:
-    """Return the square matrix M of A S + B R = M [S; R] with deg R = deg A - 1.
+Response = NDArray[np.complex128]
 
-    returned  (deg A + degree_s + 1,) squared; columns: shifts of A, then shifts of B
+
+def grid_Hz(sampling_rate_Hz: float, *, lowest_Hz: float = 1.0, count: int = 400) -> Array:
+    """Return frequencies from ``lowest_Hz`` to just below Nyquist.
+
+    Half of them are spaced by equal ratios, for loop shaping over decades, and half by equal
+    differences, for the peaks and delays in the last decade.
+
+    returned  (about count,)  Hz, strictly increasing
     """
-    rows = len(A) + degree_s
-    matrix = np.zeros((rows, rows))
-    for column in range(degree_s + 1):
-        matrix[column : column + len(A), column] = A
-    for column in range(len(A) - 1):
-        stop = min(rows, column + len(B))
-        matrix[column:stop, degree_s + 1 + column] = B[: stop - column]
-    return matrix
+    highest_Hz = 0.4999 * sampling_rate_Hz
+    half = max(count // 2, 2)
+    by_ratio = np.geomspace(lowest_Hz, highest_Hz, half)
+    by_difference = np.linspace(highest_Hz / half, highest_Hz, half)
+    return np.unique(np.concatenate([by_ratio, by_difference]))
 
 
-def _refuse_common_root(A: Array, B: Array, ratio: float) -> None:
-    poles, zeros = roots_of(A), roots_of(B)
-    if not zeros.size:
-        zeros = np.array([np.inf + 0j])
-    distance = np.abs(poles[:, None] - zeros[None, :])
-    row, column = np.unravel_index(int(np.argmin(distance)), distance.shape)
-    raise DesignError(
-        f"the pole z = {poles[row]:.6g} and the zero z = {zeros[column]:.6g} of the plant with "
-        f"its fixed parts nearly cancel (singular values in the ratio {ratio:.1e})",
-        needed="A H_S and B H_R must have no common root",
-        remedy="Remove the fixed part that makes the root, or reduce the model's order.",
-        pole=complex(poles[row]),
-        zero=complex(zeros[column]),
-    )
+def unit_circle(frequency_Hz: ArrayLike, sampling_rate_Hz: float) -> Response:
+    """Return q^-1 = exp(-2 pi j f / fs), (frequencies,)."""
+    turns = np.asarray(frequency_Hz, dtype=np.float64) / sampling_rate_Hz
+    return np.asarray(np.exp(-2j * np.pi * turns))
+
+
+def polynomial_response(polynomial: ArrayLike, delay_operator: Response) -> Response:
+    """Return p(q^-1) on given values of q^-1."""
+    coefficients = np.asarray(polynomial, dtype=np.float64).tolist()
+    value = np.full(delay_operator.shape, coefficients[-1], dtype=np.complex128)
+    for coefficient in coefficients[-2::-1]:
+        value *= delay_operator
+        value += coefficient
+    return value
+
+
+def response(B: ArrayLike, A: ArrayLike, frequency_Hz: ArrayLike, rate_Hz: float) -> Response:
+    """Return B/A on the unit circle, (frequencies,); the delay is leading zeros of B."""
+    q = unit_circle(frequency_Hz, rate_Hz)
+    return np.asarray(polynomial_response(B, q) / polynomial_response(A, q))
+
+
+def decibel(magnitude: ArrayLike) -> Array:
+    """Return 20 log10 |magnitude|; zero becomes -inf."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(20.0 * np.log10(np.abs(np.asarray(magnitude))))

@@ -1,7 +1,13 @@
-"""Small convex least squares with linear constraints and an optimality certificate."""
+"""Small convex least squares with linear constraints, and the triangular factor of tall problems.
+
+Least squares with a million rows [J | e] needs only the small triangle R of their QR
+factorisation: |J x + e|^2 = |R (x, 1)|^2. Updating R block by block keeps memory constant and,
+unlike the Gram matrix J'J, does not square the condition number, which reaches 2e7 for play
+regressors.
+"""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy import optimize, sparse
@@ -21,6 +27,7 @@ _UNBOUNDED = 1e30  # daqp's infinite bound
 _EQUALITY = 5  # daqp's constraint type of equal bounds
 _SOLVED = 1  # daqp's status
 _PRIMAL_TOLERANCE = 1e-11  # of variables of order one
+_REFLECTED_COLUMNS = 16  # together, in an update of the triangular factor
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -182,42 +189,63 @@ def bounded_step(triangle: Array, target: Array, lower: Array, upper: Array) -> 
     height = float(max(np.linalg.norm(target), nearest)) or 1.0
     factor, right = triangle / scale, target / height
     below, above = lower * (scale / height), upper * (scale / height)
-    x = _from_normal_equations(factor, right, below, above)
-    if x is None:
-        x = _by_active_set(factor, right, below, above)
+    gram = factor.T @ factor + JITTER * np.eye(len(below))
+    try:
+        x = bounded_minimum(gram, factor.T @ right, below, above)
+    except np.linalg.LinAlgError:
+        is_minimum = False
+    else:
+        free = (x > below) & (x < above)
+        if free.any():
+            x[free] = 0.0
+            _, solution, _ = lapack.dgels(factor[:, free], right - factor @ x)
+            x[free] = solution[: int(free.sum())]
+        slope = factor.T @ (factor @ x - right)
+        is_stationary = np.where(x <= below, slope >= -ROUNDING, np.abs(slope) <= ROUNDING)
+        is_stationary |= (x >= above) & (slope <= ROUNDING)
+        is_feasible = (x >= below - ROUNDING) & (x <= above + ROUNDING)
+        is_minimum = bool((is_stationary & is_feasible).all())
+    if not is_minimum:
+        movable = above > below
+        x = np.clip(np.zeros_like(below), below, above)
+        if movable.any():
+            x[movable] = optimize.lsq_linear(
+                factor[:, movable],
+                right - factor[:, ~movable] @ x[~movable],
+                (below[movable], above[movable]),
+                method="bvls",
+                tol=1e-12,
+            ).x
     return np.asarray(np.clip(x * (height / scale), lower, upper))
 
 
-def _from_normal_equations(
-    factor: Array, target: Array, lower: Array, upper: Array
-) -> Array | None:
-    """Return the minimum, or None if it violates the KKT conditions; unit columns and target."""
-    gram = factor.T @ factor + JITTER * np.eye(len(lower))
-    try:
-        x = bounded_minimum(gram, factor.T @ target, lower, upper)
-    except np.linalg.LinAlgError:
-        return None
-    free = (x > lower) & (x < upper)
-    if free.any():
-        x[free] = 0.0
-        _, solution, _ = lapack.dgels(factor[:, free], target - factor @ x)
-        x[free] = solution[: int(free.sum())]
-    slope = factor.T @ (factor @ x - target)
-    is_stationary = np.where(x <= lower, slope >= -ROUNDING, np.abs(slope) <= ROUNDING)
-    is_stationary |= (x >= upper) & (slope <= ROUNDING)
-    is_feasible = (x >= lower - ROUNDING) & (x <= upper + ROUNDING)
-    return x if bool((is_stationary & is_feasible).all()) else None
+def empty_triangle(columns: int) -> Array:
+    """Return the factor of an empty problem: zeros, (columns, columns)."""
+    return np.zeros((columns, columns), order="F")
 
 
-def _by_active_set(factor: Array, target: Array, lower: Array, upper: Array) -> Array:
-    movable = upper > lower
-    x = np.clip(np.zeros_like(lower), lower, upper)
-    if movable.any():
-        x[movable] = optimize.lsq_linear(
-            factor[:, movable],
-            target - factor[:, ~movable] @ x[~movable],
-            (lower[movable], upper[movable]),
-            method="bvls",
-            tol=1e-12,
-        ).x
-    return np.asarray(x)
+def gather(triangle: Array, rows: Array, *, spend: bool = False) -> Array:
+    """Update a triangular factor with further rows.
+
+    triangle  (columns, columns)  from ``empty_triangle`` or ``gather``
+    rows      (samples, columns)
+    spend     whether column-major rows may be overwritten
+    returned  (columns, columns), upper triangular
+
+    The zeros of the triangle are not accessed.
+    """
+    columns = len(triangle)
+    if triangle.shape != (columns, columns):
+        raise ValueError(f"a triangle of shape {triangle.shape}, expected {columns, columns}")
+    if not columns or not len(rows):
+        return triangle
+    block = np.asfortranarray(rows)
+    may_overwrite = spend or block is not rows
+    factorisation = lapack.dtpqrt(
+        0,
+        min(_REFLECTED_COLUMNS, columns),
+        np.asfortranarray(triangle),
+        block,
+        overwrite_b=may_overwrite,
+    )
+    return cast(Array, factorisation[0])

@@ -92,7 +92,15 @@ def equal_cycles(signal: Array, *, fewest: int) -> EqualCycles | None:
     rounded, moving = _period(signal, fewest)
     if rounded is None:
         return None
-    period = _refine_period(signal[moving], float(rounded))
+    # The period for which the phase of the first harmonic is constant over the cycles.
+    period, level = float(rounded), signal[moving] - signal[moving].mean()
+    for _ in range(3):
+        starts = np.arange(int((len(level) - 1) // period)) * period
+        time = starts[:, None] + np.arange(int(period))
+        harmonic = np.interp(time, np.arange(len(level)), level)
+        harmonic = (harmonic * np.exp(-2j * np.pi * time / period)).sum(axis=1)
+        turned = float(np.median(np.angle(harmonic[1:] * harmonic[:-1].conj())))
+        period = period / (1.0 + turned / (2.0 * np.pi))
     sample = np.arange(moving.start, moving.stop - int(np.ceil(period)))
     later = np.interp(sample + period, np.arange(len(signal)), signal)
     tolerance = (TOLERANCE + 1.0 / period) * float(np.ptp(signal))
@@ -102,7 +110,18 @@ def equal_cycles(signal: Array, *, fewest: int) -> EqualCycles | None:
         period_samples=period,
         count=int((stop - first + period) // period),
     )
-    return cycles if cycles.count >= fewest and _are_equal(cycles.cut(signal)) else None
+    if cycles.count < fewest:
+        return None
+    # Trend and scatter of the size of the cycles must be within the tolerance. The size of a
+    # sampled triangle also depends on the position of the samples at its corners.
+    pieces = cycles.cut(signal)
+    mean = pieces.mean(axis=0)
+    level = mean - mean.mean()
+    size = pieces @ level / (level @ level)
+    time = np.linspace(-0.5, 0.5, len(size))
+    trend = float(time @ size / (time @ time))
+    is_equal = abs(trend) <= TOLERANCE and np.ptp(size) <= TOLERANCE + 1.0 / pieces.shape[1]
+    return cycles if is_equal else None
 
 
 def _period(signal: Array, fewest: int) -> tuple[int | None, slice]:
@@ -135,28 +154,3 @@ def _period(signal: Array, fewest: int) -> tuple[int | None, slice]:
 def _longest_run(flags: NDArray[np.bool_]) -> tuple[int, int]:
     """Return first and stop of the longest run of true flags."""
     return max(runs_of(flags), key=lambda run: run[1] - run[0], default=(0, 0))
-
-
-def _refine_period(signal: Array, period: float) -> float:
-    """Return the period for which the phase of the first harmonic is constant over cycles."""
-    for _ in range(3):
-        starts = np.arange(int((len(signal) - 1) // period)) * period
-        time = starts[:, None] + np.arange(int(period))
-        cycles = np.interp(time, np.arange(len(signal)), signal - signal.mean())
-        harmonic = (cycles * np.exp(-2j * np.pi * time / period)).sum(axis=1)
-        turned = float(np.median(np.angle(harmonic[1:] * harmonic[:-1].conj())))
-        period = period / (1.0 + turned / (2.0 * np.pi))
-    return period
-
-
-def _are_equal(cycles: Array) -> bool:
-    """Return whether trend and scatter of the size of the cycles are within the tolerance.
-
-    The size of a sampled triangle also depends on the position of the samples at its corners.
-    """
-    mean = cycles.mean(axis=0)
-    level = mean - mean.mean()
-    size = cycles @ level / (level @ level)
-    time = np.linspace(-0.5, 0.5, len(size))
-    trend = float(time @ size / (time @ time))
-    return abs(trend) <= TOLERANCE and float(np.ptp(size)) <= TOLERANCE + 1.0 / cycles.shape[1]

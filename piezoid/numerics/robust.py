@@ -1,4 +1,4 @@
-"""Robust statistics of many samples: median, spread and trend, insensitive to gross errors."""
+"""Robust statistics of samples: median, spread, trend and noise, insensitive to gross errors."""
 
 from dataclasses import dataclass, replace
 
@@ -17,6 +17,9 @@ MAX_PAIRED_SAMPLES = 1000
 _MAD_TO_SIGMA = 1.4826022185056018
 # The same over its mean absolute deviation [Iglewicz & Hoaglin 1993].
 _MEAN_TO_SIGMA = 1.2533141373155003
+# Rms of third differences of white noise of rms 1, and the median of |x| for a standard normal x.
+_THIRD = float(np.sqrt(20.0))
+_MEDIAN = 0.6744897501960817
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,3 +171,22 @@ def student_quantile(probability: ArrayLike, freedom: ArrayLike) -> Array:
     is_normal = np.isinf(freedom)
     student = stdtrit(np.where(is_normal, 1.0, freedom), probability)
     return np.asarray(np.where(is_normal, ndtri(probability), student))
+
+
+def white_noise_rms(signal: Array, spacing: int = 1) -> float:
+    """Return the rms of the white part of a slowly varying signal's noise.
+
+    Third differences remove smooth motion; the median of their magnitude is robust to jumps and to
+    the few samples at reversals.
+
+    signal   (samples,)  any unit; differences with NaN are omitted; the result is 0 for fewer than
+             ``8 * spacing`` samples
+    spacing  number of samples between the values of a difference
+    """
+    if len(signal) < 8 * spacing:
+        return 0.0
+    third = signal
+    for _ in range(3):
+        third = third[spacing:] - third[:-spacing]
+    finite = third[~np.isnan(third)]
+    return float(np.median(np.abs(finite))) / (_MEDIAN * _THIRD) if len(finite) else 0.0

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from piezoid.numerics.arrays import Array, freeze
+from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import normal_quantile, student_quantile
 
 CONFIDENCE = 0.95
 DRAWS = 200_000
-GRID = np.linspace(0.0, 1.0, 201)
 QUANTILE_KNOTS = 4000  # linear interpolation between so many quantiles has an error of 1e-5
 NORMAL, RECTANGULAR, HEAVY = "normal", "rectangular", "heavy"
 
@@ -79,10 +78,6 @@ class Budget:
     propagated       half width of the 95 % interval of a single error, from draws
     positions        number of positions of the largest error
     largest          (2,)  2.5 % and 97.5 % quantile of the largest error of these positions
-    probability      (points,)
-    single_error     (points,)  quantiles of the size of a single error
-    largest_error    (points,)  quantiles of the largest error
-    draws            number of draws behind the last four
     """
 
     contributions: tuple[Contribution, ...]
@@ -93,13 +88,6 @@ class Budget:
     propagated: float
     positions: int
     largest: tuple[float, float]
-    probability: Array
-    single_error: Array
-    largest_error: Array
-    draws: int
-
-    def __post_init__(self) -> None:
-        freeze(self, "probability", "single_error", "largest_error")
 
     def share(self, contribution: Contribution) -> float:
         """Return the share of a contribution in the variance."""
@@ -118,8 +106,10 @@ def budget_of(
     positions  number of independent positions of the largest error; at least 2
     draws      of the propagation; 1e5 give two digits of a 95 % interval
     """
-    combined = math.sqrt(sum(contribution.standard**2 for contribution in contributions))
-    freedom = effective_freedom(contributions)
+    combined_variance = sum(contribution.standard**2 for contribution in contributions)
+    combined = math.sqrt(combined_variance)
+    loss = sum(contribution.standard**4 / contribution.freedom for contribution in contributions)
+    freedom = combined_variance**2 / loss if loss > 0.0 else math.inf
     factor = float(student_quantile(0.5 + CONFIDENCE / 2, freedom))
     rng = np.random.default_rng(seed)
     shared = sum(
@@ -141,18 +131,7 @@ def budget_of(
         propagated=float(np.quantile(single, CONFIDENCE)),
         positions=positions,
         largest=(float(np.quantile(largest, tails[0])), float(np.quantile(largest, tails[1]))),
-        probability=GRID,
-        single_error=np.quantile(single, GRID),
-        largest_error=np.quantile(largest, GRID),
-        draws=draws,
     )
-
-
-def effective_freedom(contributions: Sequence[Contribution]) -> float:
-    """Return nu_eff of Welch and Satterthwaite; infinite if all freedoms are infinite."""
-    combined = sum(contribution.standard**2 for contribution in contributions)
-    loss = sum(contribution.standard**4 / contribution.freedom for contribution in contributions)
-    return combined**2 / loss if loss > 0.0 else math.inf
 
 
 def tail_of(quantile_ratio: float, probability: float = 0.999) -> float:
@@ -192,19 +171,18 @@ def _errors(
     tail = min(tails, default=math.inf)
     top = rng.uniform(size=len(shared)) ** (1.0 / positions)
     low = top * -np.expm1(np.log(rng.uniform(size=len(shared))) / (positions - 1))
-    extremes = (shared + standard * _unit_quantile(p, tail) for p in (top, low))
-    return single, np.maximum(*(np.abs(end) for end in extremes))
-
-
-def _unit_quantile(probability: Array, tail: float) -> Array:
-    """Return quantiles of unit variance, normal or of Student's t."""
-    inside = np.clip(probability, 1e-15, 1.0 - 1e-15)
-    if math.isinf(tail):
-        return np.asarray(normal_quantile(inside))
-    score = normal_quantile(inside)  # quantiles of t are a smooth function of the normal score
-    knots = np.linspace(score.min(), score.max(), QUANTILE_KNOTS)
-    quantile = np.interp(score, knots, student_quantile(ndtr(knots), tail))
-    return np.asarray(quantile * math.sqrt((tail - 2.0) / tail))
+    ends = []
+    for probability in (top, low):
+        score = normal_quantile(np.clip(probability, 1e-15, 1.0 - 1e-15))
+        if math.isinf(tail):
+            ends.append(np.abs(shared + standard * score))
+            continue
+        # Quantiles of t are a smooth function of the normal score.
+        knots = np.linspace(score.min(), score.max(), QUANTILE_KNOTS)
+        quantile = np.interp(score, knots, student_quantile(ndtr(knots), tail))
+        quantile = quantile * math.sqrt((tail - 2.0) / tail)
+        ends.append(np.abs(shared + standard * quantile))
+    return single, np.maximum(*ends)
 
 
 def _draw(contribution: Contribution, draws: int, rng: np.random.Generator) -> Array:

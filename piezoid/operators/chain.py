@@ -26,12 +26,6 @@ from piezoid.operators.library import KERNELS, address, contiguous
 TILE = 32  # PK_CHAIN_TILE of chain.h
 
 
-class _Filter(ctypes.Structure):
-    _fields_ = tuple(
-        (name, ctypes.c_double) for name in ("p", "b0", "b1", "p_by_s", "b0_by_s", "b1_by_s")
-    )
-
-
 class _Chain(ctypes.Structure):
     _fields_ = (
         ("plays", ctypes.c_size_t),
@@ -42,6 +36,7 @@ class _Chain(ctypes.Structure):
         ("has_delay", ctypes.c_int),
         ("share", ctypes.c_double),
         ("rate_Hz", ctypes.c_double),
+        # To p, b0, b1 and their derivatives by the time constant.
         ("lag", ctypes.c_void_p),
         ("sensor", ctypes.c_void_p),
     )
@@ -97,7 +92,29 @@ class Following:
         self._carry[:plays] = inner + np.cumsum(chain.gap * chain.memory_slope)
         self._tile = np.empty((TILE + 1) * columns)
         self._is_started = False
-        self._view = _kernel_view(chain)
+        # The kernel's view of the chain, and the arrays that it points to.
+        arrays = [
+            contiguous(values)
+            for values in (np.cumsum(chain.gap), chain.weight, chain.gap, chain.memory_slope)
+        ]
+        knot = contiguous(chain.envelope.threshold[chain.envelope.zero + 1 :])
+        zones = chain.zones.kernel_map()
+        filters = [
+            None if lag is None else np.array([*lag.coefficients, *lag.by_time])
+            for lag in (chain.lag, chain.sensor)
+        ]
+        self._view = _Chain(
+            chain.plays,
+            *(address(values) for values in arrays),
+            ctypes.addressof(zones),
+            len(knot),
+            address(knot),
+            int(chain.share is not None),
+            chain.share or 0.0,
+            chain.rate_Hz,
+            *(address(coefficients) for coefficients in filters),
+        )
+        self._referenced = (arrays, knot, zones, filters)
 
     def rows(self, drive: Array, samples: Samples, out: Array) -> None:
         """Write the reading and its derivatives at some samples, and advance the state.
@@ -125,7 +142,7 @@ class Following:
             len(u),
             address(u),
             address(inner_drive),
-            ctypes.addressof(self._view[0]),
+            ctypes.addressof(self._view),
             rows,
             index.ctypes.data,
             address(self._carry),
@@ -135,29 +152,3 @@ class Following:
             first + 8 * rows * (out.shape[1] - chain.columns),
         )
         self._is_started = True
-
-
-def _kernel_view(chain: Chain) -> tuple[_Chain, tuple[object, ...]]:
-    """Return the kernel's view of a chain with the arrays that it points to."""
-    arrays = [
-        contiguous(values)
-        for values in (np.cumsum(chain.gap), chain.weight, chain.gap, chain.memory_slope)
-    ]
-    knot = contiguous(chain.envelope.threshold[chain.envelope.zero + 1 :])
-    zones = chain.zones.kernel_map()
-    filters = [
-        None if low_pass is None else _Filter(*low_pass.coefficients, *low_pass.by_time)
-        for low_pass in (chain.lag, chain.sensor)
-    ]
-    view = _Chain(
-        chain.plays,
-        *(address(values) for values in arrays),
-        ctypes.addressof(zones),
-        len(knot),
-        address(knot),
-        int(chain.share is not None),
-        chain.share or 0.0,
-        chain.rate_Hz,
-        *(None if low_pass is None else ctypes.addressof(low_pass) for low_pass in filters),
-    )
-    return view, (arrays, knot, zones, filters)

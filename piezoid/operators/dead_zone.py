@@ -60,21 +60,8 @@ class DeadZones:
         slope.setflags(write=False)
         return slope
 
-    @property
-    def is_invertible(self) -> bool:
-        """Whether every slope is positive."""
-        return bool((self.slope > 0).all())
-
-    def run(self, h: Array) -> Array:
-        """Return Psi(h), sample by sample."""
-        return self._run(h, None)
-
-    def run_with_slope(self, h: Array) -> tuple[Array, Array]:
-        """Return Psi(h) and the local slope Psi'(h), both (samples,)."""
-        local = np.empty(len(h))
-        return self._run(h, local), local
-
-    def _run(self, h: Array, local: Array | None) -> Array:
+    def run(self, h: Array, *, slope_out: Array | None = None) -> Array:
+        """Return Psi(h), sample by sample, and write the local slope Psi'(h) to ``slope_out``."""
         source = contiguous(h)
         output = np.empty_like(source)
         KERNELS.pk_piecewise_linear(
@@ -85,9 +72,14 @@ class DeadZones:
             address(self.slope),
             self.zero,
             address(output),
-            address(local),
+            address(slope_out),
         )
         return output
+
+    def run_with_slope(self, h: Array) -> tuple[Array, Array]:
+        """Return Psi(h) and the local slope Psi'(h), both (samples,)."""
+        local = np.empty(len(h))
+        return self.run(h, slope_out=local), local
 
     def kernel_map(self) -> KernelMap:
         """Return the map in the layout of the C kernels."""
@@ -114,12 +106,8 @@ class DeadZones:
 
         Raises ``NotInvertibleError`` if a slope is not positive.
         """
-        return self._inverse
-
-    @cached_property
-    def _inverse(self) -> "DeadZones":
         slope = self.slope
-        if not self.is_invertible:
+        if not (slope > 0).all():
             raise NotInvertibleError(
                 f"a slope of the dead-zone superposition is {slope.min():.6g}",
                 needed="all slopes must be positive for an inverse",

@@ -1,11 +1,13 @@
-"""First-order lags and delays, of one signal or of many columns."""
+"""Lags, delays, the relaxation ladder of creep, slew limit and thermally activated motion."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.library import KERNELS, address
+from piezoid.operators.library import KERNELS, address, contiguous
 
 Coefficients = tuple[float, float, float]
 EVERY = slice(None)
@@ -97,3 +99,66 @@ def lagged(
     if kind == "delay":
         return later(signal, lag_s * rate_Hz, keep)
     return (relaxed(signal, lag_s, rate_Hz) if kind == "first_order" else signal)[keep]
+
+
+def slewed(signal: Array, step: float) -> Array:
+    """Limit the change of a signal between samples.
+
+        z[k] = z[k-1] + clamp(u[k] - z[k-1], -step, step),   z[0] = u[0]
+
+    signal    (samples,)
+    step      scalar, > 0, in the signal's unit
+    returned  (samples,)
+    """
+    source = contiguous(signal)
+    output = np.empty_like(source)
+    KERNELS.pk_slew(len(source), address(source), step, address(output))
+    return output
+
+
+def activated(irreversible: Array, time_s: float, sampling_rate_Hz: float, strain: float) -> Array:
+    """Return a rate-dependent irreversible response: barriers crossed by thermal activation.
+
+        dx/dt = (s / tau) sinh((h - x) / s),   exact for steps of h    [Eyring 1936]
+
+    h    irreversible  (samples,)  any unit; the quasi-static response
+    tau  time_s        scalar      s, time constant of small lags
+    s    strain        scalar      unit of h; lags beyond it grow with the logarithm of the speed
+    """
+    source = contiguous(irreversible)
+    output = np.empty_like(source)
+    step = float(np.exp(-1.0 / (time_s * sampling_rate_Hz)))
+    KERNELS.pk_activated(len(source), address(source), step, 2.0 * strain, address(output))
+    return output
+
+
+def ladder(
+    signal: Array,
+    coefficients: Sequence[tuple[float, float, float]],
+    share: ArrayLike = 1.0,
+) -> Array:
+    """Return the sum of parallel first-order filters of one signal, at rest before it starts.
+
+        y[k] = sum_i c_i y_i[k],    y_i[k] = p_i y_i[k-1] + b0_i x[k] + b1_i x[k-1]
+
+    signal        (samples,)
+    coefficients  (rungs,)    p, b0, b1 of each filter, of unit gain: (b0 + b1) / (1 - p) = 1
+    share         (rungs,)    c, or a common value
+    returned      (samples,)  unit of the signal; zero without rungs
+    """
+    source = contiguous(signal)
+    output = np.empty_like(source)
+    pole, b0, b1 = np.array(coefficients, dtype=np.float64).reshape(-1, 3).T.copy()
+    weight = np.broadcast_to(np.asarray(share, dtype=np.float64), pole.shape)
+    b0, b1 = b0 * weight, b1 * weight
+    KERNELS.pk_ladder(
+        len(source),
+        address(source),
+        len(pole),
+        address(pole),
+        address(b0),
+        address(b1),
+        address(weight * source[:1].sum()),
+        address(output),
+    )
+    return output

@@ -68,14 +68,6 @@ class DiscreteSystem:
         z = np.exp(2j * np.pi * f * self.interval_s)
         return _transfer(self.A, self.B, self.C, self.D, z)
 
-    def step(self, state: Array, drive: Array) -> tuple[Array, Array]:
-        """Return the next state and this sample's output.
-
-        state  (states,)
-        drive  (inputs,)
-        """
-        return self.A @ state + self.B @ drive, self.C @ state + self.D @ drive
-
     def run(self, drive: Array, state: Array | None = None) -> tuple[Array, Array]:
         """Return the outputs for a whole record, and the state behind it.
 
@@ -111,7 +103,7 @@ class DiscreteSystem:
         response = (blocks @ forced.T + starts @ observe.T).reshape(block_count * length, outputs)
         remaining = np.empty((count - len(response), outputs))
         for k, row in enumerate(u[len(response) :]):
-            x, remaining[k] = self.step(x, row)
+            x, remaining[k] = self.A @ x + self.B @ row, self.C @ x + self.D @ row
         response = np.concatenate([response, remaining])
         return (response[:, 0] if is_vector and outputs == 1 else response), x
 
@@ -188,17 +180,17 @@ def sample(system: ContinuousSystem, sampling_rate_Hz: float) -> DiscreteSystem:
 
 
 def sampled_fractions(
-    numerator: Array, pole: ComplexArray, delay_s: Array, rate_Hz: float, frequency_Hz: Array
+    gain: Array, pole: ComplexArray, delay_s: Array, rate_Hz: float, frequency_Hz: Array
 ) -> ComplexArray:
-    """Return the frequency responses of sampled systems given by numerators and poles.
+    """Return the frequency responses of sampled systems given by gains and poles.
 
-        N(s) / prod_k (s - p_k) = sum_k r_k / (s - p_k)
+        g / prod_k (s - p_k) = sum_k r_k / (s - p_k)
         r (e^(p (T - e)) - 1 + (e^(p T) - e^(p (T - e))) z^-1) / (p (z - e^(p T))) z^-d
 
-    numerator  (systems, outputs, powers)  N, lowest power first, of fewer powers than poles
-    pole       (systems, poles)            none of them 0
-    delay_s    (systems,)                  d T + e
-    returned   (systems, lines, outputs)
+    gain      (systems,)        g
+    pole      (systems, poles)  none of them 0
+    delay_s   (systems,)        d T + e
+    returned  (systems, lines)
 
     Equal poles are separated symmetrically, with an error of second order and a loss of five
     digits, ten digits for three equal poles.
@@ -208,26 +200,19 @@ def sampled_fractions(
     delay_samples, rest_s = np.array(split).T[:, :, None]
     z = np.exp(2j * np.pi * frequency_Hz * interval_s)
     if not pole.shape[1]:  # a constant acts on the delayed input
-        return np.asarray(
-            numerator[:, None, :, 0] / z[:, None] ** (delay_samples + (rest_s > 0.0))[:, None]
-        )
+        return np.asarray(gain[:, None] / z ** (delay_samples + (rest_s > 0.0)))
     number = np.arange(pole.shape[1])
     is_equal = np.abs(pole[:, :, None] - pole[:, None]) < EQUAL_POLES * np.abs(pole)[:, :, None]
     shift = (is_equal * np.sign(number - number[:, None])).sum(axis=2)
     pole = pole * (1.0 + 0.5 * EQUAL_POLES * shift)
     difference = pole[:, :, None] - pole[:, None]
     difference[:, number, number] = 1.0
-    powers = pole[:, None, :, None] ** np.arange(numerator.shape[2])
-    residue = (numerator[:, :, None] * powers).sum(axis=3) / (pole * difference.prod(axis=2))[
-        :, None
-    ]
+    residue = gain[:, None] / (pole * difference.prod(axis=2))
     decay, early = np.exp(pole * interval_s), np.exp(pole * (interval_s - rest_s))
-    newest, oldest = (early - 1.0)[:, None], (decay - early)[:, None]
     inside = 1.0 / (z[:, None] - decay[:, None])
-    behind = z**-delay_samples
-    response = inside @ np.swapaxes(residue * newest, 1, 2)
-    response += inside @ np.swapaxes(residue * oldest, 1, 2) / z[:, None]
-    return np.asarray(response * behind[:, :, None])
+    response = inside @ (residue * (early - 1.0))[:, :, None]
+    response += inside @ (residue * (decay - early))[:, :, None] / z[:, None]
+    return np.asarray(response[:, :, 0] * z**-delay_samples)
 
 
 def recursive_filter(numerator: ArrayLike, denominator: ArrayLike, signal: Array) -> Array:
@@ -252,16 +237,11 @@ def recursive_filter(numerator: ArrayLike, denominator: ArrayLike, signal: Array
         len(source),
         address(source),
         order,
-        address(_padded(b / a[0], order)),
-        address(_padded(a / a[0], order)),
+        *(address(np.pad(part / a[0], (0, order + 1 - len(part)))) for part in (b, a)),
         address(np.zeros(order + 1)),
         address(output),
     )
     return output
-
-
-def _padded(coefficients: Array, order: int) -> Array:
-    return np.pad(coefficients, (0, order + 1 - len(coefficients)))
 
 
 def first_order(frequency_Hz: float) -> ContinuousSystem:
@@ -271,12 +251,11 @@ def first_order(frequency_Hz: float) -> ContinuousSystem:
     return ContinuousSystem(A=-w * unit, B=w * unit, C=unit, D=np.zeros((1, 1)))
 
 
-def resonance(frequency_Hz: float, damping: float, rate_gain_s: float = 0.0) -> ContinuousSystem:
-    """Return one mode of unit static gain, (1 + h s) w^2 / (s^2 + 2 zeta w s + w^2).
+def resonance(frequency_Hz: float, damping: float) -> ContinuousSystem:
+    """Return one mode of unit static gain, w^2 / (s^2 + 2 zeta w s + w^2).
 
     w     2 pi frequency_Hz  > 0
     zeta  damping            > 0
-    h     rate_gain_s        s; not zero if a mode is not in phase with its drive
 
     The states are the displacement over w^2 and its rate over w, which have similar sizes.
     """
@@ -284,7 +263,7 @@ def resonance(frequency_Hz: float, damping: float, rate_gain_s: float = 0.0) -> 
     return ContinuousSystem(
         A=np.array([[0.0, w], [-w, -2 * damping * w]]),
         B=np.array([[0.0], [w]]),
-        C=np.array([[1.0, rate_gain_s * w]]),
+        C=np.array([[1.0, 0.0]]),
         D=np.zeros((1, 1)),
     )
 

@@ -45,12 +45,9 @@ class ModifiedPrandtlIshlinskii:
 
     @property
     def is_invertible(self) -> bool:
-        """Whether all parts have an inverse."""
-        return (
-            self.plays.is_invertible
-            and self.dead_zones.is_invertible
-            and self.envelope.is_invertible
-        )
+        """Whether all parts have an inverse: all their slopes are positive."""
+        parts = (self.plays, self.dead_zones, self.envelope)
+        return all(bool((part.slope > 0).all()) for part in parts)
 
     @property
     def slope_sector_m_per_V(self) -> tuple[float, float]:

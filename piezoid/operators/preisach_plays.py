@@ -1,14 +1,32 @@
-"""The Preisach operator in play form: a sum of rising functions of the states of plays."""
+"""The Preisach operator in play form, and the largest difference of two over all histories.
 
+With plays and edges on one lattice two operators have the same states:
+
+    y_t - y_m = sum_i g_i(z_i),   g_i = phi_i of one - phi_i of the other
+    |z_i - z_(i-1)| <= r_1,   |z_i| <= max(R - r_i, 0)
+
+for every drive within R that began de-poled or at an end of it. The g_i are linear between lattice
+points, and all constraints are differences of whole steps. The extremes lie on the lattice: states
+with the same fraction of a step can move together, and the sum changes linearly until they meet
+other states. Dynamic programming from the widest play to the narrowest finds the extremes.
+
+Along a branch on which the plays up to some j move, both operators have slopes, and the
+incremental gain of one behind the inverse of the other is their ratio. There is one ratio for each
+j and each lattice point.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.library import KERNELS, address, contiguous
 from piezoid.operators.play import play_columns
 
+Mask = NDArray[np.bool_]
 UNEVEN = 1e-9  # of a step: rounding of numbers read from a file
 
 
@@ -147,3 +165,135 @@ def straight_between(x: Array, edge: Array, value: Array) -> Array:
             slope = (value[end] - value[inner]) / (edge[end] - edge[inner])
             result[beyond] = value[end] + slope * (x[beyond] - edge[end])
     return result
+
+
+def farthest_from_line_m(operator: PreisachPlays, slope_m_per_V: float, reach_V: float) -> float:
+    """Return sup |y - slope u - c| over all drives within a reach of u_off, for the best c.
+
+    >>> straight = PreisachPlays(
+    ...     step_V=1.0,
+    ...     edge_V=np.array([-2.0, 2.0]),
+    ...     value_m=np.array([[-2.0, 2.0], [-1.0, 1.0]]),
+    ... )
+    >>> farthest_from_line_m(straight, 1.0, 2.0)  # one play of half-width 1, of slope 1/2
+    0.5
+    """
+    level_V, allowed = _lattice(operator, reach_V)
+    value_m = _values(operator, level_V)
+    value_m[0] -= slope_m_per_V * level_V
+    return float(_half_range(value_m[None], allowed)[0])
+
+
+def farthest_apart_m(
+    model: PreisachPlays, alternatives: Sequence[PreisachPlays], reach_V: float
+) -> Array:
+    """Return sup |y - y_model - c| over drives within a reach, for the best c, (alternatives,).
+
+    Raises ``ValueError`` unless all operators have the same lattice.
+
+    >>> straight = PreisachPlays(
+    ...     step_V=1.0,
+    ...     edge_V=np.array([-2.0, 2.0]),
+    ...     value_m=np.array([[-2.0, 2.0], [-1.0, 1.0]]),
+    ... )
+    >>> farthest_apart_m(straight, [straight], 2.0)
+    array([0.])
+    """
+    level_V, allowed = _lattice(model, reach_V, alternatives)
+    model_m = _values(model, level_V)
+    difference_m = np.array(
+        [_values(alternative, level_V) - model_m for alternative in alternatives]
+    )
+    return _half_range(difference_m, allowed)
+
+
+def slope_ratios(
+    model: PreisachPlays, alternatives: Sequence[PreisachPlays], reach_V: float
+) -> Array:
+    """Return the smallest and largest incremental gain of alternatives behind the inverse model.
+
+    returned  (alternatives, 2)
+
+    >>> straight = PreisachPlays(
+    ...     step_V=1.0,
+    ...     edge_V=np.array([-2.0, 2.0]),
+    ...     value_m=np.array([[-2.0, 2.0], [-1.0, 1.0]]),
+    ... )
+    >>> slope_ratios(straight, [straight], 2.0)
+    array([[1., 1.]])
+    """
+    level_V, allowed = _lattice(model, reach_V, alternatives)
+    slope = _branch_slopes(_values(model, level_V), allowed)
+    ratios = []
+    for alternative in alternatives:
+        ratio = _branch_slopes(_values(alternative, level_V), allowed) / slope
+        ratios.append((np.nanmin(ratio), np.nanmax(ratio)))
+    return np.array(ratios)
+
+
+def _lattice(
+    operator: PreisachPlays, reach_V: float, alternatives: Sequence[PreisachPlays] = ()
+) -> tuple[Array, Mask]:
+    """Return the drive levels of the lattice, and which of them the state of each play can reach.
+
+    alternatives  operators that must have the same lattice
+    returned      (levels,) V, and (plays, levels); the reach is rounded up to the lattice
+    """
+    for alternative in alternatives:
+        if (
+            alternative.value_m.shape != operator.value_m.shape
+            or alternative.step_V != operator.step_V
+            or not np.array_equal(alternative.edge_V, operator.edge_V)
+        ):
+            raise ValueError("plays or edges of two operators differ, expected one lattice")
+    first_V, step_V = operator.edge_V[0], operator.step_V
+    slack = 1e-9
+    low = np.floor((-reach_V - first_V) / step_V + slack)
+    high = np.ceil((reach_V - first_V) / step_V - slack)
+    index = np.arange(low, high + 1)
+    inward = np.arange(len(operator.value_m))
+    inward = np.minimum(inward, (len(index) - 1) // 2)[:, None]
+    return first_V + step_V * index, (index >= low + inward) & (index <= high - inward)
+
+
+def _values(operator: PreisachPlays, level_V: Array) -> Array:
+    """Return the values of all functions at all levels, (plays, levels) m."""
+    return np.array([straight_between(level_V, operator.edge_V, v) for v in operator.value_m])
+
+
+def _half_range(value_m: Array, allowed: Mask) -> Array:
+    """Return half the range of sums over admissible states, by dynamic programming, (sums,).
+
+    value_m  (sums, plays, levels)
+    """
+    extremes = []
+    for signed_m in (value_m, -value_m):
+        best_m = np.where(allowed[-1], signed_m[:, -1], -np.inf)
+        for play in range(value_m.shape[1] - 2, -1, -1):
+            padded_m = np.pad(best_m, ((0, 0), (1, 1)), constant_values=-np.inf)
+            best_m = np.maximum(np.maximum(padded_m[:, :-2], padded_m[:, 2:]), best_m)
+            best_m = np.where(allowed[play], signed_m[:, play] + best_m, -np.inf)
+        extremes.append(best_m.max(axis=1))
+    return np.asarray(0.5 * (extremes[0] + extremes[1]))
+
+
+def _branch_slopes(value_m: Array, allowed: Mask) -> Array:
+    """Return the rise per step of all branches, (2, plays, levels - 1); NaN where undefined.
+
+    On a rising branch at level k play i has the state k - i, on a falling branch k + i. The sums
+    are over the moving plays, beginning with the narrowest.
+    """
+    slopes = []
+    for direction in (1, -1):  # a falling branch is a rising one on the reversed lattice
+        rise_m = np.diff(value_m[:, ::direction], axis=1) * direction
+        is_allowed = (allowed[:, 1:] & allowed[:, :-1])[:, ::direction]
+        plays, steps = rise_m.shape
+        summed = np.full((plays, steps), np.nan)
+        sum_m = np.zeros(steps)
+        for play in range(plays):
+            shifted_m = np.full(steps, np.nan)
+            shifted_m[play:] = np.where(is_allowed[play], rise_m[play], np.nan)[: steps - play]
+            sum_m = sum_m + shifted_m
+            summed[play] = sum_m
+        slopes.append(summed)
+    return np.array(slopes)

@@ -5,10 +5,19 @@
 P_i are plays of 24 half-widths and f_i piecewise-linear functions: a Preisach density over width
 and position [Krejci 1996]. Its prior is a Gaussian process of three correlation lengths,
 represented by the leading eigenvectors of its covariance. l_j = P_j - u enter with powers and
-products. Friction states decay exponentially with the distance travelled [Dahl 1968],
-[Coleman & Hodgdon 1986], and Bouc-Wen states have minor loops that do not close [Wen 1976].
+products. Friction states decay exponentially with the distance travelled,
+
+    dx/dt = d(u^n)/dt - |du/dt| x / r
+
+where n = 1 is Dahl's friction and the powers are the first terms of the series of an anhysteretic
+curve in its place; Bouc-Wen states saturate smoothly, with minor loops that do not close,
+
+    dz/du = 1 - |z|^n (gamma + beta sgn(z du))
 
 The drive is scaled to -1 .. 1. All states are rate independent and start after full cycles.
+
+Source: Dahl, Aerospace Corporation TR-0158 (1968); Jiles & Atherton, J. Magn. Magn. Mater. 61
+(1986); Coleman & Hodgdon, Int. J. Eng. Sci. 24 (1986); Bouc (1967); Wen, J. Eng. Mech. 102 (1976).
 """
 
 from collections.abc import Sequence
@@ -17,10 +26,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
+from numpy.typing import ArrayLike
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.bouc_wen import bouc_wen_states
-from piezoid.operators.friction import friction_states
+from piezoid.operators.library import KERNELS, address, contiguous
 from piezoid.operators.play import play_columns
 
 WIDTHS = np.concatenate([[0.005, 0.01, 0.02, 0.035], np.linspace(0.055, 1.0, 20)])
@@ -30,7 +39,7 @@ SCALES = ((0.6, 0.8, 14), (0.25, 0.3, 40), (0.08, 0.12, 110))
 LAGGING = np.array([0, 2, 4, 6, 8, 10, 12, 14, 17, 20, 23])  # indices of plays with powers
 PAIRED = LAGGING[3:]  # plays that enter with products of two
 REACH = np.array([0.04, 0.08, 0.15, 0.25, 0.4, 0.65, 1.0, 1.8])  # of friction states
-FRICTION_POWERS = (1.0, 2.0, 3.0)
+FRICTION_POWERS = (1.0, 2.0, 3.0)  # n, the powers that the kernel knows
 # Limit of a Bouc-Wen state, its exponent, and unloading relative to loading.
 BOUC_WEN = np.array(
     [
@@ -41,6 +50,7 @@ BOUC_WEN = np.array(
         if (exponent, unloading) != (1.0, 1.0)  # which is a friction state
     ]
 )
+MAX_STEP = 0.01  # of the drive; the error of the midpoint rule is then some 1e-5 of the state
 POLYNOMIAL = 5  # degree of the Legendre polynomials of the drive
 CYCLES = (0.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0)  # turning points before every history
 PATH_STEP = 0.02  # of the drive in a history; friction states with powers need no smaller step
@@ -48,6 +58,72 @@ CHUNK = 2048  # samples: the states of a chunk fit into the cache
 States = tuple[Array, Array, Array]
 """Plays, friction states and Bouc-Wen states, (samples, states) each."""
 _End = tuple[float, Array, Array, Array]  # drive and states at its last sample
+
+
+def friction_states(
+    drive: Array, reach: Array, start: Array, *, power: Array | None = None
+) -> Array:
+    """Return friction states along a drive, dx/dt = d(u^n)/dt - |du/dt| x / r.
+
+    Between samples a state relaxes exponentially to
+
+        q_1 = s r,   q_2 = 2 s r u - 2 r^2,   q_3 = 3 s r u^2 - 6 r^2 u + 6 s r^3,   s = sgn(du)
+
+    drive     (samples,)         any unit
+    reach     (states,)          r, unit of the drive, > 0
+    start     (states,)          x at the first sample
+    power     (states,)          n, 1 to 3; None: all 1
+    returned  (samples, states)  unit of the drive^n, column-major
+    """
+    powers = np.ones(len(reach)) if power is None else contiguous(power)
+    if not np.isin(powers, FRICTION_POWERS).all():
+        raise ValueError(f"powers are {np.unique(powers)}, expected some of (1, 2, 3)")
+    order = np.argsort(reach, kind="stable")  # states of equal reach share an exponential
+    u, state = contiguous(drive), np.array(start, dtype=np.float64)[order]
+    states = np.empty((len(u), len(state)), order="F")
+    KERNELS.pk_friction(
+        len(u),
+        address(u),
+        len(state),
+        address(contiguous(reach)[order]),
+        address(powers[order]),
+        address(order.astype(np.float64)),
+        address(state),
+        len(u),
+        address(states),
+    )
+    return states
+
+
+def bouc_wen_states(
+    drive: Array,
+    beta: ArrayLike,
+    gamma: ArrayLike,
+    exponent: ArrayLike,
+    start: ArrayLike = 0.0,
+) -> Array:
+    """Return Bouc-Wen states along a drive, dz/du = 1 - |z|^n (gamma + beta sgn(z du)).
+
+    drive            (samples,)            of the order of one
+    beta, gamma      scalars or (states,)  loading and unloading; 1 / unit of the drive^n
+    exponent         scalar or (states,)   n >= 1, sharpness of the knee
+    start            scalar or (states,)   z at the first sample
+    returned         (samples,) or (samples, states)  unit of the drive
+    """
+    numbers = np.broadcast_arrays(*(np.asarray(x, float) for x in (beta, gamma, exponent, start)))
+    law, state = np.stack(numbers[:3], axis=-1), contiguous(numbers[3].ravel()).copy()
+    drive = contiguous(drive)
+    states = np.empty((len(drive), len(state)))
+    KERNELS.pk_bouc_wen(
+        len(drive),
+        address(drive),
+        len(state),
+        address(contiguous(law)),
+        MAX_STEP,
+        address(state),
+        address(states),
+    )
+    return states if numbers[0].ndim else states[:, 0]
 
 
 @cache
@@ -80,8 +156,7 @@ class HysteresisStates:
 
     def follow(self, drive: Array) -> States:
         """Return the states along the next samples of the drive, (samples, states) each."""
-        states = _states_along(drive, self._end)
-        self._end = _end(drive, states)
+        states, self._end = _states_along(drive, self._end)
         return states
 
 
@@ -95,16 +170,11 @@ def _end_of_history(history: tuple[float, ...]) -> _End:
     drive = np.concatenate(segments)
     friction = np.zeros(len(REACH) * len(FRICTION_POWERS))
     start = (0.0, np.zeros(len(WIDTHS)), friction, np.zeros(len(BOUC_WEN)))
-    return _end(drive, _states_along(drive, start))
+    return _states_along(drive, start)[1]
 
 
-def _end(drive: Array, states: States) -> _End:
-    plays, friction, bouc_wen = states
-    return float(drive[-1]), plays[-1].copy(), friction[-1].copy(), bouc_wen[-1].copy()
-
-
-def _states_along(drive: Array, start: _End) -> States:
-    """Return the states along a drive that continues from the end of another one."""
+def _states_along(drive: Array, start: _End) -> tuple[States, _End]:
+    """Return the states along a drive that continues from the end of another one, and its end."""
     start_drive, plays, friction, bouc_wen = start
     path = np.concatenate([[start_drive], drive])
     reach = np.tile(REACH, len(FRICTION_POWERS))
@@ -112,11 +182,13 @@ def _states_along(drive: Array, start: _End) -> States:
     limit, exponent, unloading = BOUC_WEN.T
     loading = 0.5 * limit**-exponent
     beta, gamma = loading * (1.0 + unloading), loading * (1.0 - unloading)
-    return (
+    states = (
         play_columns(drive, WIDTHS, plays)[0],
         friction_states(path, reach, friction, power=power)[1:],
         bouc_wen_states(path, beta, gamma, exponent, bouc_wen)[1:],
     )
+    plays, friction, bouc_wen = (columns[-1].copy() for columns in states)
+    return states, (float(drive[-1]), plays, friction, bouc_wen)
 
 
 def cells(position: Array) -> Array:
@@ -220,3 +292,35 @@ def smooth_count() -> int:
     drive = np.zeros(1)
     states = HysteresisStates(()).follow(drive)
     return sum(x.shape[1] for x in smooth_columns(drive, states).values())
+
+
+def sum_of_polynomials(
+    states: Array, drive: Array, *, scale: Array, power: Array, bias: Array
+) -> Array:
+    """Return the sum of one polynomial per state, with slopes at zero that depend on the drive.
+
+        y = sum_i z_i (c_i1 + u a_i + u^2 b_i + z_i (c_i2 + z_i (c_i3 + z_i c_i4)))
+
+    z  states * scale  (samples, states)     scale (states,)
+    u  drive           (samples,)
+    c  power           (<= 4, states)        missing powers are zero
+    a, b  bias         (2, states)
+    y  returned        (samples,)
+    """
+    columns = np.asfortranarray(states, dtype=np.float64)
+    samples, count = columns.shape
+    total = np.zeros(samples)
+    powers = np.zeros((4, count))
+    powers[: len(power)] = power
+    KERNELS.pk_polynomials(
+        samples,
+        address(contiguous(drive)),
+        count,
+        samples,
+        address(columns),
+        address(contiguous(scale)),
+        address(powers),
+        address(np.array(bias, dtype=np.float64)),
+        address(total),
+    )
+    return total

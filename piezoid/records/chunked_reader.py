@@ -23,7 +23,7 @@ from msgspec import structs
 
 from piezoid.errors import LabFileError, RecordingError
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.columns import Assignment, assign_columns
 from piezoid.records.ingest import ingest_table, parts_of
 from piezoid.records.lab import Lab, RecordingEntry

@@ -5,7 +5,7 @@ from math import sqrt
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.recording import Recording
 
 NOISE_RANGE = 10.0  # standard deviations: a range that Gaussian noise does not reach

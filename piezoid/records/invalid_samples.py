@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from piezoid.numerics.arrays import Array, runs_of
-from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.sample_statistics import clipped_samples, step_size
 from piezoid.records.units import Unit
 from piezoid.statement import Statement, finding

@@ -3,7 +3,7 @@
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.robust import white_noise_rms
 
 NOISE_BAND = 6.0  # standard deviations; the reading of a constant drive stays within it
 MAX_SHARE = 0.2  # of the drive's range; without this limit a white drive would count as noise

@@ -23,8 +23,14 @@ from piezoid.design.specification import Specification
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import grid_Hz, polynomial_response, unit_circle
-from piezoid.numerics.polynomial import product, spectral_radius, total
+from piezoid.numerics.polynomial import (
+    grid_Hz,
+    polynomial_response,
+    product,
+    spectral_radius,
+    total,
+    unit_circle,
+)
 
 _FILTER_SAMPLES = 2.0  # time constant of the filter of D
 _DECAY = float(np.exp(-1.0 / _FILTER_SAMPLES))

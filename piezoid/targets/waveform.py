@@ -19,7 +19,7 @@ from piezoid.export.c_header import plain_ascii
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import polynomial_response, unit_circle
+from piezoid.numerics.polynomial import polynomial_response, unit_circle
 from piezoid.targets.target_inputs import (
     SEED,
     ControllerHardware,

@@ -7,7 +7,7 @@ from piezoid.design.design_statements import error_parts_m, guaranteed_error_m, 
 from piezoid.design.lateral import describe_mode
 from piezoid.design.lateral_task import assumptions_of
 from piezoid.design.sensitivity import delay_limit, sensitivities
-from piezoid.numerics.frequency import decibel
+from piezoid.numerics.polynomial import decibel
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.page import Page

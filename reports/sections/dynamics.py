@@ -6,16 +6,16 @@ from numpy.typing import NDArray
 from piezoid.formatting import UNKNOWN
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.identification.dynamics.behind_hysteresis import (
+    excites_dynamics,
     measure_response,
     voltage_behind_hysteresis,
 )
-from piezoid.identification.dynamics.excitation import excites_dynamics
 from piezoid.identification.dynamics.fit_dynamics import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.fit_statements import DYNAMICS
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, ComplexArray
-from piezoid.numerics.frequency import decibel
+from piezoid.numerics.polynomial import decibel
 from piezoid.numerics.robust import NORMAL_95
 from piezoid_reports.chart import Canvas, Layer, axis_over
 from piezoid_reports.page import Page

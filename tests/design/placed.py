@@ -10,7 +10,7 @@ from piezoid.design.observer import (
     disturbance_model,
 )
 from piezoid.design.plant import Plant
-from piezoid.numerics.polynomial import trimmed
+from piezoid.numerics.polynomial import trim
 
 
 def plant_from_fraction(
@@ -20,7 +20,7 @@ def plant_from_fraction(
 
     B  leading zeros are the delay, b_0 = 0        A  monic, degree >= 1
     """
-    b, a = trimmed(B), trimmed(A)
+    b, a = trim(B), trim(A)
     order = len(a) - 1
     matrix = np.zeros((order, order))
     matrix[:, 0] = -a[1:]

@@ -11,8 +11,7 @@ from piezoid.design.observer import linear_controller
 from piezoid.design.plant import Section, plant_from_chain
 from piezoid.design.rst import feedback_poles, observer_poles
 from piezoid.design.sensitivity import closed_loop_polynomial
-from piezoid.numerics.frequency import response
-from piezoid.numerics.polynomial import product
+from piezoid.numerics.polynomial import product, response
 from tests.design.hysteretic import REACH_V, hysteresis, loop
 from tests.design.placed import place_observer
 from tests.design.rig import RATE_Hz, lateral_chain

@@ -13,7 +13,7 @@ from piezoid.errors import DesignError, LabFileError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.tunnelling.barrier_fit import GapLaw
 from piezoid.identification.tunnelling.confidence import Confidence
-from piezoid.identification.tunnelling.model import TunnellingModel
+from piezoid.identification.tunnelling.junction import TunnellingModel
 from piezoid.records.lab import Acquisition, Amplifier, Lab, Tunnelling
 from tests.design.junction_lab import LAB, loop_plant
 from tests.design.rig import RATE_Hz

@@ -19,8 +19,7 @@ from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel, Lag
-from piezoid.numerics.frequency import response
-from piezoid.numerics.polynomial import roots_of
+from piezoid.numerics.polynomial import response, roots_of
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.records.lab import Acquisition, Lab
 from tests.reports.known_stage import axis_model, stage_model

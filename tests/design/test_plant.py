@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.plant import Chain, PlantFamily, Section, plant_from_chain
-from piezoid.numerics.frequency import response
+from piezoid.numerics.polynomial import response
 from tests.design.placed import plant_from_fraction
 from tests.design.rig import LATERAL_m_per_V, RATE_Hz, lateral_chain, random_chain, vertical_chain
 

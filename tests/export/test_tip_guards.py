@@ -9,7 +9,7 @@ from msgspec import structs
 from piezoid.design.junction_task import vertical_task
 from piezoid.errors import LabFileError
 from piezoid.export.tip_guards import extension_m_per_V, tip_guards
-from piezoid.identification.tunnelling.model import TunnellingModel
+from piezoid.identification.tunnelling.junction import TunnellingModel
 from tests.design.junction_lab import LAB, loop_plant
 from tests.design.rig import NEPER_PER_V, RATE_Hz
 

@@ -18,7 +18,7 @@ from piezoid.identification.simulation import compare
 from piezoid.identification.store import LAYOUTS
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import student_quantile
-from piezoid.operators.preisach_bounds import farthest_apart_m
+from piezoid.operators.preisach_plays import farthest_apart_m
 from piezoid.record_json import from_json, to_json
 from piezoid.records.frames import from_arrays
 from piezoid.records.recording import Recording

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 
 from piezoid.errors import LabFileError
 from piezoid.identification.store import read_model, write_model
+from piezoid.identification.tunnelling.junction import join_barriers
 from piezoid.identification.tunnelling.loop_files import loops_of, period_of
-from piezoid.identification.tunnelling.model import join_barriers
 from piezoid.records.collection import collect
 from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, read_lab

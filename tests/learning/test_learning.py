@@ -17,7 +17,7 @@ from piezoid.learning.learn import (
     refuse_changed,
 )
 from piezoid.learning.period import learning_shares, play
-from piezoid.numerics.frequency import unit_circle
+from piezoid.numerics.polynomial import unit_circle
 from piezoid.records.frames import from_arrays
 from piezoid.verification.closed_loop import reference_range
 from piezoid.verification.plant import CustomResponse, lateral_plant

@@ -14,7 +14,7 @@ from piezoid.numerics.arrays import (
     spread_rows,
     strictly_increasing,
 )
-from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.robust import white_noise_rms
 
 
 def test_what_is_wrong_with_an_array_is_told_with_its_first_place() -> None:

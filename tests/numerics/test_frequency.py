@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.numerics.frequency import decibel, grid_Hz, response
+from piezoid.numerics.polynomial import decibel, grid_Hz, response
 
 RATE_Hz = 20e3
 

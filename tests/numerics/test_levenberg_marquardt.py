@@ -19,10 +19,10 @@ from piezoid.numerics.levenberg_marquardt import (
     NormalEquations,
     Rows,
     Rule,
-    eliminated,
+    eliminate,
     minimise,
 )
-from piezoid.numerics.triangle import empty_triangle, gather
+from piezoid.numerics.quadratic_program import empty_triangle, gather
 
 Residual = Callable[[Array], Array]
 EXACT = Rule(tolerance=1e-14, iterations=500, evaluations=5000)
@@ -212,17 +212,17 @@ def test_variable_projection_finds_a_sum_of_exponentials_by_its_two_rates() -> N
 
         @property
         def cost(self) -> float:
-            return float(np.sum(eliminated(self.columns, target).residual ** 2))
+            return float(np.sum(eliminate(self.columns, target).residual ** 2))
 
         def linearised(self) -> Rows:
-            at = eliminated(self.columns, target)
+            at = eliminate(self.columns, target)
             tangent, _ = at.across(-time[:, None] * self.columns[:, 1:] * at.coefficients[1:])
             return Rows(factor=-tangent, residual=at.residual)
 
     found = minimise(
         Projected, np.array([0.01, 0.02]), (np.zeros(2), np.full(2, np.inf)), rule=EXACT
     )
-    at = eliminated(found.point.columns, target)
+    at = eliminate(found.point.columns, target)
     assert found.point.cost == pytest.approx(5.46489e-5, rel=1e-5)
     np.testing.assert_allclose(np.sort(found.x), [0.01287, 0.02212], rtol=1e-3)
     np.testing.assert_allclose(at.coefficients, [0.37541, 1.93585, -1.46469], rtol=2e-3)
@@ -233,7 +233,7 @@ def test_eliminated_coefficients_are_those_of_least_squares_and_say_how_they_mov
     rng: np.random.Generator,
 ) -> None:
     columns, target = rng.normal(size=(30, 3)) * [1e-3, 1.0, 1e3], rng.normal(size=30)
-    at = eliminated(columns, target)
+    at = eliminate(columns, target)
     np.testing.assert_allclose(at.coefficients, np.linalg.lstsq(columns, target)[0], rtol=1e-9)
     np.testing.assert_allclose(at.residual, target - columns @ at.coefficients, atol=1e-12)
     np.testing.assert_allclose(at.root @ at.root.T, np.linalg.inv(columns.T @ columns), rtol=1e-8)
@@ -242,7 +242,7 @@ def test_eliminated_coefficients_are_those_of_least_squares_and_say_how_they_mov
     np.testing.assert_allclose(columns.T @ across, 0.0, atol=1e-7)
     np.testing.assert_allclose(across, tangent + columns @ moves, atol=1e-12)
     with pytest.raises(np.linalg.LinAlgError, match="smallest pivot"):
-        eliminated(columns[:, [0, 1, 0]], target)
+        eliminate(columns[:, [0, 1, 0]], target)
 
 
 def test_a_prior_is_rows_like_any_others() -> None:
@@ -429,4 +429,4 @@ def test_columns_that_are_nearly_dependent_are_solved_for(rng: np.random.Generat
     columns = rng.normal(size=(30, 2))
     columns = np.column_stack([columns, columns[:, 0] + 1e-10 * rng.normal(size=30)])
     target = columns @ np.array([1.0, 2.0, 3.0])
-    np.testing.assert_allclose(eliminated(columns, target).residual, 0.0, atol=1e-12)
+    np.testing.assert_allclose(eliminate(columns, target).residual, 0.0, atol=1e-12)

@@ -14,9 +14,10 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import (
     bounded_step,
     constrained_least_squares,
+    empty_triangle,
+    gather,
     stationarity,
 )
-from piezoid.numerics.triangle import empty_triangle, gather
 from piezoid.operators.play import play_columns
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import response
+from piezoid.numerics.polynomial import response
 from piezoid.numerics.zero_order_hold import fraction, hold_matrices, realised, sample
 from piezoid.operators.linear import DiscreteSystem
 

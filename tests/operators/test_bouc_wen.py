@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from piezoid.operators.bouc_wen import bouc_wen_states
+from piezoid.operators.wide_hysteresis import bouc_wen_states
 
 
 def solved(drive: np.ndarray, beta: float, gamma: float, exponent: float) -> float:

@@ -6,9 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from piezoid.operators.friction import friction_states
 from piezoid.operators.library import address
-from piezoid.operators.polynomials import sum_of_polynomials
+from piezoid.operators.wide_hysteresis import friction_states, sum_of_polynomials
 
 REACH = np.array([0.05, 0.4, 3.0])
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.filters import FirstOrder
-from piezoid.operators.ladder import ladder
+from piezoid.operators.filters import FirstOrder, ladder
 
 RATE_Hz = 500.0
 TIMES_s = (1e-4, 0.02, 0.7, 90.0)

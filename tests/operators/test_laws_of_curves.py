@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones, from_slopes
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from piezoid.operators.worst_case import worst_case
+from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii, worst_case
 from tests.operators.strategies import (
     GRID,
     REACH,

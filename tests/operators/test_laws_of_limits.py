@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.bouc_wen import bouc_wen_states
+from piezoid.operators.filters import activated, slewed
 from piezoid.operators.library import KERNELS, address
-from piezoid.operators.limits import activated, slewed
+from piezoid.operators.wide_hysteresis import bouc_wen_states
 from tests.operators.strategies import GRID, REACH, drives
 
 SIXTEENTHS = st.integers(1, 64).map(lambda steps: steps / GRID)

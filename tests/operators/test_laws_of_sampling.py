@@ -34,8 +34,7 @@ def chains(draw: st.DrawFn, delay: bool = True) -> ContinuousSystem:
         if kind == "lag":
             parts.append(first_order(frequency_Hz))
         elif kind == "mode":
-            damping, rate_gain = draw(st.floats(0.005, 2.0)), draw(st.sampled_from([0.0, 1e-5]))
-            parts.append(resonance(frequency_Hz, damping, rate_gain))
+            parts.append(resonance(frequency_Hz, draw(st.floats(0.005, 2.0))))
         else:
             parts.append(butterworth(draw(st.integers(1, 5)), frequency_Hz))
     whole = cascade(*parts)
@@ -83,7 +82,7 @@ def test_sampling_keeps_the_gain_at_rest_and_maps_every_pole(system: ContinuousS
     found = np.linalg.eigvals(sampled.A)
     assert np.abs(found[:, None] - poles).min(axis=0).max() < 1e-5  # double poles lose half
     late = len(found) - len(poles)
-    assert late == np.ceil(round(system.delay_s * RATE_Hz, 6))
+    assert late == np.ceil(system.delay_s * RATE_Hz - 1e-9)  # less of a sample is rounding
     outputs, state = sampled.run(np.zeros(4), np.zeros(len(found)))
     assert not outputs.any()
     assert not state.any()

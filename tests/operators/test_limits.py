@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.operators.limits import activated, slewed
+from piezoid.operators.filters import activated, slewed
 
 
 def test_of_a_signal_without_samples_none_is_read() -> None:

@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from piezoid.operators.preisach_bounds import farthest_apart_m, farthest_from_line_m, slope_ratios
-from piezoid.operators.preisach_plays import PreisachPlays
-from piezoid.operators.worst_case import worst_case
+from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii, worst_case
+from piezoid.operators.preisach_plays import (
+    PreisachPlays,
+    farthest_apart_m,
+    farthest_from_line_m,
+    slope_ratios,
+)
 
 REACH_V = 8.0
 PLAYS, EDGES, STEPS = 8, 5, 4

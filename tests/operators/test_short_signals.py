@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.dead_zone import from_slopes
-from piezoid.operators.filters import first_order, lagged, later, relaxed
-from piezoid.operators.friction import friction_states
-from piezoid.operators.ladder import ladder
+from piezoid.operators.filters import first_order, ladder, lagged, later, relaxed
 from piezoid.operators.linear import butterworth, recursive_filter, resonance, sample
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns, turns_of
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from piezoid.operators.wide_hysteresis import HysteresisStates, class_columns
+from piezoid.operators.wide_hysteresis import (
+    HysteresisStates,
+    bouc_wen_states,
+    class_columns,
+    friction_states,
+)
 
 SIGNALS = {
     "none": np.zeros(0),

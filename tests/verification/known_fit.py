@@ -6,7 +6,7 @@ from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.dynamics.bandwidth import unmeasured
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import Lag
-from piezoid.identification.tunnelling.model import TunnellingModel
+from piezoid.identification.tunnelling.junction import TunnellingModel
 from tests.design.junction_lab import loop_plant
 from tests.reports.known_stage import axis_model
 from tests.verification.rig import lateral_parameters

@@ -23,7 +23,7 @@ from piezoid.identification.extensions import (
 from piezoid.identification.extensions.extension import Where
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import Lag
-from piezoid.operators.limits import slewed
+from piezoid.operators.filters import slewed
 from piezoid.runtime.library import complete
 from piezoid.runtime.schema import MAX_RELAXATIONS
 from piezoid.verification.closed_loop import run_axis

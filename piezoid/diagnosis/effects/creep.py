@@ -43,8 +43,7 @@ from piezoid.diagnosis.signals import with_added, with_extension
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
-from piezoid.operators.filters import first_order
-from piezoid.operators.ladder import ladder
+from piezoid.operators.filters import first_order, ladder
 from piezoid.records.recording import Recording
 
 RUNGS = 8  # of a creep ladder in the model: as many as the runtime has

@@ -37,7 +37,7 @@ from piezoid.diagnosis.signals import (
 from piezoid.identification.extensions.cross_axis import CrossAxis
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.recording import Quantity, Recording
 
 NAME = "cross_coupling"

@@ -42,7 +42,7 @@ from piezoid.identification.extensions.mains_lines import (
     visible_harmonics,
 )
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.recording import Recording
 
 PLACEBOS_Hz = (41.7, 46.3, 53.9, 56.1, 63.7, 66.9)

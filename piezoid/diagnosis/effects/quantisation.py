@@ -29,7 +29,7 @@ from piezoid.diagnosis.effect import Effect, Fault, FaultTest
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import step_size
 

@@ -33,8 +33,7 @@ from piezoid.diagnosis.signals import added_percent, with_displacement
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.rate_dependence import RateDependence
 from piezoid.numerics.arrays import Array
-from piezoid.operators.filters import relaxed
-from piezoid.operators.limits import activated
+from piezoid.operators.filters import activated, relaxed
 from piezoid.records.recording import Recording
 
 LINEAR_STRAIN = (

@@ -28,7 +28,7 @@ from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement, zero_columns
 from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.numerics.arrays import Array
-from piezoid.operators.limits import slewed
+from piezoid.operators.filters import slewed
 from piezoid.records.recording import Recording
 
 SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.92)  # of the fastest drive

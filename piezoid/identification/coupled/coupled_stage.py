@@ -20,23 +20,6 @@ SETTLING = 3.0  # time constants of the slowest pole: 5 % of its share remain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Columns:
-    """Columns of a response, which real residues multiply.
-
-        h = w / (s - p),   p = w (-zeta + j sqrt(1 - zeta^2))
-        columns: (h + h~) / 2, j (h - h~) / 2, w_l / (s + w_l), 1
-
-    value        (lines, columns)   modes, modes again, lags, direct
-    by_frequency (2, lines, modes)  dh / d ln w, and dh~ / d ln w of the conjugate pole
-    by_damping   (2, lines, modes)  dh / d ln zeta, likewise
-    """
-
-    value: ComplexArray
-    by_frequency: ComplexArray
-    by_damping: ComplexArray
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ModalShape:
     """Poles that move with the level of the drive, and the delay.
 
@@ -51,12 +34,19 @@ class ModalShape:
     log_damping: Array
     delay_s: float
 
-    def columns(self, frequency_Hz: Array, lag_Hz: Array, coordinate: float) -> Columns:
-        """Return the columns at one level.
+    def columns(
+        self, frequency_Hz: Array, lag_Hz: Array, coordinate: float
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Return the columns of the response at one level, which real residues multiply.
+
+            h = w / (s - p),   p = w (-zeta + j sqrt(1 - zeta^2))
+            columns: (h + h~) / 2, j (h - h~) / 2, w_l / (s + w_l), 1
 
         frequency_Hz  (lines,)
         lag_Hz        (lags,)   corner frequencies of real poles
         coordinate    l of the level
+        returned      (lines, columns): modes, modes again, lags, direct; dh / d ln w and
+                      dh~ / d ln w of the conjugate pole, (2, lines, modes); likewise by ln zeta
         """
         log_frequency = self.log_frequency[0] + coordinate * self.log_frequency[1]
         log_damping = self.log_damping[0] + coordinate * self.log_damping[1]
@@ -69,12 +59,10 @@ class ModalShape:
         real = 2 * np.pi * lag_Hz
         direct = np.ones((len(s), 1), dtype=np.complex128)
         value = [(h + conjugate) / 2, 0.5j * (h - conjugate), real / (s + real), direct]
-        return Columns(
-            value=np.concatenate(value, axis=1),
-            by_frequency=np.stack(
-                [h + h**2 * pole / w, conjugate + conjugate**2 * pole.conj() / w]
-            ),
-            by_damping=np.stack([h**2 * slope / w, conjugate**2 * slope.conj() / w]),
+        return (
+            np.concatenate(value, axis=1),
+            np.stack([h + h**2 * pole / w, conjugate + conjugate**2 * pole.conj() / w]),
+            np.stack([h**2 * slope / w, conjugate**2 * slope.conj() / w]),
         )
 
     def response(
@@ -84,7 +72,7 @@ class ModalShape:
 
         residues  (2, columns, outputs, inputs)  at the centre, and the change to the largest level
         """
-        columns = self.columns(frequency_Hz, lag_Hz, coordinate).value
+        columns, _, _ = self.columns(frequency_Hz, lag_Hz, coordinate)
         at_level = residues[0] + coordinate * residues[1]
         return np.asarray(np.einsum("fc,coi->foi", columns, at_level))
 

@@ -22,7 +22,6 @@ from scipy.ndimage import uniform_filter1d
 
 from piezoid.errors import ExcitationError, IdentificationError
 from piezoid.identification.coupled.coupled_stage import (
-    Columns,
     CoupledStage,
     ModalShape,
     level_coordinate,
@@ -79,16 +78,6 @@ class LevelSpectra:
             weight=1.0 / (np.abs(response) ** 2).sum(axis=(0, 1)),
         )
 
-    def without(self, realisation: int) -> "LevelSpectra":
-        """Return the spectra of all realisations but one."""
-        remaining = np.arange(len(self.weight)) != realisation
-        return replace(
-            self,
-            drive=self.drive[..., remaining],
-            displacement=self.displacement[..., remaining],
-            weight=self.weight[remaining],
-        )
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModalProblem:
@@ -115,15 +104,6 @@ class ModalProblem:
         """1 if all data have one level, 2 if parameters change with the level."""
         return 1 if len(self.levels) == 1 else 2
 
-    def coordinate(self, level: LevelSpectra) -> float:
-        """Return the position of a level between the smallest, -1, and the largest, 1."""
-        return level_coordinate(level.level_V, self.levels_V)
-
-    def pack(self, shape: ModalShape) -> Array:
-        """Return the parameter vector of a shape."""
-        poles = np.stack([shape.log_frequency, shape.log_damping], axis=1)[: self.orders]
-        return np.append(poles.ravel(), shape.delay_s * self.rate_Hz)
-
     def unpack(self, x: Array) -> ModalShape:
         """Return the shape of a parameter vector."""
         poles = np.zeros((2, 2, self.modes))
@@ -134,22 +114,20 @@ class ModalProblem:
             delay_s=float(x[-1]) / self.rate_Hz,
         )
 
-    def bounds(self, start: Array) -> tuple[Array, Array, Array]:
-        """Return lower and upper bounds and the longest step: no pole passes its neighbour."""
-        count = len(start) - 1
-        reach = np.append(np.repeat([0.2, 3.0, 0.05, 1.0], self.modes)[:count], 10.0)
-        longest = np.append(np.tile(np.repeat([0.03, 0.4], self.modes), self.orders), 0.3)
-        upper = start + reach
-        upper[self.modes : 2 * self.modes] = np.log(MAX_DAMPING)
-        return np.minimum(start - reach, upper), upper, longest
-
 
 def fit_modal_sum(
     problem: ModalProblem, start: ModalShape, rule: Rule
 ) -> tuple[ModalShape, Array]:
     """Minimise the cost from a start; return shape and residues (2, columns, outputs, inputs)."""
-    x = problem.pack(start)
-    lower, upper, longest = problem.bounds(x)
+    modes, orders = problem.modes, problem.orders
+    poles = np.stack([start.log_frequency, start.log_damping], axis=1)[:orders]
+    x = np.append(poles.ravel(), start.delay_s * problem.rate_Hz)
+    # No pole passes its neighbour.
+    reach = np.append(np.repeat([0.2, 3.0, 0.05, 1.0], modes)[: len(x) - 1], 10.0)
+    longest = np.append(np.tile(np.repeat([0.03, 0.4], modes), orders), 0.3)
+    upper = x + reach
+    upper[modes : 2 * modes] = np.log(MAX_DAMPING)
+    lower = np.minimum(x - reach, upper)
     best = minimise(lambda x: Point(problem, x), x, (lower, upper), rule=rule, longest=longest)
     return problem.unpack(best.x), best.point.residues
 
@@ -158,7 +136,7 @@ def residual_spectra(
     problem: ModalProblem, level: LevelSpectra, shape: ModalShape, residues: Array
 ) -> ComplexArray:
     """Return the residual of one level, delay removed, (lines, outputs, realisations)."""
-    coordinate = problem.coordinate(level)
+    coordinate = level_coordinate(level.level_V, problem.levels_V)
     response = shape.response(level.frequency_Hz, problem.lag_Hz, coordinate, residues)
     advance = np.exp(2j * np.pi * level.frequency_Hz * shape.delay_s)[:, None, None]
     return np.asarray(advance * level.displacement - response @ level.drive)
@@ -168,11 +146,14 @@ def residual_spectra(
 class _WeightedLevel:
     """Weighted data and columns of one level at one shape, the delay removed from the data.
 
+    columns, by_frequency, by_damping  as ``ModalShape.columns``
     powers  (orders,)  factors of the residues: 1 and the coordinate of the level
     """
 
     frequency_Hz: Array
-    columns: Columns
+    columns: ComplexArray
+    by_frequency: ComplexArray
+    by_damping: ComplexArray
     drive: ComplexArray
     displacement: ComplexArray
     powers: Array
@@ -182,7 +163,7 @@ class _WeightedLevel:
 
         (A'A)_(ci, dk) = sum_f Re( conj(b_c) b_d sum_r conj(V_i) V_k ),   b columns, V the drive
         """
-        b = self.columns.value
+        b = self.columns
         count, inputs = b.shape[1], self.drive.shape[1]
         power = self.drive.conj() @ self.drive.transpose(0, 2, 1)
         gram = np.empty((count, inputs, count, inputs))
@@ -198,10 +179,10 @@ class _WeightedLevel:
         rows  (vectors, lines, outputs, realisations)  t
         """
         vectors, lines, outputs, _ = rows.shape
-        count, inputs = self.columns.value.shape[1], self.drive.shape[1]
+        count, inputs = self.columns.shape[1], self.drive.shape[1]
         by_input = np.matmul(rows, self.drive.conj().transpose(0, 2, 1))
         flat = by_input.transpose(1, 0, 2, 3).reshape(lines, -1)
-        products = (self.columns.value.conj().T @ flat).real
+        products = (self.columns.conj().T @ flat).real
         products = products.reshape(count, vectors, outputs, inputs).transpose(0, 3, 2, 1)
         products = products.reshape(count * inputs, outputs, vectors)
         return np.concatenate([power * products for power in self.powers])
@@ -214,12 +195,15 @@ class Point:
         self.problem, shape = problem, problem.unpack(x)
         self.levels = []
         for level in problem.levels:
-            f, coordinate = level.frequency_Hz, problem.coordinate(level)
+            f, coordinate = level.frequency_Hz, level_coordinate(level.level_V, problem.levels_V)
             root = np.sqrt(level.weight)
             advance = np.exp(2j * np.pi * f * shape.delay_s)[:, None, None]
+            columns, by_frequency, by_damping = shape.columns(f, problem.lag_Hz, coordinate)
             weighted = _WeightedLevel(
                 frequency_Hz=f,
-                columns=shape.columns(f, problem.lag_Hz, coordinate),
+                columns=columns,
+                by_frequency=by_frequency,
+                by_damping=by_damping,
                 drive=level.drive * root,
                 displacement=level.displacement * root * advance,
                 powers=np.array([1.0, coordinate])[: problem.orders],
@@ -240,7 +224,7 @@ class Point:
         self.residues[: problem.orders] = by_order.transpose(0, 1, 3, 2)
         self.residuals = [
             level.displacement
-            - np.einsum("fc,coi->foi", level.columns.value, self._residues_at(level)) @ level.drive
+            - np.einsum("fc,coi->foi", level.columns, self._residues_at(level)) @ level.drive
             for level in self.levels
         ]
         self.cost = float(sum((np.abs(residual) ** 2).sum() for residual in self.residuals))
@@ -251,10 +235,26 @@ class Point:
 
     def linearised(self) -> NormalEquations:
         """Return the projected normal equations, in Kaufman's form."""
-        gram, slope = np.zeros(()), np.zeros(())
+        modes, gram, slope = self.problem.modes, np.zeros(()), np.zeros(())
         inner, penalised = np.zeros(()), np.zeros(())
         for level, residual in zip(self.levels, self.residuals, strict=True):
-            tangents = self._tangents(level)
+            # Derivatives of the model, (parameters, lines, outputs, realisations).
+            real = self._residues_at(level)
+            residues = real[:modes] + 1j * real[modes : 2 * modes]
+            by_pole = np.stack(
+                [
+                    0.5
+                    * (direct[:, m, None, None] * R + conjugate[:, m, None, None] * R.conj())
+                    @ level.drive
+                    for direct, conjugate in (level.by_frequency, level.by_damping)
+                    for m, R in enumerate(residues)
+                ]
+            )
+            by_sample = -2j * np.pi * level.frequency_Hz[:, None, None] / self.problem.rate_Hz
+            by_delay = (by_sample * level.displacement)[None]
+            tangents = np.ascontiguousarray(
+                np.concatenate([*(power * by_pole for power in level.powers), by_delay])
+            )
             flat = tangents.reshape(len(tangents), -1).view(np.float64)
             gram = gram + flat @ flat.T
             slope = slope - flat @ residual.reshape(-1).view(np.float64)
@@ -268,24 +268,6 @@ class Point:
             slope=np.asarray(slope + np.einsum("aon,ao->n", solution, penalised)),
             cost=self.cost,
         )
-
-    def _tangents(self, level: _WeightedLevel) -> ComplexArray:
-        """Return the derivatives of the model, (parameters, lines, outputs, realisations)."""
-        modes, real = self.problem.modes, self._residues_at(level)
-        residues = real[:modes] + 1j * real[modes : 2 * modes]
-        by_pole = np.stack(
-            [
-                0.5
-                * (direct[:, m, None, None] * R + conjugate[:, m, None, None] * R.conj())
-                @ level.drive
-                for direct, conjugate in (level.columns.by_frequency, level.columns.by_damping)
-                for m, R in enumerate(residues)
-            ]
-        )
-        by_sample = -2j * np.pi * level.frequency_Hz[:, None, None] / self.problem.rate_Hz
-        by_delay = (by_sample * level.displacement)[None]
-        tangents = [*(power * by_pole for power in level.powers), by_delay]
-        return np.ascontiguousarray(np.concatenate(tangents))
 
 
 @on_one_thread
@@ -317,7 +299,15 @@ def fit_coupled(
     fits = [(shape, residues)] * count
     if is_left_out:
         for r in range(count):
-            remaining = tuple(level.without(r) for level in problem.levels)
+            remaining = tuple(
+                replace(
+                    level,
+                    drive=np.delete(level.drive, r, axis=2),
+                    displacement=np.delete(level.displacement, r, axis=2),
+                    weight=np.delete(level.weight, r),
+                )
+                for level in problem.levels
+            )
             fits[r] = fit_modal_sum(replace(problem, levels=remaining), shape, JACKKNIFE_RULE)
     errors_m = []
     for level in problem.levels:

@@ -1,8 +1,8 @@
 """Linear dynamics of an axis: modes, lags, delay and their intervals, behind its hysteresis.
 
-    with_dynamics(axis, recordings, response=...) -> AxisModel    the complete fit;
-    axis_dynamics.py estimate_response(PeriodicData) -> FrequencyResponse          response of
-    periodic data fit_dynamics(FrequencyResponse, Structure, ...) -> LinearDynamics
+    with_dynamics(axis, recordings, response=...) -> AxisModel    complete fit; axis_dynamics.py
+    estimate_response(PeriodicData) -> FrequencyResponse          response of periodic data
+    fit_dynamics(FrequencyResponse, Structure, ...) -> LinearDynamics
     fit_response(FrequencyResponseRecord, ...)                    response from a file
     distortion_of(recordings, axis)                               distortion at lines without drive
 

@@ -16,9 +16,9 @@ from piezoid.identification.dynamics.bandwidth import (
 )
 from piezoid.identification.dynamics.behind_hysteresis import (
     measure_response,
+    most_exciting,
     voltage_behind_hysteresis,
 )
-from piezoid.identification.dynamics.excitation import most_exciting
 from piezoid.identification.dynamics.fit_dynamics import (
     fit_dynamics,
     is_identifiable,
@@ -27,7 +27,7 @@ from piezoid.identification.dynamics.fit_dynamics import (
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.joint_fit import fit_jointly
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
+from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Hold, Structure
 from piezoid.identification.dynamics.response_validation import validate_response
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
@@ -71,10 +71,24 @@ def quasi_static(
         return tuple(recordings), ()
     if not resolved_modes(dynamics).any():
         return tuple(recordings), ()
-    static = tuple(r for r in recordings if _mode_share(r, axis, dynamics) <= QUASI_STATIC)
+    # Terms of the linear fit that imitate hysteresis at low frequency are not resolved modes.
+    peak = np.abs(dynamics.mode_gain_m_per_V) / dynamics.mode_damping
+    strongest = int(np.where(resolved_modes(dynamics), peak, -1.0).argmax())
+    damping = dynamics.mode_damping[strongest]
+    static = []
+    for recording in recordings:
+        drive = recording.voltage_V(axis)
+        level = drive - drive.mean()
+        frequency_Hz = np.fft.rfftfreq(len(level), 1.0 / recording.sampling_rate_Hz)
+        x = frequency_Hz / dynamics.mode_frequency_Hz[strongest]
+        change = np.abs(1.0 / (1.0 - x**2 + 2j * damping * x)) - 1.0
+        power = np.abs(np.fft.rfft(level * np.hanning(len(level)))) ** 2
+        share = np.sqrt((change**2 * power).sum() / max(power.sum(), 1e-300))
+        if share <= QUASI_STATIC:
+            static.append(recording)
     if not static:
         return tuple(recordings), ()
-    return static, tuple(r for r in recordings if r not in static)
+    return tuple(static), tuple(r for r in recordings if r not in static)
 
 
 def with_dynamics(
@@ -104,8 +118,16 @@ def with_dynamics(
     )
     if response is None:
         return _with_recorded_dynamics(axis, recordings, stated_Hz)
-    declared = _declared(axis.rig)
-    validated = validate_response(axis, response, declared, _recorded_dynamics(axis, recordings))
+    declared, recorded = _declared(axis.rig), None
+    recording = most_exciting(recordings, axis.axis)
+    if recording is not None:
+        drive_V = voltage_behind_hysteresis(axis, recording)
+        try:
+            dynamics = _best_fit(measure_response(drive_V, recording, axis.axis), axis.rig)
+            recorded = (dynamics, recording.name) if is_determined(dynamics) else None
+        except (ExcitationError, IdentificationError):
+            pass  # the recordings do not determine the dynamics
+    validated = validate_response(axis, response, declared, recorded)
     if isinstance(validated, str):
         return _with_recorded_dynamics(_with_remarks(axis, validated), recordings, stated_Hz)
     text, dynamics, measured, record = validated
@@ -113,7 +135,7 @@ def with_dynamics(
     verdict = decide_bandwidth(
         measured,
         Declaration(hold="band_limited", filters=declared),
-        delay_s=_delay_interval_s(axis),
+        delay_s=dynamics.delay_interval_s().tolist(),
         stated_Hz=stated_Hz,
     )
     return _with_bandwidth(axis, verdict)
@@ -135,13 +157,6 @@ def _with_bandwidth(axis: AxisModel, verdict: BandwidthVerdict) -> AxisModel:
     return _with_remarks(axis, verdict.text)
 
 
-def _delay_interval_s(axis: AxisModel) -> tuple[float, float]:
-    if axis.dynamics is None:
-        return UNKNOWN_DELAY_s
-    low_s, high_s = axis.dynamics.delay_interval_s().tolist()
-    return low_s, high_s
-
-
 def is_determined(dynamics: LinearDynamics) -> bool:
     """Return whether the fit explains its lines and all its parameters are identifiable.
 
@@ -149,41 +164,6 @@ def is_determined(dynamics: LinearDynamics) -> bool:
     response without features meets neither condition, however small its residual.
     """
     return dynamics.cost_ratio <= MAX_COST and is_identifiable(dynamics)
-
-
-def _mode_share(recording: Recording, axis: str, dynamics: LinearDynamics) -> float:
-    """Return the rms change of a drive by the strongest resolved mode, relative to its rms.
-
-    Terms of the linear fit that imitate hysteresis at low frequency are not resolved modes.
-    """
-    drive = recording.voltage_V(axis)
-    level = drive - drive.mean()
-    frequency_Hz = np.fft.rfftfreq(len(level), 1.0 / recording.sampling_rate_Hz)
-    peak = np.abs(dynamics.mode_gain_m_per_V) / dynamics.mode_damping
-    strongest = int(np.where(resolved_modes(dynamics), peak, -1.0).argmax())
-    x = frequency_Hz / dynamics.mode_frequency_Hz[strongest]
-    damping = dynamics.mode_damping[strongest]
-    change = np.abs(1.0 / (1.0 - x**2 + 2j * damping * x)) - 1.0
-    power = np.abs(np.fft.rfft(level * np.hanning(len(level)))) ** 2
-    return float(np.sqrt((change**2 * power).sum() / max(power.sum(), 1e-300)))
-
-
-def _measured(axis: AxisModel, recording: Recording) -> FrequencyResponse:
-    return measure_response(voltage_behind_hysteresis(axis, recording), recording, axis.axis)
-
-
-def _recorded_dynamics(
-    axis: AxisModel, recordings: Sequence[Recording]
-) -> tuple[LinearDynamics, str] | None:
-    """Return the dynamics determined by recordings, and the name of the fitted recording."""
-    recording = most_exciting(recordings, axis.axis)
-    if recording is None:
-        return None
-    try:
-        dynamics = _best_fit(_measured(axis, recording), axis.rig)
-    except (ExcitationError, IdentificationError):
-        return None
-    return (dynamics, recording.name) if is_determined(dynamics) else None
 
 
 def _with_recorded_dynamics(
@@ -195,7 +175,8 @@ def _with_recorded_dynamics(
         verdict = unmeasured(stated_Hz, "no recording is fast enough")
         return axis if stated_Hz is None else _with_bandwidth(axis, verdict)
     try:
-        measured = _measured(axis, recording)
+        drive_V = voltage_behind_hysteresis(axis, recording)
+        measured = measure_response(drive_V, recording, axis.axis)
     except ExcitationError as refusal:
         verdict = unmeasured(stated_Hz, f"{recording.name} contains {refusal.found}")
         return _with_bandwidth(_with_remarks(axis, f"no linear dynamics: {refusal}"), verdict)
@@ -203,7 +184,9 @@ def _with_recorded_dynamics(
     verdict = decide_bandwidth(
         measured,
         Declaration(filters=_declared(axis.rig)),
-        delay_s=_delay_interval_s(axis),
+        delay_s=(
+            UNKNOWN_DELAY_s if axis.dynamics is None else axis.dynamics.delay_interval_s().tolist()
+        ),
         stated_Hz=stated_Hz,
     )
     if obstacle:
@@ -227,12 +210,23 @@ def _with_fit(
         dynamics = _best_fit(measured, axis.rig)
     except (ExcitationError, IdentificationError) as refusal:
         return axis, f"{refusal.found}, needed {refusal.needed}"
-    if not is_determined(dynamics):
-        return axis, _obstacle(dynamics)
-    low_Hz, high_Hz = dynamics.band_Hz
+    low, high = (with_unit(edge_Hz, "Hz") for edge_Hz in dynamics.band_Hz)
+    band = f"between {low} and {high}"
+    # The conditions of ``is_determined``, one by one.
+    if dynamics.cost_ratio > MAX_COST:
+        text = (
+            f"{band} the best model misses the response by {np.sqrt(dynamics.cost_ratio):.2g} "
+            f"times its uncertainty, at most {np.sqrt(MAX_COST):.2g} times are accepted"
+        )
+        if dynamics.delay_s > 0.0:
+            return axis, text
+        return axis, f"{text}. Its delay lies on 0, as if the drive were not held between samples"
+    if not resolved_modes(dynamics).all():
+        return axis, f"the lines {band} do not determine frequency and damping of a mode"
+    if not is_identifiable(dynamics):
+        return axis, f"the pole lies far above the lines {band}"
     text = (
-        f"{recording.name}: linear dynamics were fitted behind the hysteresis from "
-        f"{with_unit(low_Hz, 'Hz')} to {with_unit(high_Hz, 'Hz')}"
+        f"{recording.name}: linear dynamics were fitted behind the hysteresis from {low} to {high}"
     )
     joint = fit_jointly(axis, dynamics, recording, recordings)
     if joint is None:
@@ -244,23 +238,6 @@ def _with_fit(
         return replace(_with_remarks(axis, text), dynamics=dynamics), ""
     axis = _with_remarks(axis, f"{text}, then jointly with it")
     return replace(axis, dynamics=joint_dynamics, joint=record), ""
-
-
-def _obstacle(dynamics: LinearDynamics) -> str:
-    """Return the first condition of ``is_determined`` that a fit does not meet."""
-    low, high = (with_unit(edge_Hz, "Hz") for edge_Hz in dynamics.band_Hz)
-    band = f"between {low} and {high}"
-    if dynamics.cost_ratio > MAX_COST:
-        text = (
-            f"{band} the best model misses the response by {np.sqrt(dynamics.cost_ratio):.2g} "
-            f"times its uncertainty, at most {np.sqrt(MAX_COST):.2g} times are accepted"
-        )
-        if dynamics.delay_s > 0.0:
-            return text
-        return f"{text}. Its delay lies on 0, as if the drive were not held between samples"
-    if not resolved_modes(dynamics).all():
-        return f"the lines {band} do not determine frequency and damping of a mode"
-    return f"the pole lies far above the lines {band}"
 
 
 def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
@@ -284,22 +261,22 @@ def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
     grid_Hz = np.geomspace(frequency_Hz[0], frequency_Hz[-1], MAX_LINES)
     nearest = np.abs(np.log(frequency_Hz[:, None] / grid_Hz)).argmin(axis=0)
     lines = measured.at_lines(usable[np.unique(nearest)])
-    with_hold = _simplest(lines, Declaration(filters=_declared(rig)))
-    if with_hold.delay_s > 0.0:
-        return with_hold
-    without_hold = _simplest(lines, Declaration(hold="band_limited", filters=_declared(rig)))
-    return min(with_hold, without_hold, key=lambda fit: fit.cost_ratio)
-
-
-def _simplest(lines: FrequencyResponse, declaration: Declaration) -> LinearDynamics:
-    fits = [
-        fit_dynamics(lines, structure, declaration)
-        for structure in STRUCTURES
-        if 4 * (structure.columns + structure.shapes) <= 2 * len(lines.frequency_Hz)
-    ]
-    fits = [fit for fit in fits if is_determined(fit)] or fits
-    lowest_cost = min(fit.cost_ratio for fit in fits)
-    return next(fit for fit in fits if fit.cost_ratio <= max(1.0, EQUAL_COST * lowest_cost))
+    fits_by_hold = []
+    holds: tuple[Hold, ...] = ("zero_order", "band_limited")
+    for hold in holds:
+        declaration = Declaration(hold=hold, filters=_declared(rig))
+        fits = [
+            fit_dynamics(lines, structure, declaration)
+            for structure in STRUCTURES
+            if 4 * (structure.columns + structure.shapes) <= 2 * len(lines.frequency_Hz)
+        ]
+        fits = [fit for fit in fits if is_determined(fit)] or fits
+        lowest_cost = min(fit.cost_ratio for fit in fits)
+        accepted = max(1.0, EQUAL_COST * lowest_cost)
+        fits_by_hold.append(next(fit for fit in fits if fit.cost_ratio <= accepted))
+        if fits_by_hold[0].delay_s > 0.0:
+            break
+    return min(fits_by_hold, key=lambda fit: fit.cost_ratio)
 
 
 def _declared(rig: Rig) -> tuple[Filter, ...]:

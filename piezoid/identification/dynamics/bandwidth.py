@@ -1,5 +1,6 @@
 """Bandwidth verdict: whether a first-order pole or a resonance limits the stage."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -74,7 +75,7 @@ def decide_bandwidth(
     measured: FrequencyResponse,
     declaration: Declaration,
     *,
-    delay_s: tuple[float, float] = UNKNOWN_DELAY_s,
+    delay_s: Sequence[float] = UNKNOWN_DELAY_s,
     stated_Hz: float | None = None,
 ) -> BandwidthVerdict:
     """Decide by phase and peak whether a first-order pole or a resonance limits the stage.
@@ -124,6 +125,7 @@ def decide_bandwidth(
         delay_deg = 360.0 * fallen_Hz * (delay_s[1] - delay_s[0])
         interval = (phase_deg - half, max(min(phase_deg + delay_deg, 0.0), phase_deg) + half)
         kind = _kind(interval, bool(is_peak))
+    stated, remedy = _declared_and_remedy(stated_Hz)
     text = (
         f"{MEANING[kind]}: the largest gain is {ratio:.3g} times the gain at rest, at "
         f"{with_unit(peak_Hz, 'Hz')}"
@@ -139,7 +141,7 @@ def decide_bandwidth(
     else:
         text = (
             f"{UNDECIDED}: they end at {with_unit(f[-1], 'Hz')}, where the gain is still "
-            f"{gain[-1]:.2f} times that at rest. {_remedy(stated_Hz)}"
+            f"{gain[-1]:.2f} times that at rest. {remedy}"
         )
     return BandwidthVerdict(
         kind=kind,
@@ -149,7 +151,7 @@ def decide_bandwidth(
         peak_ratio=ratio,
         peak_Hz=peak_Hz,
         highest_Hz=float(f[-1]),
-        text=_stated(stated_Hz) + text,
+        text=stated + text,
     )
 
 
@@ -162,9 +164,9 @@ def unfitted(
     reason     why no dynamics could be fitted
     has_mode   whether the model has a mode that a diagnosis added
     """
-    stated_Hz = verdict.stated_Hz
+    declared, remedy = _declared_and_remedy(verdict.stated_Hz)
     if verdict.kind == "undecided":
-        advice = verdict.text if verdict.highest_Hz > 0.0 else _remedy(stated_Hz)
+        advice = verdict.text if verdict.highest_Hz > 0.0 else remedy
         text = f"{recording}: no resonance or pole could be fitted: {reason}. {advice}"
         return replace(verdict, text=text)
     feature, feature_Hz, size = "a first-order pole", verdict.fallen_Hz, ""
@@ -183,15 +185,16 @@ def unfitted(
         f": {reason}. The model {model}. Record a small chirp {chirp}, about 2 % of the range of "
         "the drive, at the rate of the controller or faster."
     )
-    return replace(verdict, text=_stated(stated_Hz) + text)
+    return replace(verdict, text=declared + text)
 
 
 def unmeasured(stated_Hz: float | None, reason: str) -> BandwidthVerdict:
     """Return an undecided verdict with its reason."""
+    declared, remedy = _declared_and_remedy(stated_Hz)
     return BandwidthVerdict(
         kind="undecided",
         stated_Hz=stated_Hz,
-        text=f"{_stated(stated_Hz)}{UNDECIDED}: {reason}. {_remedy(stated_Hz)}",
+        text=f"{declared}{UNDECIDED}: {reason}. {remedy}",
     )
 
 
@@ -204,14 +207,13 @@ def _kind(interval_deg: tuple[float, float], is_peak: bool) -> Kind:
     return "first_order" if low_deg > BETWEEN_deg else "undecided"
 
 
-def _stated(stated_Hz: float | None) -> str:
-    return "" if stated_Hz is None else f"lab.toml states a bandwidth of {stated_Hz:g} Hz. "
-
-
-def _remedy(stated_Hz: float | None) -> str:
+def _declared_and_remedy(stated_Hz: float | None) -> tuple[str, str]:
+    """Return a sentence with the declared bandwidth ('' without), and the recording to make."""
     if stated_Hz is None:
-        return "Record a small chirp until the gain has fallen, at the rate of the controller."
-    return (
+        return "", (
+            "Record a small chirp until the gain has fallen, at the rate of the controller."
+        )
+    return f"lab.toml states a bandwidth of {stated_Hz:g} Hz. ", (
         "Record a small chirp through that frequency, sampled at the rate of the controller or "
         "faster, at least at three times that frequency."
     )

@@ -100,15 +100,35 @@ class DetectionLines:
 def distortion_of(recordings: Sequence[Recording], axis: str) -> tuple[DetectionLines, ...]:
     """Return the detection lines of every odd multisine among the recordings.
 
-    recordings  any; recordings of other drives are skipped
+    recordings  any; those in which the axis alone is driven, without breaks, for three periods or
+                more, are grouped by their lines, one realisation each
     """
+    groups: dict[tuple[float, int, bytes], list[tuple[Recording, Repetition]]] = {}
+    for recording in recordings:
+        channels = [recording.find(q, axis) for q in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)]
+        if recording.breaks or None in channels:
+            continue
+        reach_V = float(np.ptp(recording.voltage_V(axis)))
+        is_alone = reach_V > 0.0 and all(
+            float(np.ptp(channel.values)) <= STILL * reach_V
+            for channel in recording.channels
+            if channel.quantity is Quantity.VOLTAGE and channel.axis != axis
+        )
+        repetition = find_repetition(recording.voltage_V(axis)) if is_alone else None
+        if repetition is None or repetition.periods < SETTLING + FEWEST:
+            continue
+        lines = _cut([(recording, repetition)], axis).excited_lines()
+        key = (recording.sampling_rate_Hz, repetition.period_samples, lines.tobytes())
+        groups.setdefault(key, []).append((recording, repetition))
     detected = []
-    for names, data in periodic_recordings(recordings, axis):
+    for group in groups.values():
+        data = _cut(group, axis)
         excited = data.excited_lines()
         if len(excited) < MIN_DRIVEN or (excited % 2 == 0).any():
             continue
         silent_odd = (excited[-1] - excited[0]) // 2 + 1 - len(excited)
         if silent_odd >= MIN_SILENT:
+            names = tuple(recording.name for recording, _ in group)
             detected.append(replace(detect_distortion(data), recordings=names))
     return tuple(detected)
 
@@ -136,53 +156,21 @@ def detect_distortion(data: PeriodicData) -> DetectionLines:
     drive, displacement = data.spectra(silent)
     residual = displacement - np.einsum("koi,kirp->korp", G, drive)
     spread = residual.var(axis=3, ddof=1).mean(axis=2) / periods
-    _, driven_spectra = data.spectra(excited)
+    _, driven = data.spectra(excited)
+    driven_m, amplitude_m = (
+        np.sqrt((np.abs(amplitude.mean(axis=3)) ** 2).mean(axis=2))
+        for amplitude in (driven, residual)
+    )
     return DetectionLines(
         driven_Hz=response.frequency_Hz,
-        driven_m=_rms_over_realisations(driven_spectra),
+        driven_m=driven_m,
         frequency_Hz=frequency_Hz,
         is_even=silent % 2 == 0,
-        amplitude_m=_rms_over_realisations(residual),
+        amplitude_m=amplitude_m,
         noise_m=np.sqrt(spread),
         drive_rms_V=response.drive_rms_V,
         realisations=realisations,
         periods=periods,
-    )
-
-
-def _rms_over_realisations(amplitude: NDArray[np.complex128]) -> Array:
-    return np.asarray(np.sqrt((np.abs(amplitude.mean(axis=3)) ** 2).mean(axis=2)))
-
-
-def periodic_recordings(
-    recordings: Sequence[Recording], axis: str
-) -> tuple[tuple[tuple[str, ...], PeriodicData], ...]:
-    """Return the recordings in which one axis alone is driven periodically, grouped by lines.
-
-    recordings  any; recordings with breaks or with fewer than three periods are skipped
-    returned    for each group the names, one realisation each, and its steady periods, linear
-                drift removed
-    """
-    groups: dict[tuple[float, int, bytes], list[tuple[Recording, Repetition]]] = {}
-    for recording in recordings:
-        channels = [recording.find(q, axis) for q in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)]
-        if recording.breaks or None in channels:
-            continue
-        reach_V = float(np.ptp(recording.voltage_V(axis)))
-        is_alone = reach_V > 0.0 and all(
-            float(np.ptp(channel.values)) <= STILL * reach_V
-            for channel in recording.channels
-            if channel.quantity is Quantity.VOLTAGE and channel.axis != axis
-        )
-        repetition = find_repetition(recording.voltage_V(axis)) if is_alone else None
-        if repetition is None or repetition.periods < SETTLING + FEWEST:
-            continue
-        lines = _cut([(recording, repetition)], axis).excited_lines()
-        key = (recording.sampling_rate_Hz, repetition.period_samples, lines.tobytes())
-        groups.setdefault(key, []).append((recording, repetition))
-    return tuple(
-        (tuple(recording.name for recording, _ in group), _cut(group, axis))
-        for group in groups.values()
     )
 
 

@@ -12,17 +12,16 @@ from numpy.typing import NDArray
 
 from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
-from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.modal import LinearDynamics, SlowPart
 from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
-from piezoid.identification.dynamics.records import SlowPart
 from piezoid.identification.dynamics.vector_fitting import (
-    stacked,
+    stack_parts,
     start_poles,
     vector_fit,
     weighted_misfit,
 )
-from piezoid.numerics.arrays import Array, ComplexArray
-from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, eliminated, minimise
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, eliminate, minimise
 
 # Half of ``enough`` is the gain in log likelihood: a tenth of a standard deviation.
 RULE = Rule(tolerance=0.0, enough=1e-2, evaluations=40)
@@ -147,11 +146,8 @@ def _start_shape(
     _, delay_s, poles = min(trials, key=lambda trial: trial[0])
     chain = (declared * np.exp(-s * scale * delay_s))[:, None]
     poles = vector_fit(s, flat / chain, w * np.abs(chain), poles, rounds=FINAL_ROUNDS)
-    return np.append(_shape_of_poles(poles * scale / (2 * np.pi), structure), delay_s)
-
-
-def _shape_of_poles(poles_Hz: ComplexArray, structure: Structure) -> Array:
-    """Return logarithms of modes and lags: pairs are modes, real poles lags or paired to modes."""
+    # Pairs of poles are modes; real poles are lags, and two of them a mode.
+    poles_Hz = poles * scale / (2 * np.pi)
     pairs = list(poles_Hz[poles_Hz.imag > 0])
     real = sorted(np.abs(poles_Hz[poles_Hz.imag == 0].real))
     lags = [real.pop(0) for _ in range(min(structure.lags, len(real)))]
@@ -164,9 +160,8 @@ def _shape_of_poles(poles_Hz: ComplexArray, structure: Structure) -> Array:
         frequency_Hz, _ = modes.pop(int(np.argmax([damping for _, damping in modes])))
         lags += [0.7 * frequency_Hz, 1.4 * frequency_Hz][: structure.lags - len(lags)]
     modes = sorted(modes)[: structure.modes]
-    frequency_Hz = np.array([f for f, _ in modes])
     damping = np.clip([z for _, z in modes], 1e-4, 10.0)
-    return np.asarray(np.log(np.concatenate([frequency_Hz, damping, lags])), dtype=np.float64)
+    return np.array([*np.log(np.concatenate([[f for f, _ in modes], damping, lags])), delay_s])
 
 
 class _Point:
@@ -177,8 +172,9 @@ class _Point:
         self.basis, self.shape, self.weight = basis, shape, weight
         columns = basis.columns(shape)
         try:
-            self.path = eliminated(
-                stacked(columns * weight[:, None]), stacked((response * weight)[:, None])[:, 0]
+            self.path = eliminate(
+                stack_parts(columns * weight[:, None]),
+                stack_parts((response * weight)[:, None])[:, 0],
             )
         except np.linalg.LinAlgError as error:
             raise IdentificationError(
@@ -194,7 +190,7 @@ class _Point:
         The sum of the scores is the negative slope of half the cost, with the gains eliminated.
         """
         derivatives = self.basis.derivatives(self.shape, STEP)
-        weighted = stacked((derivatives @ self.path.coefficients).T * self.weight[:, None])
+        weighted = stack_parts((derivatives @ self.path.coefficients).T * self.weight[:, None])
         tangent, gain_slope = self.path.across(weighted)
         scores = (tangent * self.path.residual[:, None]).reshape(2, len(self.weight), -1)
         return tangent.T @ tangent, scores.sum(axis=0), gain_slope
@@ -228,15 +224,16 @@ def _maximise_likelihood(measured: FrequencyResponse, basis: ModalBasis, shape: 
     ).point
 
 
-def _covariances(fit: _Point) -> tuple[Array, float]:
-    """Return the covariance of the shape, and the standard deviation of the gain at rest.
+def _linear_dynamics(measured: FrequencyResponse, fit: _Point) -> tuple[LinearDynamics, Array]:
+    """Return the fitted dynamics and the covariance of the whole shape.
 
-    For each parameter the larger of inverse curvature and sandwich over lines. The factors 0.5
-    follow from complex values of variance one, whose parts have variance one half.
+    The variance of each parameter is the larger of inverse curvature and sandwich over lines. The
+    factors 0.5 follow from complex values of variance one, whose parts have variance one half.
     """
+    basis, structure, gains = fit.basis, fit.basis.structure, fit.path.coefficients
     curvature, scores, gain_slope = fit.projected()
     lines = int((fit.weight > 0).sum())
-    spare = max(lines - (fit.basis.shapes + fit.basis.structure.columns) / 2, 1.0)
+    spare = max(lines - (basis.shapes + structure.columns) / 2, 1.0)
     excess = max(1.0, fit.cost / spare)
     scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
     inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-14, hermitian=True)
@@ -247,32 +244,25 @@ def _covariances(fit: _Point) -> tuple[Array, float]:
     wider = np.sqrt(np.maximum(ratio, 1.0))
     covariance = np.asarray(expected * np.outer(wider, wider))
     by_shape = gain_slope.sum(axis=0)
-    variance = 0.5 * excess * float(np.sum(fit.path.root.sum(axis=0) ** 2))
-    variance += float(by_shape @ covariance @ by_shape)
-    return covariance, float(np.sqrt(max(variance, 0.0)))
-
-
-def _linear_dynamics(measured: FrequencyResponse, fit: _Point) -> tuple[LinearDynamics, Array]:
-    """Return the fitted dynamics and the covariance of the whole shape."""
-    basis, structure, gains = fit.basis, fit.basis.structure, fit.path.coefficients
-    covariance, static_std = _covariances(fit)
+    static_variance = 0.5 * excess * float(np.sum(fit.path.root.sum(axis=0) ** 2))
+    static_variance += float(by_shape @ covariance @ by_shape)
     n = structure.shapes
     # Complex values minus half the real unknowns, times the mean of 1 / (estimated variance).
     freedom = measured.variance_freedom
     inflation = freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
-    spare = int((measured.weights() > 0).sum()) - (structure.columns + basis.shapes) / 2
+    expected_cost = (lines - (structure.columns + basis.shapes) / 2) * inflation
     dynamics = LinearDynamics(
         axis=measured.outputs[0],
         **sorted_terms(structure, fit.shape[:n], gains, covariance[:n, :n]),
         direct_gain_m_per_V=float(gains[-1]) if structure.direct else 0.0,
         declared=basis.declaration.filters,
-        static_gain_std_m_per_V=static_std,
+        static_gain_std_m_per_V=float(np.sqrt(max(static_variance, 0.0))),
         hold=basis.declaration.hold,
         sampling_rate_Hz=measured.sampling_rate_Hz,
         band_Hz=(float(measured.frequency_Hz[0]), float(measured.frequency_Hz[-1])),
         drive_rms_V=float(measured.drive_rms_V[0]),
         cost=fit.cost,
-        expected_cost=float(spare * inflation),
+        expected_cost=float(expected_cost),
     )
     return dynamics, covariance
 

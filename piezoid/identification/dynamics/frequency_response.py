@@ -287,14 +287,14 @@ def _output_variances(
         level = median_filter(quantity, (level_lines, 1), mode="mirror")
         is_interference &= quantity > limit * level
     is_usable = ~is_interference
-    share = smoothed(is_usable * (total - noise), width) / np.maximum(
-        smoothed(is_usable * power, width), np.finfo(float).tiny
+    share = smooth_lines(is_usable * (total - noise), width) / np.maximum(
+        smooth_lines(is_usable * power, width), np.finfo(float).tiny
     )
-    noise = smoothed(noise, width)
+    noise = smooth_lines(noise, width)
     variance = noise + np.maximum(share, 0.0) * power
     return variance, noise, float(width * draws), is_interference
 
 
-def smoothed(variance: Array, width: int) -> Array:
+def smooth_lines(variance: Array, width: int) -> Array:
     """Return the mean over an odd number of neighbouring lines, reflected at the ends."""
     return np.asarray(uniform_filter1d(variance, width, axis=0, mode="mirror"))

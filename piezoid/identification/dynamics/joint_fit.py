@@ -23,13 +23,11 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from piezoid.identification.dynamics.fit_dynamics import STEP, sorted_terms
-from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.modal import JointFit, LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
-from piezoid.identification.dynamics.records import JointFit
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, behind_pole
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, ComplexArray
-from piezoid.numerics.executor import Once
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
 from piezoid.numerics.robust import NORMAL_95
 from piezoid.operators.dead_zone import DeadZones
@@ -53,18 +51,6 @@ PARTS_QUANTILE = 2.2010  # Student's of eleven degrees of freedom, 95 %
 TINY = 1e-300
 
 
-def with_small_plays(threshold_V: Array, voltage_V: Array) -> Array:
-    """Return increasing thresholds: of the operator, and of plays smaller than a drive.
-
-    threshold_V  (plays,)    of the operator
-    voltage_V    (samples,)  of the recording that excites the modes
-    """
-    reach_V = 2.0 * float(np.median(np.abs(voltage_V - np.median(voltage_V))))
-    small_V = reach_V * np.array(SMALL_PLAYS)
-    distance_V = np.abs(small_V[:, None] - threshold_V).min(axis=1)
-    return np.unique(np.concatenate([threshold_V, small_V[distance_V > MIN_DISTANCE * reach_V]]))
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segment:
     """One uninterrupted segment of one recording.
@@ -84,18 +70,13 @@ class Segment:
     sensor: ComplexArray
     padded: int
 
-    @property
-    def samples(self) -> int:
-        """Number of samples of the segment."""
-        return len(self.measured_m)
-
     def spectrum(self, signals: Array) -> ComplexArray:
         """Return the padded spectra of signals minus their first samples, (..., lines)."""
         return np.asarray(rfft(signals - signals[..., :1], self.padded))
 
     def signal(self, spectrum: ComplexArray) -> Array:
         """Return the signal of a padded spectrum, (samples,)."""
-        return np.asarray(irfft(spectrum, self.padded))[: self.samples]
+        return np.asarray(irfft(spectrum, self.padded))[: len(self.measured_m)]
 
 
 def segments_of(
@@ -207,7 +188,11 @@ def fit_jointly(
         modes=len(dynamics.mode_frequency_Hz), lags=len(dynamics.lag_frequency_Hz)
     )
     coarse_V = axis.hysteresis.plays.threshold
-    threshold_V = with_small_plays(coarse_V, exciting.voltage_V(axis.axis))
+    exciting_V = exciting.voltage_V(axis.axis)
+    reach_V = 2.0 * float(np.median(np.abs(exciting_V - np.median(exciting_V))))
+    small_V = reach_V * np.array(SMALL_PLAYS)
+    small_V = small_V[np.abs(small_V[:, None] - coarse_V).min(axis=1) > MIN_DISTANCE * reach_V]
+    threshold_V = np.unique(np.concatenate([coarse_V, small_V]))
     segments = [
         segment
         for recording in recordings
@@ -309,15 +294,16 @@ class Layout:
             np.append(shares, 1.0 - shares.sum()),
         )
 
-    def simulate(self, theta: Array, segment: Segment) -> Array:
-        """Return the displacement of the model minus its first value, (samples,)."""
+    def residual(self, theta: Array, segment: Segment) -> Array:
+        """Return the measured minus the modelled displacement without its line, (samples,)."""
         weight, zones, shape, shares = self.split(theta)
         static_m = zones.run(weight @ segment.states_V)
         response = segment.sensor * (segment.basis.columns(shape) @ shares)
-        return segment.signal(response * segment.spectrum(static_m))
+        modelled_m = segment.signal(response * segment.spectrum(static_m))
+        return _without_line(segment.measured_m - modelled_m)
 
     def tangents(self, theta: Array, segment: Segment) -> Array:
-        """Return the derivatives of ``simulate``, (parameters, samples)."""
+        """Return the derivatives of the model without their lines, (parameters, samples)."""
         weight, zones, shape, shares = self.split(theta)
         inner = weight @ segment.states_V
         static_m, slope = zones.run_with_slope(inner)
@@ -329,7 +315,8 @@ class Layout:
         changes = [*by_shape, *(fractions[:, :-1] - fractions[:, -1:]).T]
         spectrum = segment.sensor * segment.spectrum(static_m)
         signals = [segment.signal(response * segment.spectrum(signal)) for signal in static]
-        return np.array([*signals, *(segment.signal(change * spectrum) for change in changes)])
+        signals += [segment.signal(change * spectrum) for change in changes]
+        return _without_line(np.array(signals))
 
 
 def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Array, list[Array]]:
@@ -351,12 +338,8 @@ def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Arr
     return theta, weights
 
 
-def _residual(layout: Layout, theta: Array, segment: Segment) -> Array:
-    return _without_line(segment.measured_m - layout.simulate(theta, segment))
-
-
 def _residual_rms(segments: Sequence[Segment], layout: Layout, theta: Array) -> tuple[float, ...]:
-    return tuple(float(np.std(_residual(layout, theta, segment))) for segment in segments)
+    return tuple(float(np.std(layout.residual(theta, segment))) for segment in segments)
 
 
 def _without_line(signals: Array) -> Array:
@@ -376,47 +359,40 @@ def _line_weights(
     if it had as many lines as the longest: its residual is an error of the operator rather than
     noise, and not independent in every line.
     """
-    longest = max(segment.samples for segment in segments)
+    longest = max(len(segment.measured_m) for segment in segments)
     updated = []
     for segment, previous in zip(segments, weights, strict=True):
-        power = np.abs(rfft(_residual(layout, theta, segment))) ** 2
+        power = np.abs(rfft(layout.residual(theta, segment))) ** 2
+        samples = len(segment.measured_m)
         lines = np.arange(len(power))
         band = np.floor(BANDS_PER_DECADE * np.log10(np.maximum(lines / BAND_LINES, 1.0)))
         band = band.astype(np.int64)
         count = np.bincount(band)
         mean, middle = np.bincount(band, power) / count, np.bincount(band, lines) / count
         weight = 1.0 / np.sqrt(np.maximum(np.interp(lines, middle, mean), TINY))
-        weight[0] = weight[lines > MAX_FREQUENCY * segment.samples] = 0.0
-        updated.append(np.maximum(np.sqrt(longest / segment.samples) * weight, previous))
+        weight[0] = weight[lines > MAX_FREQUENCY * samples] = 0.0
+        updated.append(np.maximum(np.sqrt(longest / samples) * weight, previous))
     return updated
 
 
-@dataclass(frozen=True, eq=False)
 class _Point:
     """Parameters and the weighted residual spectra of all segments."""
 
-    segments: Sequence[Segment]
-    layout: Layout
-    weights: Sequence[Array]
-    theta: Array
-
-    @Once
-    def errors(self) -> list[Array]:
-        return [
-            _weighted_lines(_residual(self.layout, self.theta, segment), weight)
-            for segment, weight in zip(self.segments, self.weights, strict=True)
+    def __init__(
+        self, segments: Sequence[Segment], layout: Layout, weights: Sequence[Array], theta: Array
+    ) -> None:
+        self.segments, self.layout, self.weights, self.theta = segments, layout, weights, theta
+        self.errors = [
+            _weighted_lines(layout.residual(theta, segment), weight)
+            for segment, weight in zip(segments, weights, strict=True)
         ]
-
-    @property
-    def cost(self) -> float:
-        return sum(float(error @ error) for error in self.errors)
+        self.cost = sum(float(error @ error) for error in self.errors)
 
     def linearised(self) -> NormalEquations:
         size = self.layout.size
         gram, slope = np.zeros((size, size)), np.zeros(size)
         for segment, weight, error in zip(self.segments, self.weights, self.errors, strict=True):
-            tangents = _without_line(self.layout.tangents(self.theta, segment))
-            J = _weighted_lines(tangents, weight)
+            J = _weighted_lines(self.layout.tangents(self.theta, segment), weight)
             gram += J @ J.T
             slope -= J @ error
         return NormalEquations(gram=gram, slope=slope, cost=self.cost)
@@ -447,11 +423,12 @@ def _covariance(
     for segment, weight in zip(segments, weights, strict=True):
         signals = np.vstack(
             [
-                _without_line(layout.tangents(theta, segment)),
-                _residual(layout, theta, segment),
+                layout.tangents(theta, segment),
+                layout.residual(theta, segment),
             ]
         )
-        whitened = irfft(rfft(signals) * weight, segment.samples) * np.sqrt(segment.samples)
+        samples = signals.shape[1]
+        whitened = irfft(rfft(signals) * weight, samples) * np.sqrt(samples)
         tangents, scores = whitened[:-1], whitened[:-1] * whitened[-1]
         curvature += tangents @ tangents.T
         edges = np.zeros((len(scores), NEIGHBOURS))

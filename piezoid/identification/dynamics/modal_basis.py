@@ -90,10 +90,12 @@ class Declaration:
 class ModalBasis:
     """Columns of the modal form at measured lines, which the gains multiply.
 
-    structure         of the model frequency_Hz      (lines,) sampling_rate_Hz  of converter and
-    sensor declaration       hold and declared filters between drive and sensor creep_from_Hz
-    frequency at which the slow part (f / from)^power e^(j phase), a factor of all
-                      columns, has gain one; None: no slow part
+    structure         of the model
+    frequency_Hz      (lines,)
+    sampling_rate_Hz  of converter and sensor
+    declaration       hold and declared filters between drive and sensor
+    creep_from_Hz     frequency at which the slow part (f / from)^power e^(j phase), a factor of
+                      all columns, has gain one; None: no slow part
 
     A shape is log frequencies of modes, log dampings, log frequencies of lags, delay; then power
     and phase of the slow part.
@@ -172,8 +174,8 @@ class ModalBasis:
             numerator = numerator * np.prod(-poles).real
             pole = np.hstack([pole, np.broadcast_to(poles, (len(shapes), len(poles)))])
             return sampled_fractions(
-                numerator[:, None, None], pole, delay_s, self.sampling_rate_Hz, self.frequency_Hz
-            )[:, :, 0]
+                numerator, pole, delay_s, self.sampling_rate_Hz, self.frequency_Hz
+            )
         s = 2j * np.pi * self.frequency_Hz
         factor = self._declared_response * np.exp(-s * delay_s[:, None])
         for pole_of_shape in pole.T:

@@ -27,10 +27,14 @@ from piezoid.identification.dynamics.fit_dynamics import (
     is_identifiable,
     resolved_modes,
 )
-from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smoothed
-from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smooth_lines
+from piezoid.identification.dynamics.modal import (
+    LinearDynamics,
+    MAX_LAG_deg,
+    MAX_SLOPE_dB,
+    SlowPart,
+)
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
-from piezoid.identification.dynamics.records import MAX_LAG_deg, MAX_SLOPE_dB, SlowPart
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.records.frequency_response import (
     MIN_COHERENCE,
@@ -297,22 +301,20 @@ def _variance(response: ComplexArray, residual: ComplexArray, coherence: Array |
     difference = 0.5 * np.abs(np.diff(residual)) ** 2
     power = np.abs(response) ** 2
 
-    def scale(shape: Array) -> float:
-        return max(float(np.mean(difference / (0.5 * (shape[1:] + shape[:-1])))), TINY)
-
-    def minus_log_likelihood(shape: Array) -> float:
-        """Return minus the mean log likelihood of the squared differences, scale eliminated."""
-        log_shape = np.log(0.5 * (shape[1:] + shape[:-1]))
-        return float(np.mean(log_shape)) + float(np.log(scale(shape)))
-
     if coherence is not None:
         share = (1.0 - coherence) / coherence
         width = min(COHERENCE_LINES, (len(share) - 1) // 2 * 2 + 1)
-        smooth = smoothed(share[:, None], width)[:, 0]
+        smooth = smooth_lines(share[:, None], width)[:, 0]
         floor = MIN_SHARE * float(np.median(smooth))
         shapes = [power * np.maximum(smooth, floor if floor > 0.0 else 1.0)]
     else:
         level = float(np.median(power))
         shapes = [*(ratio * level + power for ratio in NOISE_RATIOS), np.full(len(power), level)]
-    best = min(shapes, key=minus_log_likelihood)
-    return np.asarray(best * scale(best))
+    candidates = []
+    for shape in shapes:
+        between = 0.5 * (shape[1:] + shape[:-1])
+        scale = max(float(np.mean(difference / between)), TINY)
+        # Minus the mean log likelihood of the squared differences, with the scale eliminated.
+        cost = float(np.mean(np.log(between))) + float(np.log(scale))
+        candidates.append((cost, shape * scale))
+    return np.asarray(min(candidates, key=lambda candidate: candidate[0])[1])

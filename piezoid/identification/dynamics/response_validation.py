@@ -13,9 +13,8 @@ from piezoid.errors import ExcitationError, IdentificationError
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
-from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.modal import LinearDynamics, ResponseFit
 from piezoid.identification.dynamics.modal_basis import Filter
-from piezoid.identification.dynamics.records import ResponseFit
 from piezoid.identification.dynamics.response_fit import FittedResponse, fit_response
 from piezoid.identification.model import AxisModel
 from piezoid.records.frequency_response import FrequencyResponseRecord
@@ -37,9 +36,10 @@ def validate_response(
 ) -> tuple[str, LinearDynamics, FrequencyResponse, ResponseFit] | str:
     """Fit a measured response, and reject it if it contradicts the axis.
 
-    axis      with its hysteresis declared  poles of the rig recorded  dynamics determined by a
-    recording, and its name: if the modes agree, the gain is that
-              of the recording; if not, the response is rejected
+    axis      with its hysteresis
+    declared  poles of the rig
+    recorded  dynamics determined by a recording, and its name: if the modes agree, the gain is
+              that of the recording; if not, the response is rejected
 
     Returns:
         The result in a sentence, the dynamics, the fitted lines and the record of the fit; or the
@@ -158,7 +158,7 @@ def _strongest_Hz(dynamics: LinearDynamics) -> float:
 
 
 def _describe(fit: FittedResponse, record: ResponseFit) -> str:
-    """Describe band, modes, delay and slope, with their 95 % intervals."""
+    """Describe band, modes, delay and slope far below the modes, with their 95 % intervals."""
     dynamics = fit.dynamics
     low_Hz, high_Hz = dynamics.band_Hz
     gain = dynamics.static_gain_m_per_V
@@ -180,31 +180,27 @@ def _describe(fit: FittedResponse, record: ResponseFit) -> str:
     lines = f"{record.used} of {record.lines} lines used"
     if record.left_out_Hz:
         lines += f", {len(record.left_out_Hz)} left out as interference"
+    slope = "too few lines lie far below the first mode to show creep"
+    if (slow := fit.slow) is not None:
+        low, high = slow.slope_ci95
+        below = f"below {with_unit(slow.high_Hz, 'Hz')}"
+        change = (
+            f"{significant(slow.slope_dB, 2)} dB per decade ({_interval((low, high), '', 2)}) "
+            f"{below}"
+        )
+        slope = f"the gain changes by {change}, which is no creep and was not removed"
+        if slow.falls:
+            slope = (
+                f"{below} the gain falls by {significant(-slow.slope_dB, 2)} dB per decade "
+                f"({_interval((-high, -low), '', 2)}), like creep"
+            )
+        elif low <= 0.0 <= high:
+            slope = f"no creep was detected, {change}"
     return (
         f"{with_unit(low_Hz, 'Hz')} to {with_unit(high_Hz, 'Hz')} ({lines}): "
         f"{', '.join(modes + lags)}; delay {with_unit(dynamics.delay_s, 's')} "
-        f"({_interval(dynamics.delay_interval_s(), 's')}); {_describe_slope(fit)}"
+        f"({_interval(dynamics.delay_interval_s(), 's')}); {slope}"
     )
-
-
-def _describe_slope(fit: FittedResponse) -> str:
-    """Describe the response far below the first mode."""
-    slow = fit.slow
-    if slow is None:
-        return "too few lines lie far below the first mode to show creep"
-    low, high = slow.slope_ci95
-    below = f"below {with_unit(slow.high_Hz, 'Hz')}"
-    if slow.falls:
-        return (
-            f"{below} the gain falls by {significant(-slow.slope_dB, 2)} dB per decade "
-            f"({_interval((-high, -low), '', 2)}), like creep"
-        )
-    slope = (
-        f"{significant(slow.slope_dB, 2)} dB per decade ({_interval((low, high), '', 2)}) {below}"
-    )
-    if low <= 0.0 <= high:
-        return f"no creep was detected, {slope}"
-    return f"the gain changes by {slope}, which is no creep and was not removed"
 
 
 def _interval(bounds: Iterable[float], unit: str, digits: int = 3) -> str:

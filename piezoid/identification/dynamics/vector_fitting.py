@@ -33,7 +33,7 @@ def vector_fit(
         triangles = []
         for g, w in zip(response.T, weight.T, strict=True):
             sigma = -g[:, None] * numerator
-            equations = stacked(np.concatenate([numerator, sigma], axis=1) * w[:, None])
+            equations = stack_parts(np.concatenate([numerator, sigma], axis=1) * w[:, None])
             unknowns = numerator.shape[1]
             triangles.append(np.asarray(np.linalg.qr(equations, mode="r"))[unknowns:, unknowns:])
         # Coefficients of sigma, its mean over the lines held at one (relaxed form, not d = 1).
@@ -45,7 +45,22 @@ def vector_fit(
         solution = np.linalg.lstsq(matrix / size, target, rcond=None)[0] / size
         d = float(solution[-1])
         d = d if abs(d) > 1e-8 else float(np.copysign(1e-8, d))
-        previous, poles = poles, _zeros_of_sigma(poles, solution[:-1], d)
+        # The zeros of sigma, made stable, are the new poles.
+        pairs, real = poles[poles.imag > 0], poles[poles.imag == 0].real
+        n = len(pairs)
+        pair = np.arange(n)
+        realised = np.zeros((2 * n + len(real), 2 * n + len(real)))
+        realised[pair, pair] = realised[n + pair, n + pair] = pairs.real
+        realised[pair, n + pair], realised[n + pair, pair] = pairs.imag, -pairs.imag
+        realised[2 * n :, 2 * n :] = np.diag(real)
+        residue_sums = np.concatenate([np.full(n, 2.0), np.zeros(n), np.ones(len(real))])
+        zeros = np.linalg.eigvals(realised - np.outer(residue_sums, solution[:-1]) / d)
+        stable = -np.abs(zeros.real) + 1j * zeros.imag
+        tiny = 1e-12 * np.abs(stable)
+        upper = stable[stable.imag > tiny]
+        upper = upper[np.argsort(upper.imag)]
+        flat = np.sort(stable[np.abs(stable.imag) <= tiny].real)[::-1]
+        previous, poles = poles, np.concatenate([upper, flat.astype(np.complex128)])
         if len(poles) != len(previous):
             continue
         if (np.abs(poles - previous) < TOLERANCE * np.abs(poles)).all():
@@ -67,14 +82,14 @@ def weighted_misfit(
     columns = np.concatenate([_fractions(s, poles), np.ones((len(s), 1))], axis=1)
     misfit = 0.0
     for g, w in zip(response.T, weight.T, strict=True):
-        matrix, target = stacked(columns * w[:, None]), stacked((g * w)[:, None])[:, 0]
+        matrix, target = stack_parts(columns * w[:, None]), stack_parts((g * w)[:, None])[:, 0]
         scale = np.linalg.norm(matrix, axis=0)
         solution = np.linalg.lstsq(matrix / scale, target, rcond=None)[0]
         misfit += float(np.sum((target - (matrix / scale) @ solution) ** 2))
     return misfit
 
 
-def stacked(matrix: ComplexArray) -> Array:
+def stack_parts(matrix: ComplexArray) -> Array:
     """Return real parts above imaginary parts: complex least squares with real unknowns."""
     return np.concatenate([matrix.real, matrix.imag])
 
@@ -84,21 +99,3 @@ def _fractions(s: ComplexArray, poles: ComplexArray) -> ComplexArray:
     pairs, real = poles[poles.imag > 0], poles[poles.imag == 0]
     upper, lower = 1 / (s[:, None] - pairs), 1 / (s[:, None] - np.conj(pairs))
     return np.concatenate([upper + lower, 1j * (upper - lower), 1 / (s[:, None] - real)], axis=1)
-
-
-def _zeros_of_sigma(poles: ComplexArray, c: Array, d: float) -> ComplexArray:
-    pairs, real = poles[poles.imag > 0], poles[poles.imag == 0].real
-    n = len(pairs)
-    matrix = np.zeros((2 * n + len(real), 2 * n + len(real)))
-    pair = np.arange(n)
-    matrix[pair, pair] = matrix[n + pair, n + pair] = pairs.real
-    matrix[pair, n + pair], matrix[n + pair, pair] = pairs.imag, -pairs.imag
-    matrix[2 * n :, 2 * n :] = np.diag(real)
-    residue_sums = np.concatenate([np.full(n, 2.0), np.zeros(n), np.ones(len(real))])
-    zeros = np.linalg.eigvals(matrix - np.outer(residue_sums, c) / d)
-    stable = -np.abs(zeros.real) + 1j * zeros.imag
-    tiny = 1e-12 * np.abs(stable)
-    upper = stable[stable.imag > tiny]
-    flat = stable[np.abs(stable.imag) <= tiny].real
-    upper = upper[np.argsort(upper.imag)]
-    return np.concatenate([upper, np.sort(flat)[::-1].astype(np.complex128)])

@@ -8,8 +8,7 @@ import numpy as np
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
-from piezoid.operators.filters import first_order
-from piezoid.operators.ladder import ladder
+from piezoid.operators.filters import first_order, ladder
 from piezoid.operators.linear import ContinuousSystem
 
 MAX_SHARE = 0.5

@@ -9,8 +9,7 @@ from piezoid.identification.extensions.extension import Extension, Free, free, w
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import NORMAL_95
-from piezoid.operators.filters import relaxed
-from piezoid.operators.limits import activated
+from piezoid.operators.filters import activated, relaxed
 
 MIN_TIME_s, MAX_TIME_s = 1e-9, 10.0
 MIN_STRAIN_m, MAX_STRAIN_m = 1e-12, 1.0

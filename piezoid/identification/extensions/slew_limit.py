@@ -8,7 +8,7 @@ import numpy as np
 from piezoid.identification.extensions.extension import Extension, Free, free, within
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
-from piezoid.operators.limits import slewed
+from piezoid.operators.filters import slewed
 
 
 @dataclass(frozen=True, kw_only=True)

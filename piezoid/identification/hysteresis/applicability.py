@@ -31,7 +31,7 @@ from piezoid.identification.hysteresis.search import Settings
 from piezoid.identification.quality import Limit
 from piezoid.numerics.arrays import Array, Samples, freeze
 from piezoid.numerics.derivative_free import direct_search
-from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.robust import white_noise_rms
 from piezoid.operators.filters import later
 from piezoid.records.constant_drive import is_mostly_driven
 from piezoid.records.reversals import noise_of, reversals_of

@@ -24,9 +24,10 @@ from piezoid.numerics.quadratic_program import (
     Optimum,
     bounded_step,
     constrained_least_squares,
+    empty_triangle,
+    gather,
     stationarity,
 )
-from piezoid.numerics.triangle import empty_triangle, gather
 from piezoid.operators.dead_zone import DeadZones, from_slopes
 from piezoid.operators.filters import lagged
 from piezoid.operators.play import play_blocks, play_columns

@@ -23,7 +23,7 @@ from piezoid.identification.hysteresis.pieces import Piece, widest_swing
 from piezoid.numerics import levenberg_marquardt
 from piezoid.numerics.arrays import Array, Samples
 from piezoid.numerics.levenberg_marquardt import Rows, Rule
-from piezoid.numerics.triangle import empty_triangle, gather
+from piezoid.numerics.quadratic_program import empty_triangle, gather
 from piezoid.operators.chain import Following
 from piezoid.operators.play import thinned_drive
 

@@ -21,8 +21,8 @@ import numpy as np
 
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Piece
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.noise import white_noise_rms
 from piezoid.numerics.repetition import TOLERANCE, find_repetition
+from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.sample_statistics import step_size
 
 MIN_REPEATED = 0.9  # of the samples

@@ -38,7 +38,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import student_quantile
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.worst_case import worst_case
+from piezoid.operators.prandtl_ishlinskii import worst_case
 
 BLOCKS = 24
 POINTS = 41  # of the loading curve

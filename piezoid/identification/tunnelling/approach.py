@@ -177,10 +177,10 @@ def read_approach(
 ) -> ApproachCurve:
     """Return the sweep of two columns, without missing and saturated rows.
 
-    height_m   (rows,)  increases when the tip retracts; NaN in missing rows current_A  (rows,)  of
-    either polarity; NaN in missing rows bias_V     at the sample or the tip, of which only the
-    sign matters; None or 0: the sign is that
-               of the current
+    height_m   (rows,)  increases when the tip retracts; NaN in missing rows
+    current_A  (rows,)  of either polarity; NaN in missing rows
+    bias_V     at the sample or the tip, of which only the sign matters; None or 0: the sign is
+               that of the current
     pair, duration_s  as in ``ApproachCurve``
 
     Raises ``RecordingError`` for columns of unequal length, ``ExcitationError`` for too few rows
@@ -243,15 +243,15 @@ def rows_at_limit(current_A: Array) -> int:
         return 0
     smooth_A = median_filter(positive_A, _SMOOTHED, mode="nearest")
 
-    def first_below(share: float) -> int:
-        below = np.flatnonzero(smooth_A < share * limit_A)
-        return int(below[0]) if len(below) else rows
-
-    shoulder, half = first_below(_SHOULDER), first_below(_HALF)
+    # The first rows at which the current has fallen to these shares of the limit.
+    shoulder, half, clear = (
+        int(np.argmax(is_below)) if (is_below := smooth_A < share * limit_A).any() else rows
+        for share in (_SHOULDER, _HALF, _CLEAR)
+    )
     is_flat = shoulder > _TOO_LONG * _EXPONENTIAL * max(half - shoulder, 1)
     is_largest = positive_A >= positive_A.max()
     neighbours = np.convolve(is_largest.astype(np.float64), np.ones(_REPEATED), mode="valid")
     repeats = bool(np.any(neighbours >= _REPEATED)) and not bool(is_largest.all())
     if half < rows and (repeats or (is_flat and shoulder >= _MIN_PLATEAU)):
-        return first_below(_CLEAR)
+        return clear
     return 0

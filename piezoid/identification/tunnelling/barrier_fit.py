@@ -139,13 +139,28 @@ def fit_barrier(curves: Sequence[ApproachCurve]) -> BarrierFit:
     offset = len(decay_covariance) - 1
     offset_covariance, _ = _block_covariance(jacobian, residual, fit.height_m, offset)
     # ln I_0 = mean over sweeps of ln A + k z_0, with z_0 the lowest height.
-    pieces = [fit.lowest_piece(sweep) for sweep in range(sweeps)]
+    rows_of_sweep = [np.flatnonzero(fit.sweep == sweep) for sweep in range(sweeps)]
+    pieces = [int(fit.piece[rows[np.argmin(fit.height_m[rows])]]) for rows in rows_of_sweep]
     gradient = np.zeros((2, len(decay_covariance)))
     gradient[:, 0] = (1.0, fit.lowest_m)
     for piece in pieces:
         gradient[1, 1 + piece] += 1.0 / sweeps
     covariance = gradient @ decay_covariance @ gradient.T
-    decays = (decay,) if sweeps == 1 else tuple(_decay_of_sweep(fit, k) for k in range(sweeps))
+    # The decay of each sweep, with the weights of the common fit.
+    decays = tuple(
+        replace(
+            fit,
+            height_m=fit.height_m[rows],
+            current_A=fit.current_A[rows],
+            piece=np.unique(fit.piece[rows], return_inverse=True)[1],
+            weight=fit.weight[rows],
+        )
+        .at_best_decay()
+        .decay_per_m
+        for rows in rows_of_sweep
+    )
+    if sweeps == 1:
+        decays = (decay,)
     independent = 1.0 / max(float(_information(jacobian, 0).sum()), TINY)
     between = float(np.var(decays, ddof=1)) / sweeps if sweeps > 2 else 0.0
     inflation = max(float(covariance[0, 0]) / independent, between / independent, 1.0)
@@ -165,27 +180,14 @@ def fit_barrier(curves: Sequence[ApproachCurve]) -> BarrierFit:
         covariance=covariance,
         offset_A=fit.polarity * fit.offset_A,
         offset_standard_A=math.sqrt(max(float(offset_covariance[-1, -1]), 0.0)),
-        floor_A=fit.noise.floor_A,
-        gap_jitter_m=fit.noise.relative / decay,
+        floor_A=fit.floor_A,
+        gap_jitter_m=fit.relative_noise / decay,
         sweep_decay_per_m=decays,
         jumps=fit.jumps,
         evidence=evidence,
         confidence=confidence,
         reasons=reasons,
     )
-
-
-def _decay_of_sweep(fit: WeightedFit, sweep: int) -> float:
-    """Return the decay of one sweep, with the weights of the common fit."""
-    rows = fit.sweep == sweep
-    sweep_fit = replace(
-        fit,
-        height_m=fit.height_m[rows],
-        current_A=fit.current_A[rows],
-        piece=np.unique(fit.piece[rows], return_inverse=True)[1],
-        weight=fit.weight[rows],
-    )
-    return sweep_fit.at_best_decay().decay_per_m
 
 
 def _evidence(fit: WeightedFit, curves: Sequence[ApproachCurve]) -> SweepEvidence:
@@ -202,17 +204,17 @@ def _evidence(fit: WeightedFit, curves: Sequence[ApproachCurve]) -> SweepEvidenc
                 for half in halves
             )
             slope_change = float(far_decay / near_decay - 1.0)
-    deviation = np.sqrt(fit.noise.variance(mean_A))
+    deviation = np.sqrt(fit.reading_variance)
     return SweepEvidence(
         points=sum(curve.points for curve in curves),
         rows=sum(curve.rows for curve in curves),
         saturated=sum(curve.saturated for curve in curves),
         peak_A=float(mean_A.max()),
-        floor_A=fit.noise.floor_A,
-        relative_noise=fit.noise.relative,
+        floor_A=fit.floor_A,
+        relative_noise=fit.relative_noise,
         jumps=len(fit.jumps),
         largest_jump=max((jump.nepers for jump in fit.jumps), key=abs, default=0.0),
-        reaches_floor=bool(mean_A.min() < fit.noise.floor_A),
+        reaches_floor=bool(mean_A.min() < fit.floor_A),
         slope_change=slope_change,
         outliers=float(np.mean(np.abs(fit.residual_A) > OUTLIER * deviation)),
     )

@@ -45,14 +45,6 @@ _PASSES = 2  # with the recorded drive, then with the drive filtered by the fitt
 _UNKNOWN_OFFSET_A = 2e-12  # standard deviation: preamplifiers are nulled to a few picoamperes
 
 
-@dataclass(frozen=True, kw_only=True)
-class Offset:
-    """Reading of the current sensor at zero current, and its standard deviation."""
-
-    value_A: float
-    standard_A: float
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoopFit(InstrumentFit):
     """Plant and barrier identified from one record in closed loop.
@@ -98,17 +90,17 @@ def identify_closed_loop(
     drive_gain_m_per_V: float,
     drive_gain_relative_uncertainty: float = 0.0,
     sensor_pole_Hz: float | None = None,
-    offset_A: Offset | None = None,
+    offset_A: tuple[float, float] | None = None,
     known_mode: ModeEstimate | None = None,
 ) -> ClosedLoopFit:
     """Identify gain, sensor pole and delay of a junction under its controller, and the barrier.
 
         K = k g_z,   phi = (k / 10.246 nm^-1)^2 eV
 
-    record              with an external dither as reference amplifier_pole_Hz   declared; the pole
-    of the sensor is fitted in addition sensor_pole_Hz      declared; None: estimated from the
-    record. Declared poles have a tolerance of
-                        10 %, which the intervals of delay and gain contain
+    record              with an external dither as reference
+    amplifier_pole_Hz   declared; the pole of the sensor is fitted in addition
+    sensor_pole_Hz      declared; None: estimated from the record. Declared poles have a tolerance
+                        of 10 %, which the intervals of delay and gain contain
     offset_A            of the current and its standard deviation, from sweeps; None: zero within a
                         few picoamperes. An unknown offset changes ln K by offset over set point
     known_mode          mode of the drive, estimated from another record of the rig; None: searched
@@ -120,8 +112,8 @@ def identify_closed_loop(
     Intervals follow from the scatter over periods or blocks with Student's t. The naive estimate
     is the transfer function S_yu / S_uu of the same record, for comparison.
     """
-    offset = offset_A or Offset(value_A=0.0, standard_A=_UNKNOWN_OFFSET_A)
-    record = replace(record, current_A=record.current_A - offset.value_A)
+    value_A, standard_A = offset_A or (0.0, _UNKNOWN_OFFSET_A)
+    record = replace(record, current_A=record.current_A - value_A)
     rate_Hz = record.sampling_rate_Hz
     through = None
     for _ in range(_PASSES):
@@ -138,7 +130,7 @@ def identify_closed_loop(
         through = fit.plant
     # An unknown offset changes ln i of every record by the same amount.
     due_to_offset = np.zeros((3, 3))
-    due_to_offset[0, 0] = (offset.standard_A / abs(record.set_point_A)) ** 2
+    due_to_offset[0, 0] = (standard_A / abs(record.set_point_A)) ** 2
     fit = replace(
         fit, covariance=fit.covariance + due_to_offset, common=fit.common + due_to_offset
     )

@@ -287,16 +287,6 @@ class _Moments:
             row[number] = 1.0 / spread
         return rows, np.array([center / spread for _, center, spread in facts])
 
-    def jacobian(self, logs: Array, deviation: Array) -> Array:
-        """Return d weighted / d logs by central differences, (2 lines, parameters)."""
-        low, high = self.bounds(len(logs))
-        columns = []
-        for step in 1e-5 * np.eye(len(logs)):
-            forward, backward = np.minimum(logs + step, high), np.maximum(logs - step, low)
-            change = self.weighted(forward, deviation) - self.weighted(backward, deviation)
-            columns.append(change / (forward - backward).sum())
-        return np.column_stack(columns)
-
     def covariance(self, logs: Array, deviation: Array, misfit: float) -> tuple[Array, Array]:
         """Return the covariance, and the part of it due to the tolerance of declared poles.
 
@@ -308,7 +298,14 @@ class _Moments:
         moments = self.block_moments(self.modelled(logs)) / deviation
         moments = moments - moments.mean(axis=0)
         parts = np.concatenate([moments.real, moments.imag], axis=1)
-        jacobian = self.jacobian(logs, deviation)
+        # d weighted / d logs by central differences, (2 lines, parameters)
+        low, high = self.bounds(len(logs))
+        columns = []
+        for step in 1e-5 * np.eye(len(logs)):
+            forward, backward = np.minimum(logs + step, high), np.maximum(logs - step, low)
+            difference = self.weighted(forward, deviation) - self.weighted(backward, deviation)
+            columns.append(difference / (forward - backward).sum())
+        jacobian = np.column_stack(columns)
         prior, _ = self.priors(len(logs))
         inverse = np.linalg.pinv(np.vstack([jacobian, prior]))
         by_moments, by_prior = np.split(inverse, [len(jacobian)], axis=1)

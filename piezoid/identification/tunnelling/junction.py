@@ -1,7 +1,16 @@
-"""Fit the tunnelling junction: gap law from Z spectroscopies, plant from closed loops."""
+"""Fit the tunnelling junction: gap law from Z spectroscopies, plant from closed loops.
 
+Sweeps measure k relative to the recorded height, the loop relative to the declared extension per
+volt. Their ratio does not depend on the barrier:
+
+    k_loop / k_sweep = (true extension per volt) / (declared)    if the height of the sweep is true
+
+so that a disagreement shows that one of the two calibrations is wrong, or that the spots differ.
+"""
+
+import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.approach import (
@@ -9,10 +18,9 @@ from piezoid.identification.tunnelling.approach import (
     Direction,
     read_z_spectroscopy,
 )
-from piezoid.identification.tunnelling.barrier_fit import fit_barrier
+from piezoid.identification.tunnelling.barrier_fit import GapLaw, fit_barrier
 from piezoid.identification.tunnelling.closed_loop import (
     ClosedLoopFit,
-    Offset,
     identify_closed_loop,
 )
 from piezoid.identification.tunnelling.instrument_fit import ModeEstimate
@@ -23,12 +31,105 @@ from piezoid.identification.tunnelling.loop_model import (
     describe_loop_plant,
 )
 from piezoid.identification.tunnelling.loop_noise import measure_loop_noise
-from piezoid.identification.tunnelling.model import TunnellingModel, join_barriers
-from piezoid.identification.tunnelling.sweep_pairs import common_law, compare_directions
-from piezoid.operators.tunnelling import decay_of_barrier
+from piezoid.identification.tunnelling.sweep_pairs import (
+    DirectionShift,
+    common_law,
+    compare_directions,
+)
+from piezoid.numerics.robust import NORMAL_95
+from piezoid.operators.tunnelling import barrier_of_decay, decay_of_barrier
+from piezoid.record_json import Interval
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.table import RawTable
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointBarrier:
+    """Decay and barrier of sweeps and loop together.
+
+    ratio           k of the loop over k of the sweeps, and its 95 % interval
+    agree           whether that interval contains 1
+    decay_per_m     weighted mean of both; None if they disagree
+    decay_interval_per_m  95 % interval of the mean; if they disagree, the range of both intervals
+    barrier_eV, barrier_interval_eV  of the decay
+    """
+
+    ratio: float
+    ratio_interval: Interval
+    agree: bool
+    decay_per_m: float | None
+    decay_interval_per_m: Interval
+    barrier_eV: float | None
+    barrier_interval_eV: Interval
+
+
+def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) -> JointBarrier:
+    """Combine two decays with their 95 % intervals, in the logarithm, by inverse variance.
+
+    sweeps, loop  decay and interval, 1/m; an unbounded interval carries no information
+
+    If the decays differ by more than their standard deviations, the interval of the mean is
+    widened by that ratio (Birge).
+    """
+    variances = [
+        (math.log(high / low) / (2.0 * NORMAL_95)) ** 2
+        if low > 0.0 and math.isfinite(high)
+        else math.inf
+        for _, (low, high) in (sweeps, loop)
+    ]
+
+    def around(center: float, half: float) -> Interval:
+        if not math.isfinite(half):
+            return 0.0, math.inf
+        return math.exp(center - half), math.exp(center + half)
+
+    log_ratio = math.log(loop[0]) - math.log(sweeps[0])
+    half = NORMAL_95 * math.sqrt(sum(variances))
+    agree = abs(log_ratio) <= half
+    decay = None
+    interval = min(sweeps[1][0], loop[1][0]), max(sweeps[1][1], loop[1][1])
+    if agree:
+        weights = [1.0 / max(variance, 1e-30) for variance in variances]
+        total = sum(weights)
+        share = weights[1] / total if total > 0.0 else 0.5
+        mean = math.log(sweeps[0]) + share * log_ratio
+        excess = weights[0] * share * log_ratio**2 if total > 0.0 else 0.0
+        spread = math.sqrt(max(excess, 1.0) / total) if total > 0.0 else math.inf
+        decay, interval = math.exp(mean), around(mean, NORMAL_95 * spread)
+    return JointBarrier(
+        ratio=math.exp(log_ratio),
+        ratio_interval=around(log_ratio, half),
+        agree=agree,
+        decay_per_m=decay,
+        decay_interval_per_m=interval,
+        barrier_eV=None if decay is None else barrier_of_decay(decay),
+        barrier_interval_eV=(barrier_of_decay(interval[0]), barrier_of_decay(interval[1])),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TunnellingModel:
+    """Model of the tunnelling junction, from sweeps, closed loops, or both.
+
+    gap_law            of all sweeps together, corrected for drift; None: no sweeps
+    loop_plant         None: no closed loops
+    forward, backward  of the sweeps of one direction, not corrected for drift; None unless there
+                       are both directions
+    shift              between both directions; None also if no current is above the noise in both
+    joint              of sweeps and loops together; None unless there are both
+    """
+
+    gap_law: GapLaw | None
+    loop_plant: LoopPlant | None
+    forward: GapLaw | None = None
+    backward: GapLaw | None = None
+    shift: DirectionShift | None = None
+    joint: JointBarrier | None = None
+
+    def __post_init__(self) -> None:
+        if self.gap_law is None and self.loop_plant is None:
+            raise ValueError("a TunnellingModel needs a gap law or a loop plant")
 
 
 def fit_junction(
@@ -44,13 +145,27 @@ def fit_junction(
     Returns None if there are neither sweeps nor closed loops. Raises as ``read_z_spectroscopy``,
     ``fit_barrier``, ``loops_of`` and ``identify_closed_loop``.
     """
-    model = fit_sweeps_of_tip(sweeps) if sweeps else None
-    gap_law = None if model is None else model.gap_law
+    model = gap_law = offset = None
+    if sweeps:
+        curves = curves_of(sweeps)
+        fits = {
+            direction: fit_barrier(same_direction)
+            for direction in Direction
+            if (same_direction := [curve for curve in curves if curve.direction is direction])
+        }
+        gap_law = common_law(curves, fits)
+        model = TunnellingModel(gap_law=gap_law, loop_plant=None)
+        if len(fits) == len(Direction):
+            forward, backward = fits.values()
+            try:
+                shift = compare_directions(forward, backward)
+            except ExcitationError:
+                shift = None  # no current is above the noise in both directions
+            model = replace(model, forward=forward.law, backward=backward.law, shift=shift)
     if not any(is_loop(recording) for recording in recordings):
         return model
-    offset = None
     if gap_law is not None:
-        offset = Offset(value_A=gap_law.offset_A, standard_A=gap_law.offset_standard_A)
+        offset = (gap_law.offset_A, gap_law.offset_standard_A)
     loop = fit_loops(*loops_of(recordings, lab or Lab()), offset)
     if model is None or gap_law is None:
         return TunnellingModel(gap_law=None, loop_plant=loop)
@@ -65,42 +180,17 @@ def fit_junction(
     return replace(model, loop_plant=loop, joint=joint)
 
 
-def fit_sweeps_of_tip(sweeps: Sequence[RawTable]) -> TunnellingModel:
-    """Fit the gap law, with drift, to all sweeps of Z spectroscopies with one tip."""
-    curves = curves_of(sweeps)
-    fits = {
-        direction: fit_barrier(same_direction)
-        for direction in Direction
-        if (same_direction := [curve for curve in curves if curve.direction is direction])
-    }
-    gap_law = common_law(curves, fits)
-    if len(fits) < len(Direction):
-        return TunnellingModel(gap_law=gap_law, loop_plant=None)
-    forward, backward = fits.values()
-    try:
-        shift = compare_directions(forward, backward)
-    except ExcitationError:
-        shift = None  # no current is above the noise in both directions
-    return TunnellingModel(
-        gap_law=gap_law,
-        loop_plant=None,
-        forward=forward.law,
-        backward=backward.law,
-        shift=shift,
-    )
-
-
 def curves_of(sweeps: Sequence[RawTable]) -> tuple[ApproachCurve, ...]:
     """Return all sweeps of all tables, in their order."""
     return tuple(curve for table in sweeps for curve in read_z_spectroscopy(table))
 
 
 def fit_loops(
-    rig: LoopRig, loops: Sequence[LoopRecord], offset: Offset | None = None
+    rig: LoopRig, loops: Sequence[LoopRecord], offset: tuple[float, float] | None = None
 ) -> LoopPlant:
     """Identify the plant of every closed-loop record, their mean, and their family.
 
-    offset  of the current, from sweeps; None: unknown
+    offset  of the current and its standard deviation, from sweeps, A; None: unknown
     """
 
     def identify(loop: LoopRecord, mode: ModeEstimate | None) -> ClosedLoopFit:

@@ -55,16 +55,20 @@ class LoopSummary:
 class LoopPlant:
     """Plant from closed loops, its intervals, and the family of plants.
 
-    plant                    nominal: the mean over the records gain_interval            95 %
-    interval of that mean, nepers per volt sensor_pole_interval_Hz  95 %; an upper end may be
-    infinite delay_interval_s         95 % barrier_eV               apparent, and its 95 % interval
-    naive_gain               nepers per volt, geometric mean, for comparison only naive_reason
-    explanation of its error, for the record with the largest error family                   plants
-    that a controller has to stabilise, nominal first family_records           number of records
-    behind the family confidence, reasons      rating and its reasons modes                    of
-    the drive, in addition to the plant, from each record that shows one axis
-    that controls the current rig                      declarations of the laboratory; None outside
-    files records                  results of each record
+    plant                    nominal: the mean over the records
+    gain_interval            95 % interval of that mean, nepers per volt
+    sensor_pole_interval_Hz  95 %; an upper end may be infinite
+    delay_interval_s         95 %
+    barrier_eV               apparent, and its 95 % interval
+    naive_gain               nepers per volt, geometric mean, for comparison only
+    naive_reason             explanation of its error, for the record with the largest error
+    family                   plants that a controller has to stabilise, nominal first
+    family_records           number of records behind the family
+    confidence, reasons      rating and its reasons
+    axis                     that controls the current
+    rig                      declarations of the laboratory; None outside files
+    records                  results of each record
+    modes                    of the drive, in addition to the plant, of records that show one
     """
 
     plant: JunctionPlant
@@ -139,9 +143,9 @@ def spread_family(fits: Sequence[ClosedLoopFit]) -> tuple[JunctionPlant, ...]:
 
         Sigma = within + between,   members theta +- q Sigma e_j / sqrt(Sigma_jj)
 
-    fits      of one rig; several spots, tips or days make the family representative returned  the
-    nominal plant, then plants of lowest and highest gain, sensor pole and delay, with
-              the other parameters following by correlation
+    fits      of one rig; several spots, tips or days make the family representative
+    returned  the nominal plant, then plants of lowest and highest gain, sensor pole and delay,
+              with the other parameters following by correlation
 
     ``q`` is the quantile of Student's t for one further junction. Members are the points at which
     an ellipsoid touches its bounding box: one parameter is extreme and the others follow their

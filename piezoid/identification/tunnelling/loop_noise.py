@@ -25,6 +25,7 @@ _HARMONICS = 6
 _PEAK_RATIO = 10.0  # power over its expectation in noise, exceeded once in 20000 lines
 _DRIFT_BLOCKS = 10
 _MIN_DURATION_s = 0.5
+_TEMPERATURE_K = 293.0  # of the feedback resistor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,13 +34,11 @@ class CurrentChain:
 
     bandwidth_Hz   of one reading: 1 / (2 integration time) for an averaged one
     feedback_ohm   resistor of the transimpedance stage
-    temperature_K  of that resistor
     adc_step_A     one step of the converter, in current
     """
 
     bandwidth_Hz: float | None = None
     feedback_ohm: float | None = None
-    temperature_K: float = 293.0
     adc_step_A: float | None = None
 
     @property
@@ -47,7 +46,7 @@ class CurrentChain:
         """Rms Johnson noise of one reading, sqrt(4 k T B / R); 0 if not declared."""
         if self.bandwidth_Hz is None or self.feedback_ohm is None:
             return 0.0
-        power = 4.0 * BOLTZMANN_J_PER_K * self.temperature_K * self.bandwidth_Hz
+        power = 4.0 * BOLTZMANN_J_PER_K * _TEMPERATURE_K * self.bandwidth_Hz
         return math.sqrt(power / self.feedback_ohm)
 
     @property

@@ -15,7 +15,6 @@ whole number of its cycles, and would look like a response to the dither.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
@@ -90,7 +89,14 @@ def spectra_of_dither(
             needed="a dither that does not depend on the current",
             remedy="Add a small multisine to the set point or to the drive and record it.",
         )
-    return _lines(spectra, inside & (power > _MIN_POWER * np.max(power[inside])))
+    inside &= power > _MIN_POWER * np.max(power[inside])
+    return replace(
+        spectra,
+        frequency_Hz=spectra.frequency_Hz[inside],
+        reference=spectra.reference[:, inside],
+        drive=spectra.drive[:, inside],
+        output=spectra.output[:, inside],
+    )
 
 
 def naive_gain(record: LoopRecord, *, highest_Hz: float, flat_Hz: float) -> tuple[float, float]:
@@ -104,15 +110,14 @@ def naive_gain(record: LoopRecord, *, highest_Hz: float, flat_Hz: float) -> tupl
     """
     length = _block_length(record)
     spectra = _cut(record, length, length // 2, np.hanning(length + 1)[:-1])
-    f = spectra.frequency_Hz
-    spectra = _lines(spectra, (f > 0.0) & (f <= highest_Hz))
-    drive, reference = spectra.drive, spectra.reference
-    cross = np.sum(spectra.output * drive.conj(), axis=0)
+    inside = (spectra.frequency_Hz > 0.0) & (spectra.frequency_Hz <= highest_Hz)
+    drive, reference = spectra.drive[:, inside], spectra.reference[:, inside]
+    cross = np.sum(spectra.output[:, inside] * drive.conj(), axis=0)
     gain = np.abs(cross) / np.maximum(np.sum(np.abs(drive) ** 2, axis=0), 1e-300)
     explained = np.abs(np.sum(drive * reference.conj(), axis=0)) ** 2
     explained /= np.maximum(np.sum(np.abs(reference) ** 2, axis=0), 1e-300)
     share = float(np.sum(explained) / np.sum(np.abs(drive) ** 2))
-    return float(np.median(gain[spectra.frequency_Hz <= flat_Hz])), share
+    return float(np.median(gain[spectra.frequency_Hz[inside] <= flat_Hz])), share
 
 
 def _block_length(record: LoopRecord) -> int:
@@ -143,14 +148,4 @@ def _cut(
         drive=transformed[1],
         output=transformed[2],
         through=through,
-    )
-
-
-def _lines(spectra: LoopSpectra, is_used: NDArray[np.bool_]) -> LoopSpectra:
-    return replace(
-        spectra,
-        frequency_Hz=spectra.frequency_Hz[is_used],
-        reference=spectra.reference[:, is_used],
-        drive=spectra.drive[:, is_used],
-        output=spectra.output[:, is_used],
     )

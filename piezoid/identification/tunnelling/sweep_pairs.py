@@ -188,8 +188,19 @@ def _estimate(curves: Sequence[ApproachCurve]) -> DecayEstimate:
         share = NORMAL_95 * min(_DRIFT_m_per_s * duration_s / travel_m, _MAX_DRIFT)
         drift_below, drift_above = share / (1.0 + share), share / max(1.0 - share, _MIN_SPEED)
     else:
-        drift = 0.5 * (fits[1].decay_per_m - fits[0].decay_per_m) / decay
-        mismatch = _closure_error(curves, fits) / decay
+        first, second = fits
+        drift = 0.5 * (second.decay_per_m - first.decay_per_m) / decay
+        # The difference of the drifts from the decays and from the shift. In the middle of the
+        # range above the floor, estimates of decay and shift are independent.
+        lowest_m = min(float(curve.height_m.min()) for curve in curves)
+        turn_m = max(float(curve.height_m.max()) for curve in curves)
+        ratio = first.evidence.peak_A / (CLEAR_OF_FLOOR * first.floor_A)
+        middle_m = lowest_m + 0.5 * math.log(max(ratio, 1.0)) / first.decay_per_m
+        below_turn_m = turn_m - min(middle_m, 0.5 * (lowest_m + turn_m))
+        log_ratio = math.log(first.current_at_zero_height_A / second.current_at_zero_height_A)
+        decay_difference = first.decay_per_m - second.decay_per_m
+        shift = log_ratio - decay_difference * (turn_m - below_turn_m)
+        mismatch = 0.5 * (decay_difference - shift / below_turn_m) / decay
         drift_below = drift_above = math.hypot(_DRIFT_CHANGE * drift, _MISMATCH_SHARE * mismatch)
     return DecayEstimate(
         decay_per_m=decay,
@@ -198,21 +209,6 @@ def _estimate(curves: Sequence[ApproachCurve]) -> DecayEstimate:
         drift=drift,
         due_to_drift=(drift_below, drift_above),
     )
-
-
-def _closure_error(curves: Sequence[ApproachCurve], fits: Sequence[BarrierFit]) -> float:
-    """Return k times the difference of the drifts from the decays and from the shift."""
-    first, second = fits
-    lowest_m = min(float(curve.height_m.min()) for curve in curves)
-    turn_m = max(float(curve.height_m.max()) for curve in curves)
-    # In the middle of the range above the floor, estimates of decay and shift are independent.
-    ratio = first.evidence.peak_A / (CLEAR_OF_FLOOR * first.floor_A)
-    middle_m = lowest_m + 0.5 * math.log(max(ratio, 1.0)) / first.decay_per_m
-    below_turn_m = turn_m - min(middle_m, 0.5 * (lowest_m + turn_m))
-    log_ratio = math.log(first.current_at_zero_height_A / second.current_at_zero_height_A)
-    decay_difference = first.decay_per_m - second.decay_per_m
-    shift = log_ratio - decay_difference * (turn_m - below_turn_m)
-    return 0.5 * (decay_difference - shift / below_turn_m)
 
 
 def _combine(estimates: Sequence[DecayEstimate]) -> tuple[float, Interval]:

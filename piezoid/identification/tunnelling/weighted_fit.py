@@ -55,25 +55,6 @@ class TipJump:
     nepers: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class CurrentNoise:
-    """Noise of a current reading, v(i) = floor^2 + (rho i)^2.
-
-    floor_A        without current, converter steps included
-    relative       rho; motion of the gap by sigma causes rho = k sigma
-    quantisation_A of the converter steps alone, the lower bound of the floor
-    """
-
-    floor_A: float
-    relative: float
-    quantisation_A: float
-
-    def variance(self, mean_A: Array) -> Array:
-        """Return v(i), in A^2, for each mean current."""
-        variance: Array = self.floor_A**2 + (self.relative * mean_A) ** 2
-        return variance
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WeightedFit:
     """Points of several sweeps and the fitted exponential with offset.
@@ -85,7 +66,9 @@ class WeightedFit:
     weight       (points,)  1 / variance, 1/A^2
     lowest_m     lowest height of all sweeps
     polarity     +1 or -1: the sign of the current, from the data
-    noise        of the current
+    floor_A      noise without current, converter steps included
+    relative_noise  rho, noise over current; motion of the gap by sigma causes rho = k sigma
+    quantisation_A  noise of the converter steps alone, the lower bound of the floor
     jumps        tip jumps, each of which separates two pieces
     decay_per_m  k
     amplitude_A  (pieces,)  >= 0, current at the lowest height
@@ -100,7 +83,9 @@ class WeightedFit:
     weight: Array
     lowest_m: float
     polarity: float
-    noise: CurrentNoise
+    floor_A: float
+    relative_noise: float
+    quantisation_A: float
     jumps: tuple[TipJump, ...] = ()
     decay_per_m: float = np.nan
     amplitude_A: Array = field(default_factory=lambda: np.zeros(0))
@@ -166,6 +151,12 @@ class WeightedFit:
         return interval[0], interval[1]
 
     @property
+    def reading_variance(self) -> Array:
+        """Variance of the readings, v(i) = floor^2 + (rho i)^2, (points,), A^2."""
+        variance: Array = self.floor_A**2 + (self.relative_noise * self.mean_A) ** 2
+        return variance
+
+    @property
     def mean_A(self) -> Array:
         """Modelled current without offset, times the polarity, (points,)."""
         mean: Array = self.amplitude_A[self.piece] * np.exp(-self.decay_per_m * self.height_m)
@@ -187,7 +178,7 @@ class WeightedFit:
     @property
     def is_clear(self) -> NDArray[np.bool_]:
         """Whether a point is above the floor and has a logarithm, (points,)."""
-        above = self.mean_A > CLEAR_OF_FLOOR * self.noise.floor_A
+        above = self.mean_A > CLEAR_OF_FLOOR * self.floor_A
         return np.asarray(above & (self.current_A > self.offset_A))
 
     @property
@@ -196,11 +187,6 @@ class WeightedFit:
         ratio, is_clear = np.ones_like(self.mean_A), self.is_clear
         ratio[is_clear] = (self.current_A - self.offset_A)[is_clear] / self.mean_A[is_clear]
         return np.asarray(np.log(ratio))
-
-    def lowest_piece(self, sweep: int) -> int:
-        """Return the index of the piece with the lowest height of a sweep."""
-        rows = np.flatnonzero(self.sweep == sweep)
-        return int(self.piece[rows[np.argmin(self.height_m[rows])]])
 
 
 def fit_sweeps(curves: Sequence[ApproachCurve]) -> WeightedFit:
@@ -240,16 +226,17 @@ def _first_fit(curves: Sequence[ApproachCurve]) -> WeightedFit:
         steps = np.diff(by_height[distance <= np.median(distance)])
         roughness_A = float(1.4826 * np.median(np.abs(steps)) / np.sqrt(2.0))
         floor_A = max(floor_A, roughness_A)
-    noise = CurrentNoise(floor_A=floor_A, relative=0.05, quantisation_A=quantisation_A)
     positive = WeightedFit(
         height_m=height_m - height_m.min(),
         current_A=current_A,
         sweep=sweep,
         piece=sweep,
-        weight=1.0 / noise.variance(current_A - np.median(current_A)),
+        weight=1.0 / (floor_A**2 + (0.05 * (current_A - np.median(current_A))) ** 2),
         lowest_m=float(height_m.min()),
         polarity=1.0,
-        noise=noise,
+        floor_A=floor_A,
+        relative_noise=0.05,
+        quantisation_A=quantisation_A,
     )
     signs = (positive, replace(positive, current_A=-current_A, polarity=-1.0))
     fit = min(
@@ -271,20 +258,23 @@ def _settle(fit: WeightedFit) -> WeightedFit:
     """Fit mean and noise in turn until the decay converges."""
     for _ in range(_ROUNDS):
         previous = fit.decay_per_m
-        deviation = np.sqrt(fit.noise.variance(fit.mean_A))
+        deviation = np.sqrt(fit.reading_variance)
         clipped_A = np.clip(fit.residual_A, -OUTLIER * deviation, OUTLIER * deviation)
-        noise = _estimate_noise(clipped_A, fit.mean_A, fit.noise.quantisation_A)
-        variance = noise.variance(fit.mean_A)
+        floor_A, relative = _estimate_noise(clipped_A, fit.mean_A, fit.quantisation_A)
+        fit = replace(fit, floor_A=floor_A, relative_noise=relative)
+        variance = fit.reading_variance
         whitened = np.abs(fit.residual_A) / np.sqrt(variance)
         weight = np.minimum(1.0, OUTLIER / np.maximum(whitened, 1e-300)) / variance
-        fit = replace(fit, weight=weight, noise=noise).at_best_decay()
+        fit = replace(fit, weight=weight).at_best_decay()
         if abs(fit.decay_per_m - previous) < _TOLERANCE * previous:
             break
     return fit
 
 
-def _estimate_noise(residual_A: Array, mean_A: Array, quantisation_A: float) -> CurrentNoise:
-    """Return the maximum-likelihood estimate of floor and relative noise.
+def _estimate_noise(
+    residual_A: Array, mean_A: Array, quantisation_A: float
+) -> tuple[float, float]:
+    """Return the maximum-likelihood estimates of floor and relative noise.
 
         maximise  - sum ( ln v_j + r_j^2 / v_j )      over floor >= quantisation, rho >= 0
 
@@ -303,12 +293,9 @@ def _estimate_noise(residual_A: Array, mean_A: Array, quantisation_A: float) -> 
     lowest = math.log(max(quantisation_A, 1e-6 * typical_A))
     low, high = (lowest, min_log), (math.log(10.0 * typical_A) + 1e-9, max_log)
 
-    def noise_of(logs: Array) -> CurrentNoise:
-        floor_A, relative = math.exp(float(logs[0])), math.exp(float(logs[1]))
-        return CurrentNoise(floor_A=floor_A, relative=relative, quantisation_A=quantisation_A)
-
     def deviance(logs: Array) -> float:
-        variance = noise_of(logs).variance(mean_A)
+        floor_A, relative = math.exp(float(logs[0])), math.exp(float(logs[1]))
+        variance = floor_A**2 + (relative * mean_A) ** 2
         return float(np.sum(np.log(variance) + residual_A**2 / variance))
 
     dark_A = float(np.median(np.abs(residual_A[np.abs(mean_A) <= np.median(np.abs(mean_A))])))
@@ -329,7 +316,8 @@ def _estimate_noise(residual_A: Array, mean_A: Array, quantisation_A: float) -> 
         )
         for start in starts
     ]
-    return noise_of(min(minima, key=lambda result: float(result.fun)).x)
+    log_floor, log_relative = min(minima, key=lambda result: float(result.fun)).x.tolist()
+    return math.exp(log_floor), math.exp(log_relative)
 
 
 def _find_jump(fit: WeightedFit, sweep: int) -> TipJump | None:
@@ -345,7 +333,7 @@ def _find_jump(fit: WeightedFit, sweep: int) -> TipJump | None:
     if len(rows) < 4 * _SIDE:
         return None
     rows = rows[np.argsort(fit.height_m[rows], kind="stable")]
-    deviation = np.sqrt(fit.noise.variance(fit.mean_A)) / np.maximum(fit.mean_A, 1e-300)
+    deviation = np.sqrt(fit.reading_variance) / np.maximum(fit.mean_A, 1e-300)
     windows = np.lib.stride_tricks.sliding_window_view
     medians = np.median(windows(fit.log_residual[rows], _SIDE), axis=1)
     variances = np.mean(windows(deviation[rows], _SIDE) ** 2, axis=1)

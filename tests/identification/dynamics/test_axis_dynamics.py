@@ -9,7 +9,7 @@ import piezoid_datasets
 from piezoid.diagnosis.signals import mode as through_mode
 from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.axis_dynamics import with_dynamics
-from piezoid.identification.dynamics.excitation import excites_dynamics
+from piezoid.identification.dynamics.behind_hysteresis import excites_dynamics
 from piezoid.identification.fit import rig_of
 from piezoid.identification.fit_statements import fit_statements
 from piezoid.identification.hysteresis.estimate import estimate_axis

@@ -7,8 +7,7 @@ import pytest
 
 from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
 from piezoid.identification.dynamics.joint_fit import fit_jointly
-from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.records import JointFit
+from piezoid.identification.dynamics.modal import JointFit, LinearDynamics
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import PieceStart
 from tests.identification.dynamics.test_axis_dynamics import (

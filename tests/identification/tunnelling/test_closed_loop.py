@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import tf2ss
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.tunnelling.closed_loop import Offset, identify_closed_loop
+from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.instrument_fit import fit_with_instrument
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
@@ -250,9 +250,9 @@ def test_an_offset_of_the_current_is_taken_off_or_held_by_the_interval() -> None
             offset_A=offset,
         )
         for offset in (
-            Offset(value_A=50e-12, standard_A=1e-13),
-            Offset(value_A=0.0, standard_A=30e-12),
-            Offset(value_A=0.0, standard_A=1e-13),
+            (50e-12, 1e-13),
+            (0.0, 30e-12),
+            (0.0, 1e-13),
         )
     ]
     truth = identified(record, junction).plant.gain_nepers_per_V

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from piezoid.identification.tunnelling.barrier_fit import GapLaw
-from piezoid.identification.tunnelling.junction import fit_sweeps_of_tip
-from piezoid.identification.tunnelling.model import TunnellingModel
+from piezoid.identification.tunnelling.junction import TunnellingModel, fit_junction
 from piezoid.numerics.arrays import Array
 from piezoid.records.readers import read_table
 
@@ -55,7 +54,9 @@ def fitted(
         + "\n".join(["\t".join(names), *lines])
         + "\n"
     )
-    return fit_sweeps_of_tip([read_table(place)])
+    model = fit_junction([read_table(place)])
+    assert model is not None
+    return model
 
 
 def law_of(model: TunnellingModel) -> GapLaw:

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from piezoid.identification.tunnelling.model import join_barriers
+from piezoid.identification.tunnelling.junction import join_barriers
 
 WIDE = (0.0, math.inf)
 
