@@ -30,7 +30,6 @@ from piezoid.diagnosis import (
     candidate,
     diagnose,
     forward_selection,
-    model_comparison,
     selection,
 )
 from piezoid.diagnosis.blocked_regression import paired_z
@@ -68,7 +67,7 @@ class Rule:
 
 
 def _surely_close(alternative: Any, cause: Any) -> bool:
-    return paired_z(alternative.cv.loss, cause.cv.loss) < model_comparison.SEPARABLE
+    return paired_z(alternative.cv.loss, cause.cv.loss) < selection.SEPARABLE
 
 
 def _evidence(*, worth: bool = True, placebos: bool = True) -> Decision:
@@ -120,9 +119,7 @@ RULES = (
         places=((selection, "is_shared_state_as_good"),),
         without=lambda *_: False,
     ),
-    Rule(
-        name="alike is close", places=((model_comparison, "is_confounded"),), without=_surely_close
-    ),
+    Rule(name="alike is close", places=((selection, "is_confounded"),), without=_surely_close),
     Rule(name="placebos", places=((JUDGED, "is_significant"),), without=_evidence(placebos=False)),
     Rule(
         name="not small beside structure",

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import Appearance, over_time
 from piezoid.diagnosis.diagnosis import Finding
+from piezoid.diagnosis.effect import Appearance, over_time
 from piezoid.diagnosis.effects import effect_named
 from piezoid.formatting import p_value, words
 from piezoid.numerics.arrays import Array

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from benchmarks.zoo.__main__ import read
 from benchmarks.zoo.table import share
-from piezoid.diagnosis.effect_size import QUANTILE
+from piezoid.diagnosis.candidate import QUANTILE
 from piezoid.diagnosis.effects import EFFECTS
 
 KNOWN_TO = {effect.name: effect.model_error for effect in EFFECTS}

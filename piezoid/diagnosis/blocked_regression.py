@@ -232,8 +232,19 @@ def gain_z(gains: Array, explained: Array, gain: float) -> float:
     explained  (blocks,)  power of the fitted columns: a block without any is not informative
     gain       1 - rms with / rms without, of all blocks
     """
-    informative_gains = gains[_is_informative(explained)]
-    return max(_mean_z(informative_gains), _sign_z(informative_gains), _ratio_z(gain, len(gains)))
+    # the blocks that contain nearly all of the power of the columns
+    order = np.argsort(explained)[::-1]
+    power = np.cumsum(explained[order])
+    count = max(int(np.searchsorted(power, INFORMATIVE_POWER * power[-1])) + 1, MIN_BLOCKS)
+    is_informative = np.zeros(len(explained), dtype=bool)
+    is_informative[order[:count]] = True
+    informative = gains[is_informative]
+    # outliers do not affect the sign test
+    increase = float(np.sum(informative > 0) - 0.5 * len(informative) - 0.5)
+    sign_z = increase / (0.5 * sqrt(len(informative)))
+    # likelihood ratio 2 n ln(rms0 / rms1) of n blocks, the only test for a gain in a few blocks
+    ratio_z = sqrt(-2.0 * len(gains) * log(1.0 - gain)) if 0.0 < gain < 1.0 else 0.0
+    return max(_mean_z(informative), sign_z, ratio_z)
 
 
 def paired_z(reference: Array, candidate: Array) -> float:
@@ -241,30 +252,6 @@ def paired_z(reference: Array, candidate: Array) -> float:
     return _mean_z(reference - candidate)
 
 
-def _is_informative(explained: Array) -> Array:
-    """Tell which blocks contain nearly all of the power of the columns."""
-    order = np.argsort(explained)[::-1]
-    total = np.cumsum(explained[order])
-    count = int(np.searchsorted(total, INFORMATIVE_POWER * total[-1])) + 1
-    is_informative = np.zeros(len(explained), dtype=bool)
-    is_informative[order[: max(count, MIN_BLOCKS)]] = True
-    return is_informative
-
-
 def _mean_z(gains: Array) -> float:
     """Return the mean over its standard error."""
     return float(gains.sum()) / (float(gains.std(ddof=1)) * sqrt(len(gains)) + 1e-300)
-
-
-def _sign_z(gains: Array) -> float:
-    """Return the z value of the sign test, which outliers do not affect."""
-    count = len(gains)
-    return float(np.sum(gains > 0) - 0.5 * count - 0.5) / (0.5 * sqrt(count))
-
-
-def _ratio_z(gain: float, blocks: int) -> float:
-    """Return the root of the likelihood ratio, 2 n ln(rms0 / rms1), with n blocks as observations.
-
-    Of the three tests only this one detects a gain in a few blocks.
-    """
-    return sqrt(-2.0 * blocks * log(1.0 - gain)) if 0.0 < gain < 1.0 else 0.0

@@ -13,7 +13,6 @@ import numpy as np
 from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.nuisance_columns import BoucWenLaw
 from piezoid.diagnosis.residual_view import View, with_bouc_wen
-from piezoid.numerics.executor import SERIAL, Executor
 
 BETAS = (0.8, 1.6, 3.2)
 RATIOS = (0.0, 0.4)  # gamma over beta
@@ -29,7 +28,7 @@ Law = tuple[float, float, float, float]  # beta, gamma / beta, exponent, bend
 Criterion = Callable[[Law], float]
 
 
-def with_best_bouc_wen(view: View, executor: Executor = SERIAL) -> View:
+def with_best_bouc_wen(view: View) -> View:
     """Return the view with the Bouc-Wen state that has the smallest residual."""
     without_state = with_bouc_wen(view, None)
 
@@ -41,7 +40,7 @@ def with_best_bouc_wen(view: View, executor: Executor = SERIAL) -> View:
         coefficients = np.linalg.lstsq(orthogonal, without_state.null.residual, rcond=RCOND)[0]
         return float(np.sum((without_state.null.residual - orthogonal @ coefficients) ** 2))
 
-    return with_bouc_wen(view, _best(residual_energy, executor=executor))
+    return with_bouc_wen(view, _best(residual_energy))
 
 
 def with_bouc_wen_of(view: View, null_of: Callable[[View], Null]) -> View:
@@ -56,41 +55,28 @@ def with_bouc_wen_of(view: View, null_of: Callable[[View], Null]) -> View:
     return with_bouc_wen(view, _best(class_rms, BENDS))
 
 
-def _best(
-    criterion: Criterion, bends: Sequence[float] = (0.0,), executor: Executor = SERIAL
-) -> BoucWenLaw:
+def _best(criterion: Criterion, bends: Sequence[float] = (0.0,)) -> BoucWenLaw:
     """Minimise the criterion over a grid, then by coordinate search with shrinking steps."""
     laws: list[Law] = [*product(BETAS, RATIOS, EXPONENTS, bends)]
-    best = min(zip(executor.map(criterion, laws), laws, strict=True), key=lambda pair: pair[0])
-    for fraction in STEP_FRACTIONS:
-        for parameter in range(len(LIMITS)):
-            best = _improve(criterion, best, parameter, fraction)
-    return _law_of(best[1])
-
-
-def _improve(
-    criterion: Criterion, best: tuple[float, Law], parameter: int, fraction: float
-) -> tuple[float, Law]:
-    for sign in (1.0, -1.0):
-        candidate = _with_step(best[1], parameter, sign * fraction)
-        error = criterion(candidate)
-        if error < best[0]:
-            return error, candidate
-    return best
-
-
-def _with_step(law: Law, parameter: int, fraction: float) -> Law:
-    beta, ratio, exponent, bend = law
-    steps = (
-        beta * BETA_FACTOR**fraction,
-        ratio + RATIO_STEP * fraction,
-        exponent * EXPONENT_FACTOR**fraction,
-        bend + BEND_STEP * fraction,
-    )
-    low, high = LIMITS[parameter]
-    values = [*law]
-    values[parameter] = min(max(steps[parameter], low), high)
-    return values[0], values[1], values[2], values[3]
+    smallest, best = min(((criterion(law), law) for law in laws), key=lambda pair: pair[0])
+    for fraction, parameter in product(STEP_FRACTIONS, range(len(LIMITS))):
+        for step in (fraction, -fraction):
+            beta, ratio, exponent, bend = best
+            stepped = (
+                beta * BETA_FACTOR**step,
+                ratio + RATIO_STEP * step,
+                exponent * EXPONENT_FACTOR**step,
+                bend + BEND_STEP * step,
+            )
+            low, high = LIMITS[parameter]
+            values = [*best]
+            values[parameter] = min(max(stepped[parameter], low), high)
+            candidate = (values[0], values[1], values[2], values[3])
+            error = criterion(candidate)
+            if error < smallest:
+                smallest, best = error, candidate
+                break
+    return _law_of(best)
 
 
 def _law_of(law: Law) -> BoucWenLaw:

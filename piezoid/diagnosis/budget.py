@@ -33,10 +33,8 @@ from piezoid.diagnosis.diagnosis import (
     Diagnosis,
     FinalError,
     Finding,
-    HeldOut,
     NotDetected,
     Size,
-    Unexplained,
     held_out_gain,
     with_finding,
 )
@@ -83,11 +81,6 @@ class RemainingErrors:
     is_compared: bool = True
     recordings_m: Mapping[str, float] = field(default_factory=dict)
     converter_m: float = 0.0
-
-
-def corrected(rows: int, parameters: int) -> float:
-    """Return the factor from an error in sample to the error of the true parameters."""
-    return sqrt(rows / max(rows - parameters, 0.5 * rows)) if rows else 1.0
 
 
 def relative_scatter(residual_m: Array) -> float:
@@ -159,52 +152,31 @@ def _with_something_else(
     """Add a finding of the unexplained residual if it dominates the final error.
 
     A residual that healthy stages show as often is no finding: the budget only states its size.
+    The finding does not change the final error, because the residual is not modelled.
 
     Returns the diagnosis with that finding, and the remaining parts, in which it is separate.
     """
-    powers, unexplained = dict(remaining), diagnosis.unexplained
-    exceeds_noise = diagnosis.final.rms_m > NOISE_RATIO * diagnosis.noise_floor_rms_m
+    powers, unexplained, final = dict(remaining), diagnosis.unexplained, diagnosis.final
     if (
         unexplained is None
         or unexplained.p_value > ALPHA
         or SOMETHING_ELSE in diagnosis.names
-        or not exceeds_noise
+        or final.rms_m <= NOISE_RATIO * diagnosis.noise_floor_rms_m
         or max(powers, key=lambda name: powers[name]) != "unexplained"
     ):
         return diagnosis, powers
     powers[SOMETHING_ELSE] = unexplained.gain * powers["unexplained"]
     powers["unexplained"] -= powers[SOMETHING_ELSE]
-    finding = _unexplained_finding(
-        unexplained,
-        rms_m=sqrt(powers[SOMETHING_ELSE]),
-        scatter=errors.scatter,
-        final=diagnosis.final,
-        stroke_m=diagnosis.stroke_m,
-    )
-    return with_finding(diagnosis, finding), powers
-
-
-def _unexplained_finding(
-    unexplained: Unexplained, *, rms_m: float, scatter: float, final: HeldOut, stroke_m: float
-) -> Finding:
-    """Return the finding of a residual that the model does not explain.
-
-    Args:
-        unexplained: the residual, with the coordinate that explains most of it.
-        rms_m: of the part along this coordinate.
-        scatter: relative standard error of the mean square of the residual.
-        final: error of the model, which does not change: the residual is not modelled.
-        stroke_m: range of the displacement.
-    """
-    low, high = (sqrt(max(1.0 + side * 1.96 * scatter, 0.0)) for side in (-1.0, 1.0))
+    rms_m = sqrt(powers[SOMETHING_ELSE])
+    low, high = (sqrt(max(1.0 + side * 1.96 * errors.scatter, 0.0)) for side in (-1.0, 1.0))
     coordinate = coordinate_words(unexplained.coordinate)
-    return Finding(
+    finding = Finding(
         effect=SOMETHING_ELSE,
         held_out_gain=0.0,
         held_out_rms_before_m=final.rms_m,
         held_out_rms_after_m=final.rms_m,
         p_value=unexplained.p_value,
-        rms_percent=100.0 * rms_m / stroke_m,
+        rms_percent=100.0 * rms_m / diagnosis.stroke_m,
         size=Size(value=1e9 * rms_m, unit="nm, rms", ci95=(1e9 * low * rms_m, 1e9 * high * rms_m)),
         not_separable_from=(),
         explanation="The residual exceeds the noise and no effect of the catalogue explains it. "
@@ -214,6 +186,7 @@ def _unexplained_finding(
         parameters={},
         coordinate=unexplained.coordinate,
     )
+    return with_finding(diagnosis, finding), powers
 
 
 def _effect_parts(
@@ -242,42 +215,54 @@ def _effect_parts(
         # the model's lag, which is no finding if it cannot be separated from a width of the loop
         rises["lag"] = total_rise = power
     parts = []
-    names = dict.fromkeys((*diagnosis.names, *rises, *in_sequence))
-    for name in (name for name in names if name not in remaining):
+    for name in dict.fromkeys((*diagnosis.names, *rises, *in_sequence)):
+        if name in remaining:
+            continue
         share = rises.get(name, 0.0) / total_rise if total_rise > 0.0 else 0.0
+        text = "Cause outside the catalogue."
+        if name != SOMETHING_ELSE:
+            is_fault = effect_named(name).fault is not None
+            remedy = "repaired in the data" if is_fault else "modelled"
+            text = f"{words(name).capitalize()}, {remedy}."
         parts.append(
             BudgetPart(
                 part=name,
                 rms_m=sqrt(in_sequence.get(name, power * share)),
                 is_explained=True,
-                text=other_recordings.get(name, _effect_text(name)),
+                text=other_recordings.get(name, text),
             )
         )
     return sorted(parts, key=lambda part: -part.rms_m)
 
 
-def _effect_text(name: str) -> str:
-    if name == SOMETHING_ELSE:
-        return "Cause outside the catalogue."
-    is_fault = effect_named(name).fault is not None
-    return f"{words(name).capitalize()}, {'repaired in the data' if is_fault else 'modelled'}."
-
-
 def _remaining_part(
     name: str, power: float, diagnosis: Diagnosis, errors: RemainingErrors
 ) -> BudgetPart:
+    """Return a part of the final error, with its meaning and what to do about it."""
     rms_m, noise_m = sqrt(max(power, 0.0)), diagnosis.noise_floor_rms_m
     sizes = f"{with_unit(rms_m, 'm')} rms; sensor noise {with_unit(noise_m, 'm')}"
-    texts = {
-        LOOP_SHAPE: f"Loop shape that the model class cannot represent ({sizes}).",
-        QUANTISATION: "Steps of the sensor's converter, which no model removes "
-        f"({with_unit(errors.converter_m, 'm')} rms), above the noise.",
-        "extrapolation": _extrapolation_text(diagnosis.final.rms_m, rms_m, errors.recordings_m),
-        SOMETHING_ELSE: "Systematic residual that no effect explains; the model does not contain "
-        f"it ({sizes}).",
-        "unexplained": f"Residual that no effect explains ({sizes}).{_advice(diagnosis)}",
-    }
-    return BudgetPart(part=name, rms_m=rms_m, is_explained=False, text=texts[name])
+    if name == LOOP_SHAPE:
+        text = f"Loop shape that the model class cannot represent ({sizes})."
+    elif name == QUANTISATION:
+        text = (
+            "Steps of the sensor's converter, which no model removes "
+            f"({with_unit(errors.converter_m, 'm')} rms), above the noise."
+        )
+    elif name == "extrapolation":
+        text = _extrapolation_text(diagnosis.final.rms_m, rms_m, errors.recordings_m)
+    elif name == SOMETHING_ELSE:
+        text = (
+            "Systematic residual that no effect explains; the model does not contain it "
+            f"({sizes})."
+        )
+    else:
+        text, unexplained = f"Residual that no effect explains ({sizes}).", diagnosis.unexplained
+        if unexplained is not None and unexplained.p_value > ALPHA:
+            text += " Healthy stages show as much: no action is needed, feedback reduces it."
+        elif unexplained is not None:
+            experiment = next_experiment(unexplained.coordinate)
+            text += f" Healthy stages show less. {experiment}".rstrip()
+    return BudgetPart(part=name, rms_m=rms_m, is_explained=False, text=text)
 
 
 def _extrapolation_text(
@@ -305,16 +290,6 @@ def _extrapolation_text(
         f"at most {others_rms}. Leave it out, or record it again; a chirp needs a smaller "
         "amplitude, at the rate of the controller or faster."
     )
-
-
-def _advice(diagnosis: Diagnosis) -> str:
-    """Return what an unexplained residual means and what to do about it."""
-    unexplained = diagnosis.unexplained
-    if unexplained is None:
-        return ""
-    if unexplained.p_value > ALPHA:
-        return " Healthy stages show as much: no action is needed, feedback reduces it."
-    return f" Healthy stages show less. {next_experiment(unexplained.coordinate)}".rstrip()
 
 
 def _with_loop_shape(

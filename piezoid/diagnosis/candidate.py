@@ -1,23 +1,44 @@
-"""Evaluate a candidate effect: compare the model refitted with the effect and without it."""
+"""Evaluate a candidate effect: the model refitted with the effect and without it, and its size.
+
+The size is a function of coefficients and nonlinear parameters. Their joint covariance is that of
+the columns of the coefficients and the tangents of the parameters, beside the whole null:
+
+    var size = g' cov g + (k size)^2,    g the gradient of the size by small steps,
+
+k the relative error of the size by the law of the effect.
+
+A size as a share of the stroke is the root of the explained power, and its relative error half of
+that of the power.
+
+Source: the delta method; Liang & Zeger, Biometrika 73 (1986) for the covariance.
+"""
 
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import hypot, sqrt
 
 import numpy as np
 
 from piezoid.diagnosis.blocked_regression import CrossValidated, compare_nulls, paired_z
 from piezoid.diagnosis.bouc_wen_search import with_bouc_wen_of
+from piezoid.diagnosis.diagnosis import Size
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.refinement import with_step
-from piezoid.diagnosis.refitted_view import SelectedEffect, filter_offset, without_ringing
+from piezoid.diagnosis.refitted_view import (
+    SelectedEffect,
+    filter_offset,
+    with_filtered_drive,
+    without_ringing,
+)
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screen_trials
+from piezoid.numerics.arrays import Array
 
 MINIMUM_Z = 3.3  # standard errors, one-sided 0.0005: a false name is worse than a missing one
 MINIMUM_SHARE = 5e-5  # of the stroke: smaller effects need not be detected
 NUDGE = 0.1  # of a parameter's width, for derivatives
 MIN_LENGTH = 0.15  # of the longest column: smallest part orthogonal to the null for one recording
 MAX_DEVIATION = 0.35  # of the fitted time, in one recording
+QUANTILE = 2.0  # of Student's distribution for some sixty blocks, of a size
 DEVIATION_Z = 4.0  # standard errors of such a deviation
 # An effect is better than its placebo if its gain is larger by this factor, or if its rms above
 # the noise is smaller by the second factor and its loss by so many standard errors.
@@ -135,35 +156,23 @@ def evaluate(selected: SelectedEffect, view: View, without: View, *, test: Score
     without  the view with the others
     test     score test of the effect on ``without``, for its placebos and physical limits
     """
-    if selected.adds_columns:
-        return _evaluate_columns(selected, view, without, test)
-    is_physical = selected.within_limits and (
-        selected.effect.response_filter is None or is_consistent(selected, view)
-    )
-    return Candidate(
-        selected=selected,
-        cv=compare_nulls(without.null, view.null),
-        placebo=test.placebo,
-        share=sqrt(max(without.rms**2 - view.rms**2, 0.0)) / 2.0,
-        physical=is_physical,
-        without=without,
-        view=view,
-    )
-
-
-def _evaluate_columns(
-    selected: SelectedEffect, view: View, without: View, test: ScoreTest
-) -> Candidate:
     effect = selected.effect
-    assert effect.columns is not None
-    columns = effect.columns(without_ringing(view, [selected]), selected.parameters)
-    cv, share, is_physical = test.cv, 0.0, False
-    if np.any(columns):  # else the refitted static response already contains the contribution
-        trial = replace(test.trial, columns=columns, parameters=selected.parameters)
-        null = null_of(effect, without)
-        refitted = screen_trials(effect, null, [trial], one_speed=view.one_speed)
-        cv, share = refitted.cv, refitted.share
-        is_physical = refitted.physical and selected.within_limits
+    if not selected.adds_columns:
+        cv = compare_nulls(without.null, view.null)
+        share = sqrt(max(without.rms**2 - view.rms**2, 0.0)) / 2.0
+        is_physical = selected.within_limits and (
+            effect.response_filter is None or is_consistent(selected, view)
+        )
+    else:
+        assert effect.columns is not None
+        columns = effect.columns(without_ringing(view, [selected]), selected.parameters)
+        cv, share, is_physical = test.cv, 0.0, False
+        if np.any(columns):  # else the refitted static response already contains the contribution
+            trial = replace(test.trial, columns=columns, parameters=selected.parameters)
+            null = null_of(effect, without)
+            refitted = screen_trials(effect, null, [trial], one_speed=view.one_speed)
+            cv, share = refitted.cv, refitted.share
+            is_physical = refitted.physical and selected.within_limits
     return Candidate(
         selected=selected,
         cv=cv,
@@ -232,3 +241,59 @@ def is_consistent(selected: SelectedEffect, view: View) -> bool:
     error = np.sqrt(np.diag(view.null.clustered_covariance(columns)))
     is_large = (np.abs(deviation) > MAX_DEVIATION) & (np.abs(deviation) > DEVIATION_Z * error)
     return not bool(np.any(is_large))
+
+
+def size_of(cause: Candidate) -> Size:
+    """Return the size of a cause with its 95 % interval."""
+    effect, selected, view, beta = cause.effect, cause.selected, cause.view, cause.cv.coefficient
+    if effect.size is None:
+        value = 100.0 * cause.share
+        # the relative error of the explained power is 1/z; its root has half of that
+        margin = QUANTILE * value / (2.0 * max(cause.cv.z, 1.0))
+        return Size(value=value, unit=effect.unit, ci95=(value - margin, value + margin))
+    # an effect that filters the drive has its size at the unfiltered drive
+    size_view = cause.without if effect.drive_filter is not None else view
+    value = effect.size(size_view, selected.parameters, beta)
+    columns = [_parameter_column(cause, name) for name in selected.free]
+    gradient = [
+        (effect.size(size_view, with_step(selected, name, NUDGE).parameters, beta) - value) / NUDGE
+        for name in selected.free
+    ]
+    if selected.adds_columns and effect.columns is not None:
+        columns += list(effect.columns(without_ringing(view, [selected]), selected.parameters).T)
+        for k in range(len(beta)):
+            nudged = beta + np.eye(len(beta))[k] * max(abs(beta[k]), 1e-9) * NUDGE
+            step = nudged[k] - beta[k]
+            gradient.append((effect.size(view, selected.parameters, nudged) - value) / step)
+    # a parameter without influence on these recordings does not change the size either
+    influential = [k for k, column in enumerate(columns) if np.any(column)]
+    null = replace(view, selected=cause.without.selected).null
+    cov = null.clustered_covariance(np.column_stack([columns[k] for k in influential]))
+    slope = np.array([gradient[k] for k in influential])
+    error = sqrt(max(float(slope @ cov @ slope), 0.0))
+    margin = QUANTILE * hypot(error, effect.model_error * value)
+    return Size(value=value, unit=effect.unit, ci95=(value - margin, value + margin))
+
+
+def _parameter_column(cause: Candidate, name: str) -> Array:
+    """Return the derivative of the response by a free parameter, per step width."""
+    selected, view = cause.selected, cause.view
+    nudged = with_step(selected, name, NUDGE)
+    effect = selected.effect
+    if effect.response_filter is not None:
+        change = filter_offset(view, [nudged]) - filter_offset(view, [selected])
+    elif effect.drive_filter is not None:
+        tracks = with_filtered_drive(cause.without, [nudged]).tracks
+        parts = [
+            view.nuisance.static_rows(k, view.weight, track.drive) - view.static[k][track.rows]
+            for k, track in enumerate(tracks)
+        ]
+        change = np.concatenate(parts)
+    else:
+        assert effect.columns is not None
+        baseline = without_ringing(view, [selected])
+        difference = effect.columns(baseline, nudged.parameters) - effect.columns(
+            baseline, selected.parameters
+        )
+        change = difference @ cause.cv.coefficient
+    return np.asarray(change / NUDGE)

@@ -12,7 +12,7 @@ Source: Jung & Gweon (2000) on the logarithm; Fleming & Leang (2014) on holding 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import erfc, log, sqrt
 
 import numpy as np
@@ -40,22 +40,6 @@ SCALES = 12  # of the logarithm, from one sample to a third of the hold
 SLOPE = 0.35
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Hold:
-    """Drive during a hold of the displacement by feedback.
-
-    recording  name of the recording
-    time_s     (rows,)  from the start of the hold
-    drive_V    (rows,)
-    step_V     step of the drive before the hold, with its sign; 0 if it is unknown
-    """
-
-    recording: str
-    time_s: Array
-    drive_V: Array
-    step_V: float
-
-
 def with_creep_of_holds(
     diagnosis: Diagnosis, recordings: Sequence[Recording], gain_m_per_V: float
 ) -> Diagnosis:
@@ -66,42 +50,27 @@ def with_creep_of_holds(
     """
     if NAME in diagnosis.names:
         return diagnosis
-    holds = _holds(recordings, diagnosis.axis)
-    findings = [_finding(hold, diagnosis, gain_m_per_V) for hold in holds]
-    largest = max(filter(None, findings), key=lambda finding: finding.share, default=None)
-    return diagnosis if largest is None else with_finding(diagnosis, largest)
-
-
-def _holds(recordings: Sequence[Recording], axis: str) -> list[_Hold]:
-    holds = []
+    axis, findings = diagnosis.axis, []
     for number, recording in enumerate(recordings):
         span = held_span(recording, axis)
         if span is None:
             continue
-        drive_V = recording.voltage_V(axis)
-        if is_held_throughout(recording, axis):  # the step before the hold is in another recording
-            first, step_V = 0, _last_move_V(recordings[:number], axis, float(drive_V[0]))
-        else:
+        drive_V, first, step_V = recording.voltage_V(axis), 0, 0.0
+        if not is_held_throughout(recording, axis):
             first, step_V = span.start, _span_V(drive_V[: span.start])
+        elif number:
+            # the step is in the previous recording, if that ended where the hold starts
+            earlier_V = recordings[number - 1].voltage_V(axis)
+            move_V = _span_V(earlier_V)
+            distance_V = abs(float(earlier_V[-1]) - float(drive_V[0]))
+            step_V = move_V if distance_V < 0.1 * abs(move_V) else 0.0
         rows = np.arange(span.start, span.stop)
-        holds.append(
-            _Hold(
-                recording=recording.name,
-                time_s=(rows - first) / recording.sampling_rate_Hz,
-                drive_V=drive_V[rows],
-                step_V=step_V,
-            )
+        time_s = (rows - first) / recording.sampling_rate_Hz
+        findings.append(
+            _finding(recording.name, time_s, drive_V[rows], step_V, diagnosis, gain_m_per_V)
         )
-    return holds
-
-
-def _last_move_V(earlier: Sequence[Recording], axis: str, end_V: float) -> float:
-    """Return the last move of the previous recording, if it ended where the hold starts."""
-    if not earlier:
-        return 0.0
-    drive_V = earlier[-1].voltage_V(axis)
-    move_V = _span_V(drive_V)
-    return move_V if abs(float(drive_V[-1]) - end_V) < 0.1 * abs(move_V) else 0.0
+    largest = max(filter(None, findings), key=lambda finding: finding.share, default=None)
+    return diagnosis if largest is None else with_finding(diagnosis, largest)
 
 
 def _span_V(drive_V: Array) -> float:
@@ -112,12 +81,24 @@ def _span_V(drive_V: Array) -> float:
     return float(np.ptp(drive_V)) * (1.0 if high > low else -1.0)
 
 
-def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding | None:
-    """Fit logarithmic creep to a hold, and return its finding; None if it is not significant."""
-    drive_V, time_s = hold.drive_V - hold.drive_V.mean(), hold.time_s
-    step_s = float(np.median(np.diff(time_s)))
+def _finding(
+    recording: str,
+    time_s: Array,
+    held_V: Array,
+    step_V: float,
+    diagnosis: Diagnosis,
+    gain_m_per_V: float,
+) -> Finding | None:
+    """Fit logarithmic creep to a hold, and return its finding; None if it is not significant.
+
+    time_s  (rows,)  from the start of the hold
+    held_V  (rows,)  drive during the hold
+    step_V  step of the drive before the hold, with its sign; 0 if it is unknown
+    """
+    drive_V = held_V - held_V.mean()
+    sample_s = float(np.median(np.diff(time_s)))
     fits = []
-    for scale_s in np.geomspace(step_s, time_s[-1] / 3.0, SCALES).tolist():
+    for scale_s in np.geomspace(sample_s, time_s[-1] / 3.0, SCALES).tolist():
         residual_V = held_out_residual(drive_V, [np.log1p(time_s / scale_s)[:, None]])
         fits.append((float(np.sqrt(np.mean(residual_V**2))), scale_s, residual_V))
     after_V, scale_s, residual_V = min(fits, key=lambda fit: fit[0])
@@ -129,17 +110,17 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
     slope_V = float(column @ drive_V) / float(column @ column)
     gain, z = gain_on_blocks(constant_V, residual_V)
     # the drive compensates creep, so it moves against the step before
-    continues = hold.step_V * slope_V < 0.0
+    continues = step_V * slope_V < 0.0
     if gain < MIN_GAIN or z < MIN_Z or not continues or after_V > SAME_ERROR * cubic_V:
         return None
     effect = effect_named(NAME)
-    percent = 100.0 * abs(slope_V * log(10.0) / hold.step_V)
+    percent = 100.0 * abs(slope_V * log(10.0) / step_V)
     profile = coordinate_profile(
         np.log10(np.maximum(time_s, scale_s)),
         -gain_m_per_V * drive_V,
         -gain_m_per_V * slope_V * column,
         unit="s",
-        recording=hold.recording,
+        recording=recording,
     )
     return Finding(
         effect=NAME,
@@ -154,10 +135,10 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
         size=Size(value=percent, unit=effect.unit, ci95=((1.0 - SLOPE) * percent, 1.05 * percent)),
         not_separable_from=effect.confounded if after_V > cubic_V / SAME_ERROR else (),
         explanation=f"{effect.summary} In "
-        f"{hold.recording} a feedback holds the sensor, and the drive gives way by "
+        f"{recording} a feedback holds the sensor, and the drive gives way by "
         f"{with_unit(float(np.ptp(drive_V)), 'V')} as ln(1 + t / "
         f"{with_unit(scale_s, 's', 2)}): {significant(percent, 2)} % of the "
-        f"{with_unit(abs(hold.step_V), 'V')} before it in every decade of time. "
+        f"{with_unit(abs(step_V), 'V')} before it in every decade of time. "
         f"{with_unit(after_V, 'V')} rms of the drive are left, by a cubic of time "
         f"{with_unit(cubic_V, 'V')}.",
         next_experiment=effect.experiment,

@@ -107,14 +107,24 @@ class ModelComparison:
         )
 
     def _text(self) -> str:
-        error, noise = self._share(self.unchanged_error_m), self._noise_text()
+        error, noise, change = self._share(self.unchanged_error_m), "", ""
         fitted = f"{with_unit(self.fitted_error_m, 'm')} at the fit"
+        if self.noise_m > NOISE_GROWTH * self.fitted_noise_m:
+            noise = (
+                f"; the sensor noise rose from {with_unit(self.fitted_noise_m, 'm')} to "
+                f"{with_unit(self.noise_m, 'm')} rms"
+            )
         if self.rejection:
             return (
                 f"the model does not hold, and never applied ({self.rejection}); error "
                 f"{error}{noise}"
             )
-        change = self._sensitivity_text()
+        if self.sensitivity_changed:
+            ratio, low, high = self.gain_ratio
+            change = (
+                f"the stage moves {100.0 * abs(ratio - 1.0):.2f} % (+- {50.0 * (high - low):.2f} "
+                f"%) {'more' if ratio > 1.0 else 'less'} than at the fit"
+            )
         if self.only_sensitivity_changed:
             return (
                 f"only the sensitivity changed: {change}; error {error}, with the new sensitivity "
@@ -129,23 +139,6 @@ class ModelComparison:
             f"{with_unit(self.rescaled_error_m, 'm')} with another sensitivity"
             f"{f' ({change})' if change else ''}, {with_unit(self.refitted_error_m, 'm')} "
             f"refitted{noise}"
-        )
-
-    def _sensitivity_text(self) -> str:
-        if not self.sensitivity_changed:
-            return ""
-        ratio, low, high = self.gain_ratio
-        return (
-            f"the stage moves {100.0 * abs(ratio - 1.0):.2f} % (+- {50.0 * (high - low):.2f} %) "
-            f"{'more' if ratio > 1.0 else 'less'} than at the fit"
-        )
-
-    def _noise_text(self) -> str:
-        if self.noise_m <= NOISE_GROWTH * self.fitted_noise_m:
-            return ""
-        return (
-            f"; the sensor noise rose from {with_unit(self.fitted_noise_m, 'm')} to "
-            f"{with_unit(self.noise_m, 'm')} rms"
         )
 
     def _is_small(self, error_m: float) -> bool:

@@ -19,6 +19,7 @@ import numpy as np
 
 from piezoid.diagnosis.budget import RemainingErrors, relative_scatter, with_budget
 from piezoid.diagnosis.coordinate_descriptions import NEXT_EXPERIMENTS, coordinate_profile
+from piezoid.diagnosis.coordinate_tests import strongest_peaks
 from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     Diagnosis,
@@ -32,7 +33,6 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.effect import ConstantDriveData, Effect
 from piezoid.diagnosis.effects import effect_named, every_effect
-from piezoid.diagnosis.periodic_residual import strongest_peaks
 from piezoid.diagnosis.rest_columns import (
     FOLDS,
     MIN_Z,
@@ -108,20 +108,23 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
     rows = np.setdiff1d(np.arange(recording.samples), recording.bridged)
     is_slow = recording.sampling_rate_Hz <= 2.0 * GRIDS_Hz[0]  # no line of the grid shows
     rows = rows[:: max(1, len(rows) // ROWS)] if is_slow else rows[:ROWS]
-    reading_m = recording.displacement_m(axis)
-    readings = rest_columns(recording, axis, rows, every_effect())
-    selected = _select(readings)
+    readings, selected = _select(rest_columns(recording, axis, rows, every_effect()))
     final = readings.residual(selected)
-    line_Hz = _line_Hz(final, readings.time_s)
-    if line_Hz is not None:
-        columns = {**readings.columns, LINE: waves(readings.time_s, [line_Hz])}
-        with_line = replace(readings, columns=columns, line_Hz=line_Hz)
-        if with_line.significant_gain(LINE, selected):
-            readings, selected = with_line, [*selected, LINE]
-            final = readings.residual(selected)
-    noise_m, span_m = noise_rms((readings.y_m, final)), max(float(np.ptp(reading_m)), 1e-30)
+    noise_m = noise_rms((readings.y_m, final))
+    span_m = max(float(np.ptp(recording.displacement_m(axis))), 1e-30)
     before_m, after_m = (float(np.sqrt(np.mean(e**2))) for e in (readings.residual([]), final))
     findings = [_finding(name, readings, selected) for name in selected]
+    # the residual beyond the noise, and the p-value of its highest line among all
+    power_m2 = float(np.mean(final**2))
+    above_m2 = max(power_m2 - noise_m**2, 0.0)
+    line, p_value, _ = next(iter(strongest_peaks(_spectrum(final))), (0.0, 1.0, 0))
+    unexplained = Unexplained(
+        rms_m=sqrt(above_m2),
+        share=above_m2 / max(power_m2, 1e-300),
+        p_value=max(p_value, 1e-12),
+        coordinate="frequency",
+        gain=min(2.0 * line / max(power_m2 * len(final) ** 2, 1e-300), 1.0),
+    )
     diagnosis = Diagnosis(
         axis=axis,
         stroke_m=span_m,
@@ -130,7 +133,7 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
         envelope_rms_m=after_m,
         noise_floor_rms_m=noise_m,
         explained_fraction=fraction_explained(before_m, after_m, noise_m),
-        unexplained=_unexplained(final, noise_m),
+        unexplained=unexplained,
         findings=tuple(sorted(findings, key=lambda f: f.held_out_gain, reverse=True)),
         not_detected=tuple(
             _not_detected(effect, readings, after_m)
@@ -138,11 +141,9 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
             if effect.name not in selected
         ),
     )
+    scatter = relative_scatter(final)
     errors = RemainingErrors(
-        explained_m=after_m,
-        wide_m=after_m,
-        scatter=relative_scatter(final),
-        is_compared=False,
+        explained_m=after_m, wide_m=after_m, scatter=scatter, is_compared=False
     )
     return with_budget(diagnosis, errors)
 
@@ -193,10 +194,12 @@ def rest_columns(
     )
 
 
-def _select(readings: RestColumns) -> list[str]:
-    """Select significant causes by forward selection, the largest gain first.
+def _select(readings: RestColumns) -> tuple[RestColumns, list[str]]:
+    """Select significant causes by forward selection, the largest gain first, then a line.
 
     A jump is tested first and beside drift, because drift explains half of any jump.
+
+    Returns the columns, with those of a significant line, and the selected causes.
     """
     selected = [JUMP] if readings.significant_gain(JUMP, [DRIFT]) else []
     while True:
@@ -204,17 +207,19 @@ def _select(readings: RestColumns) -> list[str]:
         gains = {name: readings.significant_gain(name, selected) for name in remaining}
         best = max(remaining, key=lambda name: gains[name], default=DRIFT)
         if not gains.get(best):
-            return selected
+            break
         selected.append(best)
-
-
-def _line_Hz(residual: Array, time_s: Array) -> float | None:
-    """Return the frequency of the highest significant line of a residual, or None."""
+    residual, time_s = readings.residual(selected), readings.time_s
     lines = strongest_peaks(_spectrum(residual))
     if not lines or lines[0][1] > LINE_P:
-        return None
+        return readings, selected
     per_s = (len(residual) - 1) / (len(residual) * float(np.ptp(time_s)))
-    return peak_Hz(residual, time_s, per_s * lines[0][2], per_s)
+    line_Hz = peak_Hz(residual, time_s, per_s * lines[0][2], per_s)
+    columns = {**readings.columns, LINE: waves(time_s, [line_Hz])}
+    with_line = replace(readings, columns=columns, line_Hz=line_Hz)
+    if with_line.significant_gain(LINE, selected):
+        return with_line, [*selected, LINE]
+    return readings, selected
 
 
 def _spectrum(residual: Array) -> Array:
@@ -356,19 +361,4 @@ def _not_detected(effect: Effect, readings: RestColumns, rms_m: float) -> NotDet
         detection_limit_m=bound_m,
         reason=reason,
         next_experiment=effect.experiment,
-    )
-
-
-def _unexplained(residual_m: Array, noise_m: float) -> Unexplained:
-    """Return the residual beyond the noise, and the p-value of its highest line among all."""
-    lines = strongest_peaks(_spectrum(residual_m))
-    total_m2 = float(np.mean(residual_m**2))
-    above_m2 = max(total_m2 - noise_m**2, 0.0)
-    line, p_value = (lines[0][0], max(lines[0][1], 1e-12)) if lines else (0.0, 1.0)
-    return Unexplained(
-        rms_m=sqrt(above_m2),
-        share=above_m2 / max(total_m2, 1e-300),
-        p_value=p_value,
-        coordinate="frequency",
-        gain=min(2.0 * line / max(total_m2 * len(residual_m) ** 2, 1e-300), 1.0),
     )

@@ -168,11 +168,6 @@ def sample_index_basis(view: View, period: int) -> Basis:
     )
 
 
-def distance_travelled(view: View) -> Signals:
-    """Return the distance travelled by the stage from the start of each track, in half strokes."""
-    return tuple(np.cumsum(np.abs(np.diff(static, prepend=static[:1]))) for static in view.static)
-
-
 def linear_spline_basis(x: Array, knots: Array) -> Array:
     """Return linear splines that are 1 at one knot each, (values, knots); 0 where x is NaN."""
     is_finite = np.isfinite(x)
@@ -224,7 +219,16 @@ def _turn_basis(view: View) -> Basis:
 
     The curve is the same after all reversals.
     """
-    elapsed_s, direction = zip(*(_time_since_turn(track) for track in view.tracks), strict=True)
+    elapsed_s: list[Array] = []
+    direction: list[Array] = []  # of the drive since its last reversal
+    for track in view.tracks:
+        step = np.sign(np.diff(track.drive, prepend=track.drive[:1]))
+        index = np.arange(len(step))
+        side = step[np.maximum.accumulate(np.where(step != 0.0, index, 0))]
+        reversals = np.flatnonzero((side[1:] != side[:-1]) & (side[:-1] != 0.0)) + 1
+        last_reversal = np.maximum.accumulate(np.where(np.isin(index, reversals), index, 0))
+        elapsed_s.append((index - last_reversal + 1) / track.rate_Hz)
+        direction.append(side)
     decades = tuple(np.log10(time_s) for time_s in elapsed_s)
     rows = view.rows(decades)
     knots = _knots(rows, TURN_KNOTS)
@@ -238,20 +242,10 @@ def _turn_basis(view: View) -> Basis:
     return Basis(
         coordinate="time_since_turn",
         unit="s",
-        position=elapsed_s,
+        position=tuple(elapsed_s),
         columns=np.hstack([columns, columns * view.rows(direction)[:, None]]),
         curve=curve,
     )
-
-
-def _time_since_turn(track: Track) -> tuple[Array, Array]:
-    """Return the time since the last reversal of the drive, and the direction since then."""
-    step = np.sign(np.diff(track.drive, prepend=track.drive[:1]))
-    index = np.arange(len(step))
-    direction = step[np.maximum.accumulate(np.where(step != 0.0, index, 0))]
-    reversals = np.flatnonzero((direction[1:] != direction[:-1]) & (direction[:-1] != 0.0)) + 1
-    last_reversal = np.maximum.accumulate(np.where(np.isin(index, reversals), index, 0))
-    return (index - last_reversal + 1) / track.rate_Hz, direction
 
 
 def _knots(values: Array, count: int) -> Array:

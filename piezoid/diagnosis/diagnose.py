@@ -12,11 +12,9 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.budget import QUANTISATION, RemainingErrors, corrected, with_budget
-from piezoid.diagnosis.candidate import Candidate
+from piezoid.diagnosis.budget import QUANTISATION, RemainingErrors, with_budget
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
 from piezoid.diagnosis.constant_drive import diagnose_at_rest
-from piezoid.diagnosis.detection_limits import not_detected, not_tested
 from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     Diagnosis,
@@ -24,11 +22,10 @@ from piezoid.diagnosis.diagnosis import (
     fraction_explained,
 )
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.findings import findings_of, held_out
+from piezoid.diagnosis.findings import findings_of, held_out, not_detected
 from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.identified_modes import split_by_mode, with_modes
-from piezoid.diagnosis.ingest_faults import with_ingest_faults
-from piezoid.diagnosis.null_distribution import is_weak_evidence
+from piezoid.diagnosis.null_distribution import is_weak_evidence, smallest_structure_p_value
 from piezoid.diagnosis.refit import (
     CLEARLY_WORSE,
     ModelErrors,
@@ -44,7 +41,7 @@ from piezoid.diagnosis.residual_structure import (
 )
 from piezoid.diagnosis.residual_view import View, view_of
 from piezoid.diagnosis.segments import tracks_of
-from piezoid.diagnosis.selection import Outcome, search_faults, without_causes
+from piezoid.diagnosis.selection import Outcome, search_faults, with_ingest_faults, without_causes
 from piezoid.diagnosis.step_responses import step_response_view
 from piezoid.errors import IdentificationError
 from piezoid.formatting import words
@@ -106,7 +103,11 @@ def diagnose(
     several, it may be attributed to the effect that resembles it most. ``unexplained`` states the
     size of the residual that remains.
     """
-    selected_axis = _select_axis(recordings, axis)
+    axes = axes_of(recordings)
+    selected_axis = next(iter(axes), "") if axis is None else axis
+    if selected_axis not in axes:
+        of_axis = f" of axis {selected_axis}" if selected_axis else " of the same axis"
+        raise missing_channels_error(recordings, f"a drive voltage and a displacement{of_axis}")
     constant = recordings_of_axis(recordings, selected_axis)
     if constant and all(is_at_rest(recording, selected_axis) for recording in constant):
         progress("diagnosing recordings at constant drive")
@@ -134,24 +135,8 @@ def diagnose(
         repaired = selection.repaired(recordings)
         return complete_extended(selection.errors.model, repaired, declared, response)
 
-    final = complete(selection)
-    doubtful_causes = _doubtful_causes(selection, final, recordings, executor)
-    if doubtful_causes:
-        reduced = _without_causes(selection, doubtful_causes)
-        reduced_final = complete(reduced)
-        max_error_m = CLEARLY_WORSE * final.quality.held_out_rms_m
-        if reduced_final.quality.held_out_rms_m <= max_error_m:
-            selection, final = reduced, reduced_final
+    selection, final = _drop_doubtful_causes(selection, complete, recordings, executor)
     return _assembled(selection, start, final, recordings)
-
-
-def _select_axis(recordings: Sequence[Recording], requested: str | None) -> str:
-    axes = axes_of(recordings)
-    axis = next(iter(axes), "") if requested is None else requested
-    if axis not in axes:
-        of_axis = f" of axis {axis}" if axis else " of the same axis"
-        raise missing_channels_error(recordings, f"a drive voltage and a displacement{of_axis}")
-    return axis
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -229,18 +214,28 @@ def _select_effects(
     )
 
 
-def _doubtful_causes(
-    selection: _Selection, final: AxisModel, recordings: Sequence[Recording], executor: Executor
-) -> list[Candidate]:
-    """Return the causes of weak evidence, and those that the final model does not need.
+def _drop_doubtful_causes(
+    selection: _Selection,
+    complete: Callable[[_Selection], AxisModel],
+    recordings: Sequence[Recording],
+    executor: Executor,
+) -> tuple[_Selection, AxisModel]:
+    """Drop causes of weak evidence, and those that the final model does not need.
 
     Without the latter loop shape leaves the same errors, held out and in sample: the cause
     represents hysteresis that only loop shape follows. Structural effects stay: the healthy stages
     contain no evidence for an initial state, and non-congruence has a test of its own.
+
+    The final model decides whether the causes are named, because the class of the refits may be
+    too narrow: on a LuGre stage with a true drift the refits were better without it (121 and
+    186 nm), and the final model was worse (81 and 17 nm).
+
+    complete  (selection) -> its final model
     """
-    causes = [c for c in selection.result.outcome.causes if c.effect.structural is None]
-    doubtful = [cause for cause in causes if is_weak_evidence(cause.strength)]
+    final, outcome = complete(selection), selection.result.outcome
     quality, model = final.quality, final.without_loop_shape()
+    causes = [cause for cause in outcome.causes if cause.effect.structural is None]
+    doubtful = [cause for cause in causes if is_weak_evidence(cause.strength)]
     driven = driven_recordings(selection.repaired(recordings), model.axis)
     for cause in causes:
         remaining = cause.effect.without(model, driven[0])
@@ -251,19 +246,13 @@ def _doubtful_causes(
         is_no_worse = errors_m.held_out <= MIN_INCREASE * quality.held_out_rms_m
         if is_no_worse and errors_m.explained <= MIN_INCREASE * quality.explained_rms_m:
             doubtful.append(cause)
-    return doubtful
-
-
-def _without_causes(selection: _Selection, causes: Sequence[Candidate]) -> _Selection:
-    """Return the selection without causes.
-
-    The final model decides whether these are named, because the class of the refits may be too
-    narrow: on a LuGre stage with a true drift the refits were better without it (121 and 186 nm),
-    and the final model was worse (81 and 17 nm).
-    """
-    outcome = without_causes(selection.result.outcome, causes)
-    result = replace(selection.result, outcome=outcome)
-    return replace(selection, result=result, errors=selection.attribute(result))
+    if doubtful:
+        result = replace(selection.result, outcome=without_causes(outcome, doubtful))
+        reduced = replace(selection, result=result, errors=selection.attribute(result))
+        reduced_final = complete(reduced)
+        if reduced_final.quality.held_out_rms_m <= CLEARLY_WORSE * quality.held_out_rms_m:
+            return reduced, reduced_final
+    return selection, final
 
 
 def _prefer_named_effects(
@@ -289,9 +278,14 @@ def _prefer_named_effects(
     if structure.range_end is not None:
         return result, errors
     is_worse = errors.final_m > CLEARLY_WORSE * without_m
-    if is_worse or (not structure.exceeds_healthy and errors.final_m >= without_m):
+    is_usual = structure.healthy_p_value > smallest_structure_p_value()
+    if is_worse or (is_usual and errors.final_m >= without_m):
         return without_structure, attribute(without_structure)
-    if _names_of(without_structure) - _names_of(result):
+    named_effects, further_effects = (
+        {cause.effect.name for cause in candidate.outcome.causes}
+        for candidate in (result, without_structure)
+    )
+    if further_effects - named_effects:
         named_errors = attribute(without_structure)
         if named_errors.final_m <= errors.final_m:
             return without_structure, named_errors
@@ -310,10 +304,6 @@ def _drop_useless_slips(result: SearchResult, errors: ModelErrors) -> SearchResu
         return result
     remaining_faults = {name: fault for name, fault in faults.items() if name != SLIP}
     return replace(result, outcome=replace(result.outcome, faults=remaining_faults))
-
-
-def _names_of(result: SearchResult) -> set[str]:
-    return {cause.effect.name for cause in result.outcome.causes}
 
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
@@ -359,9 +349,7 @@ def _assembled(
         ),
         findings=searched,
         not_detected=tuple(
-            not_tested(effect, outcome.rejection)
-            if outcome.rejection
-            else not_detected(effect, outcome)
+            not_detected(effect, outcome)
             for effect in every_effect()
             if effect.name not in searched_names
         ),
@@ -400,40 +388,28 @@ def _assembled(
 def _remaining_errors(
     outcome: Outcome, errors: ModelErrors, final: AxisModel, recordings: Sequence[Recording]
 ) -> RemainingErrors:
+    quality, recordings_m = final.quality, {}
+    if quality.held_out_rms_m**2 >= 2.0 * quality.explained_rms_m**2:
+        # most of the power of the held-out error is extrapolation
+        for recording in recordings:
+            with suppress(IdentificationError):  # other pieces than those of the fit
+                simulated_m = simulate_fitted_rows(final, recording)
+                error_m = recording.displacement_m(final.axis) - simulated_m
+                recordings_m[recording.name] = float(np.sqrt(np.nanmean(error_m**2)))
     rows, columns = outcome.final.null.all_columns.shape
+    correction = sqrt(rows / max(rows - columns, 0.5 * rows))  # for the number of parameters
     has_wide_class = final.without_loop_shape() is not final
     with_structure_m = errors.without_m.get(SOMETHING_ELSE, errors.final_m)
+    converter_m, converter = 0.0, outcome.faults.get(QUANTISATION)
+    if converter is not None and QUANTISATION not in repaired_faults(outcome):
+        converter_m = 1e-9 * converter.value / sqrt(12.0)  # steps of a drive are repaired
     return RemainingErrors(
-        explained_m=final.quality.explained_rms_m,
-        wide_m=outcome.final.rms * outcome.first.half_stroke_m * corrected(rows, columns),
+        explained_m=quality.explained_rms_m,
+        wide_m=outcome.final.rms * outcome.first.half_stroke_m * correction,
         scatter=errors.scatter,
         before_m=min(with_structure_m, errors.baseline_m) if has_wide_class else None,
         structure_m=sqrt(max(with_structure_m**2 - errors.final_m**2, 0.0)),
         is_compared=not outcome.rejection,
-        recordings_m=_errors_by_recording(final, recordings),
-        converter_m=_converter_error_m(outcome),
+        recordings_m=recordings_m,
+        converter_m=converter_m,
     )
-
-
-def _converter_error_m(outcome: Outcome) -> float:
-    """Return the rms error of the steps of the readings; steps of a drive are repaired."""
-    fault = outcome.faults.get(QUANTISATION)
-    if fault is None or QUANTISATION in repaired_faults(outcome):
-        return 0.0
-    return 1e-9 * fault.value / sqrt(12.0)
-
-
-def _errors_by_recording(model: AxisModel, recordings: Sequence[Recording]) -> dict[str, float]:
-    """Return the error in sample of each recording, rms in m.
-
-    Empty unless most of the power of the held-out error is extrapolation.
-    """
-    quality, errors_m = model.quality, {}
-    if quality.held_out_rms_m**2 < 2.0 * quality.explained_rms_m**2:
-        return {}
-    for recording in recordings:
-        with suppress(IdentificationError):  # other pieces than those of the fit
-            simulated_m = simulate_fitted_rows(model, recording)
-            error_m = recording.displacement_m(model.axis) - simulated_m
-            errors_m[recording.name] = float(np.sqrt(np.nanmean(error_m**2)))
-    return errors_m

@@ -25,11 +25,6 @@ class Size:
         low, high = self.ci95
         return 0.5 * (high - low)
 
-    def scaled(self, factor: float) -> "Size":
-        """Return the size times a factor, its interval as well."""
-        low, high = self.ci95
-        return replace(self, value=factor * self.value, ci95=(factor * low, factor * high))
-
 
 @dataclass(frozen=True, kw_only=True)
 class CoordinateProfile:
@@ -233,16 +228,19 @@ class Diagnosis(Summarised):
         Diagnosis of axis x
         effect ...
         """
-        rows = [
-            (
-                words(finding.effect),
-                _interval(finding.size),
-                f"{with_unit(1e-2 * finding.rms_percent * self.stroke_m, 'm')} rms",
-                f"{100 * finding.held_out_gain:.1f} %",
-                p_value(finding.p_value),
+        rows = []
+        for finding in self.findings:
+            size, digits = finding.size, interval_digits(*finding.size.ci95)
+            value, low, high = (significant(n, digits) for n in (size.value, *size.ci95))
+            rows.append(
+                (
+                    words(finding.effect),
+                    f"{value} ({low} to {high}) {size.unit}".strip(),
+                    f"{with_unit(1e-2 * finding.rms_percent * self.stroke_m, 'm')} rms",
+                    f"{100 * finding.held_out_gain:.1f} %",
+                    p_value(finding.p_value),
+                )
             )
-            for finding in self.findings
-        ]
         notes = (
             f"held-out error: {with_unit(self.baseline.rms_m, 'm')} rms with hysteresis alone, "
             f"{with_unit(self.final.rms_m, 'm')} with all findings; "
@@ -256,13 +254,6 @@ class Diagnosis(Summarised):
             notes=notes,
             counted=self.counted,
         )
-
-
-def _interval(size: Size) -> str:
-    """Return a size with its interval and unit, for example ``2.1 (1.9 to 2.3) %``."""
-    digits = interval_digits(*size.ci95)
-    value, low, high = (significant(number, digits) for number in (size.value, *size.ci95))
-    return f"{value} ({low} to {high}) {size.unit}".strip()
 
 
 def with_finding(diagnosis: Diagnosis, finding: Finding) -> Diagnosis:

@@ -21,22 +21,49 @@ SHAPE_EXPERIMENT = (
 
 
 def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
-    """Return the statements about one diagnosis, most important first."""
+    """Return the statements about one diagnosis, most important first.
+
+    The part that dominates a final error far above the noise is stated, unless it is along one
+    coordinate: then it is a finding. Every fit predicts new recordings worse than its own, so
+    extrapolation needs action only if it is most of the error.
+    """
+    findings, part, remaining = diagnosis.findings, diagnosis.largest_remaining, []
     is_tested = any(absence.upper_bound_m is not None for absence in diagnosis.not_detected)
-    is_named = any(f.effect not in (SOMETHING_ELSE, LOOP_SHAPE) for f in diagnosis.findings)
+    is_named = any(f.effect not in (SOMETHING_ELSE, LOOP_SHAPE) for f in findings)
     untested = [] if is_tested or is_named else _nothing_found(diagnosis)
-    remaining = _remaining(diagnosis) if is_tested or diagnosis.findings else []
-    return (
-        *untested,
-        *(
-            _unnamed(diagnosis, finding)
-            for finding in diagnosis.findings
-            if finding.effect == SOMETHING_ELSE
-        ),
-        *(_confounded(diagnosis, f) for f in diagnosis.findings if f.not_separable_from),
-        *remaining,
-        *([] if untested or remaining or diagnosis.findings else _nothing_found(diagnosis)),
-    )
+    if part is not None and part.part != SOMETHING_ELSE and (is_tested or findings):
+        is_most = part.rms_m**2 > 0.5 * diagnosis.final.rms_m**2
+        is_action = part.part == "extrapolation" and is_most
+        level = Level.ACTION if is_action else Level.WARNING
+        remaining = [_statement(diagnosis, Kind.LIMIT, level, part.part, part.text, part.rms_m)]
+    structure = [
+        _statement(
+            diagnosis,
+            Kind.FINDING,
+            Level.ACTION,
+            finding.effect,
+            f"{finding.explanation} {finding.next_experiment}".strip(),
+            finding.share * diagnosis.stroke_m,
+        )
+        for finding in findings
+        if finding.effect == SOMETHING_ELSE
+    ]
+    confounded = [
+        _statement(
+            diagnosis,
+            Kind.LIMIT,
+            Level.ACTION,
+            f"{finding.effect}_confounded",
+            f"{words(finding.effect).capitalize()} cannot be separated from "
+            f"{' or '.join(map(words, finding.not_separable_from))}. {finding.next_experiment}",
+        )
+        for finding in findings
+        if finding.not_separable_from
+    ]
+    statements = [*untested, *structure, *confounded, *remaining]
+    if not (untested or remaining or findings):
+        statements += _nothing_found(diagnosis)
+    return tuple(statements)
 
 
 def largest_first(diagnosis: Diagnosis) -> tuple[Finding, ...]:
@@ -46,36 +73,6 @@ def largest_first(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     if all(first.share > second.share for first in unnamed for second in catalogued):
         return (*unnamed, *catalogued)
     return diagnosis.findings
-
-
-def _remaining(diagnosis: Diagnosis) -> list[Statement]:
-    """Return the statement of the part that dominates a final error far above the noise.
-
-    A part along one coordinate is a finding with a separate statement. Every fit predicts new
-    recordings worse than its own: extrapolation needs action only if it is most of the error.
-    """
-    part = diagnosis.largest_remaining
-    if part is None or part.part == SOMETHING_ELSE:
-        return []
-    is_most = part.rms_m**2 > 0.5 * diagnosis.final.rms_m**2
-    is_action = part.part == "extrapolation" and is_most
-    level = Level.ACTION if is_action else Level.WARNING
-    return [_statement(diagnosis, Kind.LIMIT, level, part.part, part.text, part.rms_m, "m")]
-
-
-def _unnamed(diagnosis: Diagnosis, finding: Finding) -> Statement:
-    text = f"{finding.explanation} {finding.next_experiment}".strip()
-    rms_m = finding.share * diagnosis.stroke_m
-    return _statement(diagnosis, Kind.FINDING, Level.ACTION, finding.effect, text, rms_m, "m")
-
-
-def _confounded(diagnosis: Diagnosis, finding: Finding) -> Statement:
-    rivals = " or ".join(map(words, finding.not_separable_from))
-    text = (
-        f"{words(finding.effect).capitalize()} cannot be separated from {rivals}. "
-        f"{finding.next_experiment}"
-    )
-    return _statement(diagnosis, Kind.LIMIT, Level.ACTION, f"{finding.effect}_confounded", text)
 
 
 def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
@@ -97,23 +94,17 @@ def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
         "1 effect was tested and not" if n_tested == 1 else f"{n_tested} effects were tested, none"
     )
     text = f"{count} detected: the residual {where} is {with_unit(residual_m, 'm')} rms{times}."
-    text += _structure(diagnosis)
+    structure = diagnosis.unexplained
+    if structure is not None and structure.gain >= MIN_GAIN:
+        coordinate, percent = coordinate_words(structure.coordinate), 100 * structure.p_value
+        usual = f", as in {percent:.0f} % of healthy stages"
+        text += f" {100 * structure.gain:.2g} % of its power depends on {coordinate}"
+        text += f"{'' if structure.p_value <= USUAL_P else usual}."
     exceeds = not at_rest and residual_m > NEAR_NOISE * noise_m > 0.0
     if exceeds:
         text += f" {SHAPE_EXPERIMENT}"
     level = Level.ACTION if exceeds else Level.NOTE
-    return [_statement(diagnosis, Kind.LIMIT, level, "no_effect_detected", text, residual_m, "m")]
-
-
-def _structure(diagnosis: Diagnosis) -> str:
-    structure = diagnosis.unexplained
-    if structure is None or structure.gain < MIN_GAIN:
-        return ""
-    coordinate = coordinate_words(structure.coordinate)
-    share = f" {100 * structure.gain:.2g} % of its power depends on {coordinate}"
-    if structure.p_value <= USUAL_P:
-        return f"{share}."
-    return f"{share}, as in {100 * structure.p_value:.0f} % of healthy stages."
+    return [_statement(diagnosis, Kind.LIMIT, level, "no_effect_detected", text, residual_m)]
 
 
 def _statement(
@@ -122,8 +113,7 @@ def _statement(
     level: Level,
     quantity: str,
     text: str,
-    value: float | None = None,
-    unit: str = "",
+    value_m: float | None = None,
 ) -> Statement:
     return Statement(
         kind=kind,
@@ -131,6 +121,6 @@ def _statement(
         quantity=quantity,
         text=text,
         axis=diagnosis.axis,
-        value=value,
-        unit=unit,
+        value=value_m,
+        unit="" if value_m is None else "m",
     )

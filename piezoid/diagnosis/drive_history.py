@@ -1,17 +1,20 @@
-"""Drive history: hysteresis states along a track, including reversals before its start.
+"""Drive history: reversals before a track, and the hysteresis states along it.
 
 Rate-independent hysteresis depends on the reversals of the drive and not on its course between
 them. The states at rows are therefore computed from the drive at these rows and at its reversals.
+A reversal wipes out all earlier reversals that it exceeds. Those before a recording are unknown,
+and are compared as hypotheses.
 
-Source: Krejci (1996); Mayergoyz (1991) on rate independence.
+Source: Krejci (1996); Mayergoyz (1991) on rate independence and wiping out.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.initial_states import Reversals, memory_after
 from piezoid.diagnosis.nuisance_columns import (
+    PLAYS,
     SHARED,
     THRESHOLD,
     friction_along,
@@ -21,11 +24,117 @@ from piezoid.diagnosis.nuisance_columns import (
 from piezoid.diagnosis.segments import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
-from piezoid.operators.play import play_columns, thinned_drive
+from piezoid.operators.play import play_columns
 
+RANDOM_HYPOTHESES = 16
+SINGLE_LEVELS, PAIR_LEVELS = 9, 5  # levels of one reversal, and of each of two
+DELIBERATE = 4  # first hypotheses: histories as laboratories make them
+DECAYING = 24  # reversals of a cycle that decays to rest
+AT_END = 0.03  # of a drive's span: distance from an end below which the drive reaches it
+MIN_CYCLES = 3  # of a periodic drive
+MAX_FIRST_CYCLE = 1.4  # over the mean cycle: a longer first cycle begins a sweep of the frequency
+Reversals = tuple[float, ...]
 CHUNK = 65536
 POLING_LEVELS = (0.0, 0.5)  # of half the range: drives from which walls move irreversibly
 States = tuple[Array, Array]  # of plays, of friction
+
+
+def memory_after(drive: Array, reversals: Sequence[float]) -> Array:
+    """Return the play memory at the first sample after these reversals of the drive."""
+    path = np.array([*reversals, float(drive[0])])
+    return play_columns(path, THRESHOLD, np.zeros(PLAYS))[1]
+
+
+def hypotheses(drive: Array) -> tuple[Reversals, ...]:
+    """Return hypotheses of earlier reversals, cycles over the full range first.
+
+    These are followed by cycles in the opposite order, rest, decaying cycles about the first
+    value, one or two reversals after rest or an end of the range, and random reversals.
+    """
+    low, high = min(-1.0, float(drive.min())), max(1.0, float(drive.max()))
+    single = np.linspace(low, high, SINGLE_LEVELS + 2)[1:-1].tolist()
+    pair = np.linspace(low, high, PAIR_LEVELS + 2)[1:-1].tolist()
+    rng = np.random.default_rng(RANDOM_HYPOTHESES)
+    random = [
+        (*rng.uniform((-0.3, -1, -0.3, -1, -0.3, -1), (1, 0.3, 1, 0.3, 1, 0.3)).tolist(),)
+        for _ in range(RANDOM_HYPOTHESES)
+    ]
+    deviations = np.linspace(1.0, 0.0, DECAYING, endpoint=False)
+    deviations[1::2] *= -1.0
+    return (
+        (low, high),
+        (high, low),
+        (0.0,),
+        (*(float(drive[0]) + deviations).tolist(),),
+        *((end, level) for end in (low, high, 0.0) for level in single),
+        *((end, a, b) for end in (low, high) for a in pair for b in pair if a != b),
+        *random,
+    )
+
+
+def shared_hypotheses(
+    drives: Sequence[Array], rest_drive: float
+) -> tuple[tuple[Reversals, ...], ...]:
+    """Return hypotheses of earlier reversals for the drives of all recordings.
+
+    Either every drive has the same history, or the first drive has it and each further drive
+    continues where the previous one ended. A periodic drive may have started long before its
+    recording.
+
+    rest_drive  the drive at 0 V
+    """
+    deliberate = []
+    for drive in drives:
+        usual = hypotheses(drive)[:DELIBERATE]
+        deliberate.append((*usual, *((*cycled, rest_drive) for cycled in usual[:2])))
+    extremes = [np.array(_remaining_reversals((), drive)) for drive in drives]
+    earlier_cycles = [_earlier_cycle(drive) for drive in drives]
+    candidates: list[tuple[Reversals, ...]] = []
+    for has_cycles in (False, True) if any(earlier_cycles) else (False,):
+        cycles = earlier_cycles if has_cycles else [()] * len(drives)
+        candidates += [
+            tuple(map(_before_cycle, reversals, cycles))
+            for reversals in zip(*deliberate, strict=True)
+        ]
+        for reversals in deliberate[0]:
+            histories = [_before_cycle(reversals, cycles[0])]
+            for previous, cycle in zip(extremes[:-1], cycles[1:], strict=True):
+                end = _remaining_reversals(histories[-1], previous)
+                histories.append(_before_cycle(end, cycle))
+            candidates.append((*histories,))
+    return tuple(candidates)
+
+
+def _earlier_cycle(drive: Array) -> Reversals:
+    """Return the two reversals before a periodic drive; empty if the drive is not periodic."""
+    low, high = float(drive.min()), float(drive.max())
+    margin = AT_END * (high - low)
+    at_end = np.flatnonzero((drive < low + margin) | (drive > high - margin))
+    is_high = drive[at_end] > 0.5 * (low + high)
+    arrivals = at_end[1:][is_high[1:] != is_high[:-1]]  # at the opposite end
+    if len(arrivals) < 2 * MIN_CYCLES:
+        return ()
+    if arrivals[1] * (len(arrivals) - 1) > 2.0 * MAX_FIRST_CYCLE * arrivals[-1]:
+        return ()
+    starts_at_end = at_end[0] == 0
+    return (high, low) if is_high[0] != starts_at_end else (low, high)
+
+
+def _before_cycle(reversals: Reversals, cycle: Reversals) -> Reversals:
+    return _remaining_reversals(reversals, np.array(cycle)) if cycle else reversals
+
+
+def _remaining_reversals(reversals: Reversals, drive: Array) -> Reversals:
+    """Return the reversals that a drive after them does not wipe out, and its last value.
+
+    Going back in time, each of them exceeds all later ones. The last value may become a reversal.
+    """
+    path = np.array([*reversals, *drive])[::-1]
+    higher = np.diff(np.maximum.accumulate(path)) > 0.0
+    lower = np.diff(np.minimum.accumulate(path)) < 0.0
+    extrema = np.flatnonzero(higher | lower)
+    outermost = np.append(higher[extrema][1:] != higher[extrema][:-1], True)
+    return (*path[1:][extrema[outermost]][::-1].tolist(), float(path[0]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,12 +150,6 @@ class History:
     reversals: Reversals
     origin: "History | None" = None
 
-    def with_reversals(self, reversals: Reversals) -> "History":
-        """Return the history of the same track from another initial state."""
-        return (
-            self if reversals == self.reversals else History(track=self.track, reversals=reversals)
-        )
-
     def with_track(self, track: Track) -> "History":
         """Return the history of another track from the same initial state."""
         if track is self.track:
@@ -61,7 +164,7 @@ class History:
     @Once
     def rows(self) -> States:
         """Return the states at the track's rows, (rows, plays) and (rows, friction states)."""
-        return _states_on(*self.track.path, self.reversals)
+        return states_on(*self.track.path, self.reversals)
 
     @Once
     def states(self) -> States:
@@ -110,19 +213,13 @@ class History:
         return np.maximum.accumulate(drive), np.minimum.accumulate(drive)
 
 
-def states_at(drive: Array, reversals: Reversals, rows: Places) -> States:
-    """Return the states at samples of a drive after earlier reversals."""
-    return _states_on(*thinned_drive(drive, rows), reversals)
-
-
-def _states_on(path: Array, rows: Places, reversals: Reversals) -> States:
+def states_on(path: Array, rows: Places, reversals: Reversals) -> States:
+    """Return the states at rows of a thinned drive after earlier reversals."""
     plays, _ = play_columns(path, THRESHOLD, memory_after(path, reversals))
-    return _rows(plays, rows), _rows(friction_along(path, initial_friction(path, reversals)), rows)
-
-
-def _rows(columns: Array, rows: Places) -> Array:
-    """Return rows of a column-major matrix, in column-major order."""
-    return np.asarray(np.take(columns.T, rows, axis=1).T)
+    friction = friction_along(path, initial_friction(path, reversals))
+    # rows of a column-major matrix, in column-major order
+    plays, friction = (np.take(states.T, rows, axis=1).T for states in (plays, friction))
+    return plays, friction
 
 
 def static_response(drive: Array, reversals: Reversals, weight: Array) -> Array:

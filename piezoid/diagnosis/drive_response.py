@@ -107,12 +107,17 @@ class DriveResponse:
         h, slope = self.output_m[self.rows, None], self.slope[self.rows, None]
         state, by_threshold = self._states
         beyond = np.where(zones.threshold >= 0, h > zones.threshold, h < zones.threshold)
+        unit, memory_V, bends = self.drive_V / self.half_range_V, self.initial_memory_V, []
+        for power in BEND_POWERS:
+            bend_V = BEND * self.half_range_V * unit**power
+            change_m = self._play_output(self.drive_V + bend_V, memory_V) - self.output_m
+            bends.append((self.slope * change_m / BEND)[self.rows])
         parts = [
             slope * state,
             slope * by_threshold * plays.weight,
             beyond * (h - zones.threshold),
             beyond[:, zones.threshold != 0].astype(float),
-            np.column_stack([self._bend_column(power) for power in BEND_POWERS])[self.rows],
+            np.column_stack(bends),
         ]
         return np.hstack(parts)
 
@@ -149,15 +154,6 @@ class DriveResponse:
 
     def _play_output(self, drive_V: Array, memory_V: Array) -> Array:
         return self.model.hysteresis.plays.run(drive_V, memory_V)[0]
-
-    def _bend_column(self, power: int) -> Array:
-        unit = self.drive_V / self.half_range_V
-        bend_V = BEND * self.half_range_V * unit**power
-        return (
-            self.slope
-            * (self._play_output(self.drive_V + bend_V, self.initial_memory_V) - self.output_m)
-            / BEND
-        )
 
     def _memory_after(self, side: float) -> Array:
         """Return the play memory after cycles that end at the upper (1) or lower (-1) end."""

@@ -1,7 +1,9 @@
 """Interface of one effect between the catalogue and the search.
 
 An effect is one file: an explanation under five headings, trials, placebos with the same freedom
-that must explain clearly less, the contribution of the selected effect, and its size.
+that must explain clearly less, the contribution of the selected effect, its size, and its
+appearance along a coordinate, over time, or in the spectrum. This module defines the coordinates
+of several effects; the file of an effect defines its own.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -9,17 +11,88 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import Appearance
 from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Places, Track
 from piezoid.identification.extensions.extension import Extension, Where
-from piezoid.identification.hysteresis.pieces import Scales
-from piezoid.identification.joint.vector import Structure, parts_of
+from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
+
+Along = Callable[[Recording], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Appearance:
+    """Coordinate against which a residual is drawn.
+
+    label    of the coordinate
+    unit     SI
+    kind     ``classes`` of all recordings, or ``time`` or ``spectrum`` of one recording
+    along    (recording) -> coordinate of every sample, (samples,), NaN for samples that are left
+             out, and a sign by which the residual is multiplied, (samples,)
+    reading  how to read the picture
+    decades  whether coordinates are log10 of numbers in ``unit``
+    """
+
+    label: str
+    unit: str
+    kind: str
+    along: Along
+    reading: str
+    decades: bool = False
+
+
+def unsigned(positions: Array) -> tuple[Array, Array]:
+    """Return positions, and the sign 1 for all of them."""
+    return positions, np.ones(len(positions))
+
+
+OVER_TIME = Appearance(
+    label="time",
+    unit="s",
+    kind="time",
+    along=lambda recording: unsigned(recording.time_s),
+    reading="Drift: one slow motion whatever the drive does. A slip: small before, large "
+    "after. Outliers: single spikes. A wrong initial state: gone after the first large cycle.",
+)
+OVER_SPEED = Appearance(
+    label="speed of the drive",
+    unit="V/s",
+    kind="classes",
+    along=lambda recording: unsigned(
+        np.gradient(recording.voltage_V()) * recording.sampling_rate_Hz
+    ),
+    reading="Delay and lag: a straight line through zero. Rate dependence: bent. A slew "
+    "limit: flat, then steep beyond the limit.",
+)
+IN_SPECTRUM = Appearance(
+    label="frequency",
+    unit="Hz",
+    decades=True,
+    kind="spectrum",
+    along=lambda recording: unsigned(recording.time_s),
+    reading="A mode: a hill where the stage rings. Hum: needles at 50 or 60 Hz and multiples.",
+)
+OVER_DRIVE = Appearance(
+    label="drive",
+    unit="V",
+    kind="classes",
+    along=lambda recording: unsigned(recording.voltage_V()),
+    reading="Saturation: nothing, then steep at an end. Asymmetry: one side bends.",
+)
+
+
+def over_time(coordinate: Appearance) -> Appearance:
+    """Return the appearance over time, for recordings with too few samples of a coordinate."""
+    return replace(
+        OVER_TIME,
+        reading="Drawn over time, because too few samples of these recordings have a "
+        f"{coordinate.label}, where this effect shows best.",
+    )
+
 
 HEADINGS = (
     "What you see",
@@ -68,22 +141,6 @@ class SearchScaling:
     half_stroke_m: float
     pieces: tuple[Where, ...]
     recordings: tuple[str, ...]
-
-    @property
-    def longest_s(self) -> float:
-        """Return the duration of the longest piece."""
-        return max(piece.samples / piece.rate_Hz for piece in self.pieces)
-
-
-def scaling_of(model: AxisModel, recordings: Sequence[Recording], scales: Scales) -> SearchScaling:
-    """Return the units of a search on these recordings."""
-    return SearchScaling(
-        voltage_V=scales.voltage_V,
-        voltage_offset_V=scales.voltage_offset_V,
-        half_stroke_m=abs(scales.displacement_m),
-        pieces=tuple(part.where for part in parts_of(model, recordings)),
-        recordings=tuple(recording.name for recording in recordings),
-    )
 
 
 Parameters = Mapping[str, float]
@@ -321,11 +378,6 @@ class Effect:
     def summary(self) -> str:
         """Return the first paragraph of the explanation, on one line."""
         return " ".join(self.explanation.partition("\n\n")[0].split())
-
-    @property
-    def moves_zero(self) -> bool:
-        """Whether the effect moves the zero: drift over time that is no fault of the data."""
-        return self.shows.unit == "s" and self.fault is None
 
     def resembles(self, effect: "Effect") -> bool:
         """Tell whether the two effects are confounded."""

@@ -1,6 +1,6 @@
-"""Findings of a search: faults and effects, each with the errors of the model with and without it.
+"""Results of a search for each effect: its finding, or an upper bound if it was not detected.
 
-The errors are held-out errors of the refitted model.
+A finding states the held-out errors of the refitted model with and without a fault or effect.
 """
 
 from collections.abc import Sequence
@@ -9,24 +9,41 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.candidate import Candidate
-from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Finding, HeldOut, Size, held_out_gain
-from piezoid.diagnosis.effect import Effect, Fault
-from piezoid.diagnosis.effect_size import size_of
+from piezoid.diagnosis.candidate import (
+    MINIMUM_SHARE,
+    MINIMUM_Z,
+    Candidate,
+    exceeds_structure,
+    size_of,
+)
+from piezoid.diagnosis.diagnosis import (
+    SOMETHING_ELSE,
+    Finding,
+    HeldOut,
+    NotDetected,
+    Size,
+    held_out_gain,
+)
+from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
 from piezoid.diagnosis.effects import effect_named, every_effect
-from piezoid.diagnosis.noise_level import noise_level
 from piezoid.diagnosis.null_distribution import evidence_p_value
 from piezoid.diagnosis.refit import ModelErrors
 from piezoid.diagnosis.residual_structure import MAX_P_VALUE, SearchResult
 from piezoid.diagnosis.residual_view import View
+from piezoid.diagnosis.score_test import ScoreTest
 from piezoid.diagnosis.selection import Outcome
-from piezoid.diagnosis.structure_findings import noise_finding, structure_finding
-from piezoid.formatting import words
+from piezoid.diagnosis.structure_findings import noise_finding, noise_level, structure_finding
+from piezoid.formatting import with_unit, words
 from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.records.recording import Recording
 
 MAX_PLACES = 5  # of a fault that its explanation lists
 CERTAIN_Z = 8.0  # standard errors above which an effect contains no part of another
+SPEEDS = (
+    "Record the same loops at half the speed or less as well: what needs time shrinks with speed, "
+    "hysteresis stays."
+)
+POWER = 2.8 / 1.645  # limit for four cases in five, in units of a one-sided 95 % bound
 
 
 def findings_of(
@@ -54,6 +71,7 @@ def findings_of(
         *(effect_finding(cause, outcome, errors) for cause in outcome.causes),
     ]
     final, structure = held_out(errors.final_m, half_stroke_m), result.structure
+    has_effects = any(cause.effect.structural is None for cause in outcome.causes)
     if structure is not None:
         findings.append(
             structure_finding(
@@ -64,7 +82,8 @@ def findings_of(
                 middle_m=_middle_m(structure.view, recordings, axis, scales),
             )
         )
-    elif _has_hysteresis_only(outcome):
+    elif not (outcome.rejection or outcome.faults or has_effects):
+        # other effects than hysteresis could pass for noise
         noise = noise_level(outcome.final, MAX_P_VALUE)
         if noise is not None:
             middle_m = _middle_m(outcome.final, recordings, axis, scales)
@@ -72,12 +91,6 @@ def findings_of(
                 noise_finding(noise, error=final, scale_m=scales.displacement_m, middle_m=middle_m)
             )
     return tuple(sorted(findings, key=lambda finding: finding.held_out_gain, reverse=True))
-
-
-def _has_hysteresis_only(outcome: Outcome) -> bool:
-    """Tell whether only hysteresis was detected: other effects could pass for noise."""
-    has_effects = any(cause.effect.structural is None for cause in outcome.causes)
-    return not (outcome.rejection or outcome.faults or has_effects)
 
 
 def _middle_m(view: View, recordings: Sequence[Recording], axis: str, scales: Scales) -> float:
@@ -100,6 +113,10 @@ def fault_finding(name: str, fault: Fault, errors: ModelErrors, half_stroke_m: f
     effect = effect_named(name)
     before_m, after_m = errors.without_m.get(name, errors.final_m), errors.final_m
     gain, margin = held_out_gain(before_m, after_m), 1.96 * fault.spread
+    explanation, further = effect.summary, len(fault.locations) - MAX_PLACES
+    if fault.locations:
+        suffix = f" and {further} more" if further > 0 else ""
+        explanation += f" Seen in {', '.join(fault.locations[:MAX_PLACES])}{suffix}."
     return Finding(
         effect=name,
         held_out_gain=gain,
@@ -111,16 +128,10 @@ def fault_finding(name: str, fault: Fault, errors: ModelErrors, half_stroke_m: f
             value=fault.value, unit=effect.unit, ci95=(fault.value - margin, fault.value + margin)
         ),
         not_separable_from=(),
-        explanation=effect.summary + (f" {_list_places(fault)}" if fault.locations else ""),
+        explanation=explanation,
         next_experiment=effect.experiment,
         parameters={},
     )
-
-
-def _list_places(fault: Fault) -> str:
-    further = len(fault.locations) - MAX_PLACES
-    suffix = f" and {further} more" if further > 0 else ""
-    return f"Seen in {', '.join(fault.locations[:MAX_PLACES])}{suffix}."
 
 
 def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> Finding:
@@ -130,8 +141,11 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
     """
     effect, parameters = cause.effect, cause.selected.parameters
     before_m, after_m = errors.without_m[effect.name], errors.final_m
-    confounded = outcome.confounded.get(effect.name, ())
-    resembling = _resembling_effects(cause, outcome)
+    confounded, resembling = outcome.confounded.get(effect.name, ()), []
+    if cause.cv.z <= CERTAIN_Z and effect.structural is None:
+        # selected effects that may contain a part of this effect
+        selected = [candidate.effect for candidate in outcome.causes if candidate is not cause]
+        resembling = [e.name for e in selected if e.resembles(effect)]
     structural = [
         alternative
         for alternative in map(effect_named, (*confounded, *resembling))
@@ -140,7 +154,8 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
     size, share = size_of(cause), cause.share
     if effect.structural is not None and before_m > after_m and share > 0.0:
         share = sqrt(before_m**2 - after_m**2) / (2.0 * outcome.first.half_stroke_m)
-        size = size.scaled(100.0 * share / size.value)
+        factor, (low, high) = 100.0 * share / size.value, size.ci95
+        size = replace(size, value=factor * size.value, ci95=(factor * low, factor * high))
     if structural:
         low, high = size.ci95
         size = replace(size, ci95=(min(low, 0.0), max(high, 0.0)))
@@ -164,14 +179,6 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
     )
 
 
-def _resembling_effects(cause: Candidate, outcome: Outcome) -> list[str]:
-    """Return selected effects that may contain a part of this one, unless it is certain."""
-    if cause.cv.z > CERTAIN_Z or cause.effect.structural is not None:
-        return []
-    other_effects = [candidate.effect for candidate in outcome.causes if candidate is not cause]
-    return [effect.name for effect in other_effects if effect.resembles(cause.effect)]
-
-
 def _explanation(cause: Candidate, share: float, structural: Sequence[Effect]) -> str:
     effect = cause.effect
     where = "Behind jumps of the drive" if cause.selected.from_jumps else "Here"
@@ -187,3 +194,100 @@ def _explanation(cause: Candidate, share: float, structural: Sequence[Effect]) -
     if effect.note is not None:
         sentences.append(effect.note(cause.selected.parameters))
     return " ".join(sentences)
+
+
+def not_detected(effect: Effect, outcome: Outcome) -> NotDetected:
+    """Return the upper bound and the detection limit of an effect that was not selected."""
+    if outcome.rejection:
+        reason = f"not tested, because the model class does not apply: {outcome.rejection}"
+        return _untested(effect, reason, effect.experiment)
+    untestable = effect.untestable(outcome.final)
+    if untestable:
+        return _untested(effect, untestable, effect.experiment)
+    # the last score test within or between recordings, whichever has the larger bound
+    names = (effect.name, f"{effect.name} {BETWEEN}")
+    tests = [outcome.score_tests[name] for name in names if name in outcome.score_tests]
+    test = max(tests, key=lambda test: test.absorption * test.bound, default=None)
+    if test is not None and test.separable:
+        return _bounded(test, outcome)
+    if test is not None:
+        confounded = [
+            words(name)
+            for name, alternative in outcome.score_tests.items()
+            if name in effect.confounded and not alternative.separable
+        ]
+        reason = (
+            f"not separable from {', '.join(('hysteresis', *confounded))}: like branches "
+            "were all driven at one speed, and there each is a width of the loop"
+        )
+        return _untested(effect, reason, SPEEDS)
+    if effect.fault is None:
+        return _untested(effect, "nothing in these recordings excites it", effect.experiment)
+    limit_m = effect.fault.bound(outcome.clean) * 2.0 * outcome.final.half_stroke_m
+    return NotDetected(
+        effect=effect.name,
+        upper_bound_m=limit_m,
+        detection_limit_m=limit_m,
+        reason=f"not detected; {with_unit(limit_m, 'm')} would have been",
+        next_experiment=effect.experiment,
+    )
+
+
+def _untested(effect: Effect, reason: str, next_experiment: str) -> NotDetected:
+    return NotDetected(
+        effect=effect.name,
+        upper_bound_m=None,
+        detection_limit_m=None,
+        reason=reason,
+        next_experiment=next_experiment,
+    )
+
+
+def _bounded(test: ScoreTest, outcome: Outcome) -> NotDetected:
+    """Return the bounds of a tested effect, including the part that hysteresis absorbs.
+
+    The detection limit is at least the bound: an effect of that size may be present and was not
+    named. A bound above the range is none.
+    """
+    effect, final = test.effect, outcome.final
+    scale_m = test.absorption * 2.0 * final.half_stroke_m
+    bound_m = scale_m * test.bound
+    if bound_m > 2.0 * final.half_stroke_m:
+        reason = "hysteresis absorbs it on these recordings: any size up to the range would fit"
+        return _untested(effect, reason, effect.experiment)
+    min_share = final.rms / 2.0 * sqrt(2.0 * effect.minimum_gain)
+    margin = POWER * (test.bound - test.share)
+    limit_m = max(scale_m * max(margin, min_share, MINIMUM_SHARE, test.floor), bound_m)
+    placebo = "" if test.placebo is None else f", its placebo {100 * test.placebo.gain:.2g} %"
+    return NotDetected(
+        effect=effect.name,
+        upper_bound_m=bound_m,
+        detection_limit_m=limit_m,
+        reason=(
+            f"at most {with_unit(bound_m, 'm')} rms; it reduces the held-out error by "
+            f"{100 * test.cv.gain:.2g} % ({test.cv.z:.2g} standard errors)"
+            f"{placebo}{_why_not_named(test, outcome)}"
+        ),
+        next_experiment=effect.experiment,
+    )
+
+
+def _why_not_named(test: ScoreTest, outcome: Outcome) -> str:
+    """State why an effect was not named although its score test alone is significant."""
+    effect, final = test.effect, outcome.final
+    causes = ", ".join(words(cause.effect.name) for cause in outcome.causes)
+    if effect.name in outcome.inseparable:
+        alternative = (
+            f"a residue of {causes}" if causes else "structure that no hysteresis class explains"
+        )
+        return f": not named, because these recordings cannot separate it from {alternative}"
+    if any(cause.effect.name == effect.name for cause in outcome.doubtful):
+        return ": not named, because the model predicts left-out data about as well without it"
+    if test.cv.gain < effect.minimum_gain or test.cv.z < MINIMUM_Z:
+        return ""
+    if not test.physical:
+        return ": not named, because this size is physically impossible"
+    if not exceeds_structure(test.share, final.rms, final.noise):
+        return ": not named, because structure that no hysteresis class explains is as large"
+    residue = f", or it is a residue of {causes}" if causes else ""
+    return f": not named, because it is not significant beside the other effects{residue}"

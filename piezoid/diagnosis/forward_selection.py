@@ -7,7 +7,6 @@ states. If no effect is significant, clock slips are tried instead of a filter.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -320,29 +319,26 @@ def _with_slips(state: SelectionState) -> SelectionState | None:
         ]
     for selected in selections:
         view = state.view if selected is state.selected else with_effects(state.clean, selected)
-        refit = partial(_refit, state, selected)
+
+        def refit(tracks: Sequence[Track], selected: Sequence[SelectedEffect] = selected) -> View:
+            return with_effects(_with_readings(state.clean, tracks), selected)
+
         fault = find_slips(view, refit)
         if fault is None and slip is not None:
             fault = find_equal_slips(view, refit, round(slip.value))
         if fault is None:
             continue
-        clean = with_tracks(state.clean, _with_recorded_commands(state, fault.tracks))
+        clean = _with_readings(state.clean, fault.tracks)
         if with_effects(clean, selected).rms < state.view.rms:
             faults = {**state.faults, SLIP: fault.merged_with(slip)}
             return state.updated(clean=clean, selected=selected, faults=faults, initial=None)
     return None
 
 
-def _refit(
-    state: SelectionState, selected: Sequence[SelectedEffect], tracks: Sequence[Track]
-) -> View:
-    clean = with_tracks(state.clean, _with_recorded_commands(state, tracks))
-    return with_effects(clean, selected)
-
-
-def _with_recorded_commands(state: SelectionState, tracks: Sequence[Track]) -> tuple[Track, ...]:
-    """Return tracks with the readings of these tracks and the commands as recorded."""
-    return tuple(
-        replace(clean, response=track.response, rows=track.rows, block=track.block)
-        for clean, track in zip(state.clean.tracks, tracks, strict=True)
-    )
+def _with_readings(view: View, tracks: Sequence[Track]) -> View:
+    """Return the view with the readings of these tracks and the commands as recorded."""
+    recorded = [
+        replace(recorded, response=track.response, rows=track.rows, block=track.block)
+        for recorded, track in zip(view.tracks, tracks, strict=True)
+    ]
+    return with_tracks(view, recorded)

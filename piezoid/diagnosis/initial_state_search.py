@@ -10,18 +10,17 @@ so that no other effect passes for an initial state.
 Source: Krejci (1996) on forgetting; Mayergoyz (1991) on wiping out.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from operator import attrgetter
 
 import numpy as np
 
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.initial_states import Reversals, hypotheses, memory_after, shared_hypotheses
+from piezoid.diagnosis.drive_history import Reversals, hypotheses, memory_after, shared_hypotheses
 from piezoid.diagnosis.nuisance_columns import (
     REACH,
     SHARED,
     THRESHOLD,
-    BoucWenLaw,
     bouc_wen_along,
     bouc_wen_columns,
     friction_along,
@@ -55,6 +54,8 @@ MAX_REVERSAL = 1.2  # of half the range
 InitialStates = tuple[View, View]
 """Views with the best shared hypothesis and with the best initial state of each track; neither
 depends on the initial states that were assumed before."""
+Sketch = tuple[tuple[Reversals, ...], Callable[[Reversals], float]]
+"""Hypotheses of a track, and (hypothesis) -> standard deviation of the residual under it."""
 
 
 def with_shared_initial_state(view: View, executor: Executor = SERIAL) -> View:
@@ -70,8 +71,19 @@ def with_individual_initial_states(view: View, shared: View) -> View:
 
     shared  the view with the best shared hypothesis, which is one of the candidates
     """
-    view = with_cycled_drives(view)
-    weight = _memoryless_weight(view)
+    view, by_rms = with_cycled_drives(view), attrgetter("rms")
+    # the shared coefficients, fitted to rows that do not depend on the initial state
+    has_covered_range = []
+    for track in view.tracks:
+        span = np.maximum.accumulate(track.drive) - np.minimum.accumulate(track.drive)
+        has_covered_range.append((span > COVERED * 2.0)[track.rows])
+    rows = np.concatenate(has_covered_range)
+    columns = np.hstack([view.nuisance.columns, view.selected])
+    if np.count_nonzero(rows) < MIN_ROWS_PER_COLUMN * columns.shape[1]:
+        weight = view.weight
+    else:
+        null = Null(columns=columns[rows], response=view.response[rows], block=view.block[rows])
+        weight = null.fit(null.response)[: view.nuisance.shared]
     sketches = [_sketch(view, k, weight) for k in range(len(view.tracks))]
     individual = tuple(
         _best_hypothesis(view.nuisance.reversals[k], [s]) for k, s in enumerate(sketches)
@@ -79,10 +91,14 @@ def with_individual_initial_states(view: View, shared: View) -> View:
     equal = (_best_hypothesis(view.nuisance.reversals[0], sketches),) * len(sketches)
     view = with_free_memory(view)
     candidates = (individual, equal, shared.nuisance.reversals)
-    view = min(view, *(with_reversals(view, reversals) for reversals in candidates), key=_error)
+    view = min(view, *(with_reversals(view, reversals) for reversals in candidates), key=by_rms)
     for k, best in enumerate(individual):
         current = view.nuisance.reversals
-        view = min(view, with_reversals(view, (*current[:k], best, *current[k + 1 :])), key=_error)
+        view = min(
+            view,
+            with_reversals(view, (*current[:k], best, *current[k + 1 :])),
+            key=by_rms,
+        )
     return view
 
 
@@ -116,91 +132,47 @@ def is_shared_state_as_good(shared: View, individual: View, cycled: View) -> boo
     )
 
 
-def _error(view: View) -> float:
-    return view.rms
-
-
-def _memoryless_weight(view: View) -> Array:
-    """Fit the shared coefficients to rows that do not depend on the initial state."""
-    rows = np.concatenate([_has_covered_range(t.drive)[t.rows] for t in view.tracks])
-    columns = np.hstack([view.nuisance.columns, view.selected])
-    if np.count_nonzero(rows) < MIN_ROWS_PER_COLUMN * columns.shape[1]:
-        return view.weight
-    null = Null(columns=columns[rows], response=view.response[rows], block=view.block[rows])
-    return null.fit(null.response)[: view.nuisance.shared]
-
-
-def _has_covered_range(drive: Array) -> Array:
-    """Tell for each sample whether the drive has covered the whole range since the first."""
-    span = np.maximum.accumulate(drive) - np.minimum.accumulate(drive)
-    return np.asarray(span > COVERED * 2.0)
-
-
-def _best_hypothesis(first: Reversals, sketches: Sequence["_Sketch"]) -> Reversals:
+def _best_hypothesis(first: Reversals, sketches: Sequence[Sketch]) -> Reversals:
     """Return the initial state with the smallest misfit, refined reversal by reversal.
 
     first  initial state of a cycled drive, returned unless another one is clearly better
     """
 
     def misfit(reversals: Reversals) -> float:
-        return sum(sketch.misfit(reversals) ** 2 for sketch in sketches)
+        return sum(deviation(reversals) ** 2 for _, deviation in sketches)
 
-    best = min(hypotheses(sketches[0].drive), key=misfit)
+    best = min(sketches[0][0], key=misfit)
     for step in STEPS:
         for k in range(len(best)):
-            neighbours = [_with_step(best, k, sign * step) for sign in (1.0, -1.0)]
+            neighbours = [
+                (*best[:k], min(max(level, -MAX_REVERSAL), MAX_REVERSAL), *best[k + 1 :])
+                for level in (best[k] + step, best[k] - step)
+            ]
             best = min(best, *neighbours, key=misfit)
     return best if misfit(best) < MAX_MISFIT_RATIO**2 * misfit(first) else first
 
 
-def _with_step(reversals: Reversals, k: int, step: float) -> Reversals:
-    reversal = min(max(reversals[k] + step, -MAX_REVERSAL), MAX_REVERSAL)
-    return (*reversals[:k], reversal, *reversals[k + 1 :])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Sketch:
-    """A track at some samples and its reversals, on which hypotheses are compared.
-
-    initial_friction  (states,)         friction states after a cycled drive
-    friction          (points, states)  friction states along the track from there
-    decay             (points, states)  share of a change of the initial state that remains
-    """
-
-    weight: Array
-    bouc_wen: BoucWenLaw | None
-    drive: Array
-    response: Array
-    initial_friction: Array
-    friction: Array
-    decay: Array
-
-    def misfit(self, reversals: Reversals) -> float:
-        """Return the standard deviation of the residual under a hypothesis."""
-        states, _ = play_columns(self.drive, THRESHOLD, memory_after(self.drive, reversals))
-        difference = initial_friction(self.drive, reversals) - self.initial_friction
-        friction = self.friction + difference * self.decay
-        model = shared_response(states, friction, self.drive, self.weight[:SHARED])
-        if self.bouc_wen:
-            state = bouc_wen_along(self.bouc_wen, reversals, self.drive)
-            model = model + bouc_wen_columns(state, self.drive) @ self.weight[SHARED:]
-        return float(np.std(model - self.response))
-
-
-def _sketch(view: View, k: int, weight: Array) -> _Sketch:
-    track = view.tracks[k]
+def _sketch(view: View, k: int, weight: Array) -> Sketch:
+    """Return the hypotheses of a track, and their deviation at some samples and its reversals."""
+    track, bouc_wen = view.tracks[k], view.nuisance.bouc_wen
     step = np.sign(np.diff(track.drive))
     reversals = np.flatnonzero(step[1:] * step[:-1] < 0) + 1
     spread = np.linspace(0, len(track.drive) - 1, POINTS).astype(int)
     points = np.unique([*spread, *reversals[:POINTS]])
+    drive, response = np.asarray(track.drive[points]), np.asarray(track.response[points])
+    # friction states along the track after a cycled drive, and the share of a change that remains
     first_friction = initial_friction(track.drive, hypotheses(track.drive)[0])
+    first_course = friction_along(track.drive, first_friction)[points]
     travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(track.drive)))])
-    return _Sketch(
-        weight=weight,
-        bouc_wen=view.nuisance.bouc_wen,
-        drive=np.asarray(track.drive[points]),
-        response=np.asarray(track.response[points]),
-        initial_friction=first_friction,
-        friction=friction_along(track.drive, first_friction)[points],
-        decay=np.exp(-travelled[points][:, None] / REACH),
-    )
+    decay = np.exp(-travelled[points][:, None] / REACH)
+
+    def deviation(hypothesis: Reversals) -> float:
+        states, _ = play_columns(drive, THRESHOLD, memory_after(drive, hypothesis))
+        friction = first_course + (initial_friction(drive, hypothesis) - first_friction) * decay
+        model = shared_response(states, friction, drive, weight[:SHARED])
+        if bouc_wen:
+            state = bouc_wen_along(bouc_wen, hypothesis, drive)
+            model = model + bouc_wen_columns(state, drive) @ weight[SHARED:]
+        return float(np.std(model - response))
+
+    return hypotheses(drive), deviation

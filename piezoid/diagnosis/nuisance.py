@@ -22,8 +22,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.drive_history import POLING_LEVELS, History, states_at, static_response
-from piezoid.diagnosis.initial_states import Reversals
+from piezoid.diagnosis.drive_history import (
+    POLING_LEVELS,
+    History,
+    Reversals,
+    states_on,
+    static_response,
+)
 from piezoid.diagnosis.nuisance_columns import (
     BOUC_WEN_COLUMNS,
     SHARED,
@@ -131,19 +136,15 @@ class NuisanceClass:
         return np.concatenate(parts)
 
     @Once
-    def _keeps_states(self) -> bool:
-        """Whether the states of all samples are kept in memory, for use with other weights."""
-        return sum(len(track.drive) for track in self.tracks) <= MAX_KEPT
-
-    @Once
     def _bouc_wen_states(self) -> tuple[Array, ...]:
         return tuple(self.bouc_wen_state(h.reversals, h.track.drive) for h in self.histories)
 
     def static(self, k: int, weight: Array) -> Array:
         """Return the static response to the drive of a track, (samples,)."""
         drive = self.tracks[k].drive
-        if not self._keeps_states:
+        if sum(len(track.drive) for track in self.tracks) > MAX_KEPT:
             return self.static_along(drive, self.reversals[k], weight)
+        # the states of all samples stay in memory, for use with other weights
         total = self.histories[k].static(weight)
         return (
             total + bouc_wen_response(self._bouc_wen_states[k], drive, weight)
@@ -174,7 +175,7 @@ class NuisanceClass:
         """Return the static response to another drive at a track's rows, (rows,)."""
         samples, reversals = self.tracks[k].rows, self.reversals[k]
         rows = shared_response(
-            *states_at(drive, reversals, samples), drive[samples], weight[:SHARED]
+            *states_on(*thinned_drive(drive, samples), reversals), drive[samples], weight[:SHARED]
         )
         if not self.bouc_wen:
             return rows

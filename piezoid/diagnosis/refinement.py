@@ -74,13 +74,27 @@ def refine_together(
         refined[k], view = refine(effect, clean, remaining, finer=1, start=view)
 
     def extrapolate(length: float) -> tuple[list[SelectedEffect], View]:
-        pairs = zip(effects, refined, strict=True)
-        trial = [_extrapolate(first, second, length) for first, second in pairs]
+        """Change the effects further by a multiple of their change in one round."""
+        trial = []
+        for first, second in zip(effects, refined, strict=True):
+            parameters = dict(second.parameters)
+            for name, width in second.free.items():
+                a, b = first.parameters[name], second.parameters[name]
+                value = b * (b / a) ** length if width > 1.0 else b + length * (b - a)
+                parameters[name] = _limited(second, name, value)
+            trial.append(replace(second, parameters=parameters))
         return trial, with_effects(clean, [*selected, *trial], view)
 
     doubled = extrapolate(1.0)
-    length = _vertex(start.rms**2, view.rms**2, doubled[1].rms ** 2) - 1.0
-    return min((refined, view), doubled, extrapolate(length), key=lambda result: result[1].rms)
+    # the minimum of the parabola through the errors after 0, 1 and 2 rounds, in rounds
+    first_power, power = start.rms**2, view.rms**2
+    curvature = doubled[1].rms ** 2 - 2.0 * power + first_power
+    rounds = MAX_EXTRAPOLATION
+    if curvature > 0.0:
+        slope = power - first_power - 0.5 * curvature
+        rounds = float(np.clip(-slope / curvature, 1.0, MAX_EXTRAPOLATION))
+    candidates = ((refined, view), doubled, extrapolate(rounds - 1.0))
+    return min(candidates, key=lambda result: result[1].rms)
 
 
 def with_step(effect: SelectedEffect, name: str, step: float) -> SelectedEffect:
@@ -138,22 +152,3 @@ def _line_search(
 
 def _is_better(result: Refined, reference: Refined) -> bool:
     return result[1].rms < reference[1].rms * (1.0 - MIN_GAIN)
-
-
-def _extrapolate(start: SelectedEffect, refined: SelectedEffect, length: float) -> SelectedEffect:
-    """Return an effect changed further by a multiple of its change in one round."""
-    parameters = dict(refined.parameters)
-    for name, width in refined.free.items():
-        a, b = start.parameters[name], refined.parameters[name]
-        value = b * (b / a) ** length if width > 1.0 else b + length * (b - a)
-        parameters[name] = _limited(refined, name, value)
-    return replace(refined, parameters=parameters)
-
-
-def _vertex(start: float, once: float, twice: float) -> float:
-    """Return the minimum of the parabola through errors after 0, 1 and 2 rounds, in rounds."""
-    curvature = twice - 2.0 * once + start
-    slope = once - start - 0.5 * curvature
-    if curvature <= 0.0:
-        return MAX_EXTRAPOLATION
-    return float(np.clip(-slope / curvature, 1.0, MAX_EXTRAPOLATION))

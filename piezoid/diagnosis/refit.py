@@ -6,14 +6,15 @@ baseline is the static model with the declared rig and without every effect. A f
 repaired in the recordings themselves, as it was in the search.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from piezoid.diagnosis.budget import relative_scatter
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE
-from piezoid.diagnosis.effect import EffectEstimate, scaling_of
+from piezoid.diagnosis.effect import EffectEstimate, SearchScaling
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.identified_modes import NAME as RESONANCE
 from piezoid.diagnosis.residual_structure import SearchResult, add_structure
@@ -31,7 +32,7 @@ from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales
 from piezoid.identification.joint.fit_extended import Extended, fit_extended
-from piezoid.identification.joint.vector import Structure
+from piezoid.identification.joint.vector import Structure, parts_of
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.piece_start import drifting_zeros
 from piezoid.numerics.arrays import Samples
@@ -42,6 +43,7 @@ CLEARLY_WORSE = 1.1  # ratio of held-out errors, of the model with a part over t
 FREE_RUNGS = 0.85  # of the error: largest error with free shares of a creep ladder
 SMALL_LAG = 0.1  # of the lag of the model: start value beside a mode that the lag had represented
 STATIC = Structure(lag=False)
+Fit = Callable[..., Extended]  # ``fit_extended`` with the recordings bound
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,30 +144,44 @@ def refit_model(
     declared = _declared_hold(lab, model)
     modes = _identified_modes(model, extensions)
     ringing = [e for e in (*extensions, *modes) if isinstance(e, LinearMode)]
-    unrepaired = _FitData(recordings=raw, samples=None, ringing=ringing)
-    repaired = _FitData(recordings=recordings, samples=rows, ringing=ringing)
-    baseline = unrepaired.fit(model, declared, STATIC)
+    # rows in which the ringing of these modes is not resolved are excluded from every fit
+    fit_raw = partial(fit_extended, recordings=raw, ringing=ringing)
+    baseline = fit_raw(model, extensions=declared, structure=STATIC)
     alternatives, without = (baseline.model,), {}
+    fit = partial(
+        fit_extended,
+        recordings=recordings,
+        samples=rows,
+        ringing=ringing,
+        further_starts=alternatives,
+    )
     fits = [
-        repaired.fit(model, start, structure, alternatives)
+        fit(model, extensions=start, structure=structure)
         for start in _with_full_participation(extensions)
     ]
-    final = min(fits, key=lambda fit: fit.held_out_rms_m)
+    final = min(fits, key=lambda result: result.held_out_rms_m)
     if modes:
         with_modes = in_order([*extensions, *modes])
-        ringing_fit = repaired.fit(model, with_modes, structure, alternatives)
+        ringing_fit = fit(model, extensions=with_modes, structure=structure)
         if ringing_fit.held_out_rms_m < CLEARLY_WORSE * final.held_out_rms_m:
             without[RESONANCE], final, extensions = final, ringing_fit, with_modes
+    refit = partial(fit, structure=structure, further_starts=())
     # after a change between two recordings (place 0) no recording has both gains
     if any(e.effect == "gain_change" and e.parameters["place"] > 0.0 for e in estimates):
-        final = _with_later_recordings(final, repaired, structure)
-    final = _with_free_rungs(final, repaired, structure)
+        names = [recording.name for recording in recordings]
+        final = _with_later_recordings(final, names, refit)
+    final = _with_free_rungs(final, refit)
     fitted_extensions = final.model.extensions
     baseline_structure = STATIC
     for estimate in estimates:
         baseline_structure = _structure_of(baseline_structure, estimate, model, has_effect=False)
     if baseline_structure != STATIC:
-        baseline = unrepaired.fit(final.model, declared, baseline_structure, alternatives)
+        baseline = fit_raw(
+            final.model,
+            extensions=declared,
+            structure=baseline_structure,
+            further_starts=alternatives,
+        )
     for estimate in estimates:
         progress(f"refitting without {words(estimate.effect)}")
         effect_starts = starts.get(estimate.effect, ())
@@ -175,16 +191,26 @@ def refit_model(
             if not any(start is effect_start for effect_start in effect_starts)
         ]
         remaining_structure = _structure_of(structure, estimate, model, has_effect=False)
-        without[estimate.effect] = repaired.fit(
-            final.model, remaining_extensions, remaining_structure, alternatives
+        without[estimate.effect] = fit(
+            final.model, extensions=remaining_extensions, structure=remaining_structure
         )
     if faults:
-        with_faults = unrepaired.fit(final.model, fitted_extensions, structure, alternatives)
+        with_faults = fit_raw(
+            final.model,
+            extensions=fitted_extensions,
+            structure=structure,
+            further_starts=alternatives,
+        )
         without |= dict.fromkeys(faults, with_faults)
     if with_structure is not None:
         progress("refitting without the unnamed structure")
-        data = _FitData(recordings=with_structure, samples=structure_rows, ringing=ringing)
-        without[SOMETHING_ELSE] = data.fit(final.model, fitted_extensions, structure, alternatives)
+        without[SOMETHING_ELSE] = fit(
+            final.model,
+            recordings=with_structure,
+            samples=structure_rows,
+            extensions=fitted_extensions,
+            structure=structure,
+        )
     # a refit with constant zeros would lose a drift, and is then the worse fit
     quality = model.quality
     drifts = drifting_zeros(model.starts, quality.rms_m, quality.range_m)
@@ -193,40 +219,10 @@ def refit_model(
     return ModelErrors(
         baseline_m=baseline.held_out_rms_m,
         final_m=final.held_out_rms_m,
-        without_m={name: fit.held_out_rms_m for name, fit in without.items()},
+        without_m={name: result.held_out_rms_m for name, result in without.items()},
         scatter=relative_scatter(final.held_m),
-        model=_shipped_model(model, final, repaired, structure) if ships_refit else model,
+        model=_shipped_model(model, final, refit, structure) if ships_refit else model,
     )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _FitData:
-    """Recordings of joint fits that are compared with each other.
-
-    samples  to fit, for each piece; None: all, thinned evenly
-    ringing  modes; rows in which their ringing is not resolved are excluded from every fit
-    """
-
-    recordings: Sequence[Recording]
-    samples: Sequence[Samples] | None
-    ringing: Sequence[LinearMode]
-
-    def fit(
-        self,
-        model: AxisModel,
-        extensions: Sequence[Extension],
-        structure: Structure,
-        further_starts: Sequence[AxisModel] = (),
-    ) -> Extended:
-        return fit_extended(
-            model,
-            self.recordings,
-            extensions,
-            further_starts=further_starts,
-            structure=structure,
-            samples=self.samples,
-            ringing=self.ringing,
-        )
 
 
 def _declared_hold(lab: Lab, model: AxisModel) -> tuple[ConverterHold, ...]:
@@ -250,7 +246,14 @@ def _with_effects(
     scales: Scales,
 ) -> tuple[tuple[Extension, ...], dict[str, tuple[Extension, ...]], Structure]:
     """Return all extensions in model order, the extensions of each effect, and the structure."""
-    scaling, structure = scaling_of(model, recordings, scales), STATIC
+    structure = STATIC
+    scaling = SearchScaling(
+        voltage_V=scales.voltage_V,
+        voltage_offset_V=scales.voltage_offset_V,
+        half_stroke_m=abs(scales.displacement_m),
+        pieces=tuple(part.where for part in parts_of(model, recordings)),
+        recordings=tuple(recording.name for recording in recordings),
+    )
     starts: dict[str, tuple[Extension, ...]] = {}
     for estimate in estimates:
         extend = effect_named(estimate.effect).extend
@@ -297,24 +300,24 @@ def _structure_of(
     return structural.structure(structure, model, has_effect)
 
 
-def _with_later_recordings(final: Extended, data: _FitData, structure: Structure) -> Extended:
+def _with_later_recordings(final: Extended, recordings: Sequence[str], fit: Fit) -> Extended:
     """Decide by their gains which recordings were made after a gain change within one recording.
 
     The order of the files does not tell: it is often that of their names.
     """
     extensions = final.model.extensions
     change = next((e for e in extensions if isinstance(e, GainChange)), None)
-    if change is None or len(data.recordings) == 1:
+    if change is None or len(recordings) == 1:
         return final
 
     def refit(further: Sequence[GainChange], later: tuple[str, ...]) -> Extended:
         start = [replace(e, later=later) if isinstance(e, GainChange) else e for e in extensions]
-        return data.fit(final.model, in_order([*start, *further]), structure)
+        return fit(final.model, extensions=in_order([*start, *further]))
 
     free_gains = [
-        GainChange(recording=recording.name, instant_s=0.0, ratio=1.0)
-        for recording in data.recordings
-        if recording.name != change.recording
+        GainChange(recording=name, instant_s=0.0, ratio=1.0)
+        for name in recordings
+        if name != change.recording
     ]
     fitted_extensions = refit(free_gains, ()).model.extensions
     gains = {e.recording: e.ratio for e in fitted_extensions if isinstance(e, GainChange)}
@@ -327,7 +330,7 @@ def _with_later_recordings(final: Extended, data: _FitData, structure: Structure
     return refitted if refitted.held_out_rms_m < final.held_out_rms_m else final
 
 
-def _with_free_rungs(final: Extended, data: _FitData, structure: Structure) -> Extended:
+def _with_free_rungs(final: Extended, fit: Fit) -> Extended:
     """Free the share of each rung of a creep ladder if the error is then clearly smaller.
 
     Free rungs also follow hysteresis that differs a little from the model's.
@@ -336,13 +339,11 @@ def _with_free_rungs(final: Extended, data: _FitData, structure: Structure) -> E
     if not any(isinstance(extension, CreepLadder) for extension in extensions):
         return final
     free_rungs = [replace(e, even=False) if isinstance(e, CreepLadder) else e for e in extensions]
-    refit = data.fit(final.model, free_rungs, structure)
+    refit = fit(final.model, extensions=free_rungs)
     return refit if refit.held_out_rms_m < FREE_RUNGS * final.held_out_rms_m else final
 
 
-def _shipped_model(
-    model: AxisModel, final: Extended, data: _FitData, structure: Structure
-) -> AxisModel:
+def _shipped_model(model: AxisModel, final: Extended, fit: Fit, structure: Structure) -> AxisModel:
     """Move the lag from the extensions to the lag of the model, where the runtime reads it.
 
     Without a lag or delay among the extensions the lag of the model is fitted again. The lag of
@@ -354,7 +355,9 @@ def _shipped_model(
         small_lag = replace(model.lag, time_s=SMALL_LAG * model.lag.time_s)
         starts = [replace(final.model, lag=start_lag) for start_lag in (model.lag, small_lag)]
         with_lag = replace(structure, lag=True)
-        return data.fit(starts[0], extensions, with_lag, starts[1:]).model
+        return fit(
+            starts[0], extensions=extensions, structure=with_lag, further_starts=starts[1:]
+        ).model
     if isinstance(lag, FirstOrderLag):
         model_lag = Lag(kind="first_order", time_s=lag.lag_s)
     elif lag.delay_samples > 0.0:
@@ -388,31 +391,23 @@ def repair_recordings(
     scales: Scales,
 ) -> tuple[Recording, ...]:
     """Apply the changes that a search made to its tracks to the recordings."""
-    track_pairs = iter(zip(original, repaired, strict=True))
-    return tuple(_repair(recording, axis, track_pairs, scales) for recording in recordings)
-
-
-def _repair(
-    recording: Recording, axis: str, track_pairs: Iterator[tuple[Track, Track]], scales: Scales
-) -> Recording:
-    change = {
-        Quantity.VOLTAGE: np.zeros(recording.samples),
-        Quantity.DISPLACEMENT: np.zeros(recording.samples),
-    }
-    for piece in recording.pieces:
-        if piece.stop - piece.start < MINIMUM_SAMPLES:
-            continue  # too short for a track
-        original, repaired = next(track_pairs)
-        change[Quantity.VOLTAGE][piece] = scales.voltage_V * (repaired.drive - original.drive)
-        change[Quantity.DISPLACEMENT][piece] = scales.displacement_m * (
-            repaired.response - original.response
+    track_pairs, results = iter(zip(original, repaired, strict=True)), []
+    for recording in recordings:
+        drive_V, moved_m = np.zeros(recording.samples), np.zeros(recording.samples)
+        for piece in recording.pieces:
+            if piece.stop - piece.start >= MINIMUM_SAMPLES:  # else too short for a track
+                old, new = next(track_pairs)
+                drive_V[piece] = scales.voltage_V * (new.drive - old.drive)
+                moved_m[piece] = scales.displacement_m * (new.response - old.response)
+        if not (drive_V.any() or moved_m.any()):
+            results.append(recording)
+            continue
+        change = {Quantity.VOLTAGE: drive_V, Quantity.DISPLACEMENT: moved_m}
+        channels = tuple(
+            replace(channel, values=channel.values + change[channel.quantity])
+            if channel.axis == axis and channel.quantity in change
+            else channel
+            for channel in recording.channels
         )
-    if not any(values.any() for values in change.values()):
-        return recording
-    channels = tuple(
-        replace(channel, values=channel.values + change[channel.quantity])
-        if channel.axis == axis and channel.quantity in change
-        else channel
-        for channel in recording.channels
-    )
-    return replace(recording, channels=channels)
+        results.append(replace(recording, channels=channels))
+    return tuple(results)

@@ -16,22 +16,28 @@ from numpy.typing import NDArray
 
 from piezoid.diagnosis.coordinate_bases import Signals, displacement_basis
 from piezoid.diagnosis.coordinate_scores import SURROGATES, CoordinateScore, Residual
-from piezoid.diagnosis.coordinate_tests import fit_time_course, score_coordinates
+from piezoid.diagnosis.coordinate_tests import (
+    fit_time_course,
+    mains_frequency_Hz,
+    score_coordinates,
+)
 from piezoid.diagnosis.diagnosis import Unexplained
 from piezoid.diagnosis.null_distribution import (
     rank_p_value,
-    smallest_structure_p_value,
     structure_p_value,
 )
-from piezoid.diagnosis.periodic_residual import mains_frequency_Hz
-from piezoid.diagnosis.refitted_view import with_effects
+from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.selection import Outcome, search
-from piezoid.diagnosis.sensor_range import SensorRangeEnd, find_sensor_range_end
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 
+PLATEAU_WIDTH = 5.0  # noise standard deviations on either side of the plateau's median
+MIN_ROWS = 20  # on the plateau, of one recording
+MIN_EXCESS = 8.0  # noise standard deviations of the predicted displacement beyond the plateau
+MIN_DRIVE_RANGE = 20.0  # of noise, in half ranges; at a turning point it is 2 * PLATEAU_WIDTH
+MAX_SHARE = 0.4  # of the rows
 MAINS, AMPLIFIER_LIMIT = "mains_interference", "amplifier_saturation"
 QUANTISATION, READING = "quantisation", "reading"
 MAINS_COORDINATES = ("frequency", "line_phase")
@@ -40,6 +46,82 @@ MAX_P_VALUE = 0.02  # of one coordinate, by surrogates: the second of 99
 MAX_HEALTHY_P_VALUE = 0.05  # of a residual as systematic in a healthy stage
 MAX_CURVE_RATIO = 0.9  # largest error with a curve instead of an effect, over that with the effect
 MAX_SECOND_RATIO = 0.97  # largest error after the second search, over that after the first
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorRangeEnd:
+    """An end of the range of the sensor.
+
+    error  (samples,) of every track: reading minus predicted displacement
+    level  reading at the end, in half strokes from 0 of the static response
+    side   1 at the top, -1 at the bottom
+    """
+
+    error: Signals
+    level: float
+    side: int
+
+
+def find_sensor_range_end(view: View, effects: Sequence[SelectedEffect]) -> SensorRangeEnd | None:
+    """Return the end of the sensor range with the largest missing motion, or None.
+
+    A limit of the amplifier causes a plateau as well, but with equal drives at its start and end;
+    at a limit of the sensor the loop is open there. The hysteresis is therefore fitted without the
+    readings on the plateau, and predicts the displacement there [Tobin (1958), censored data].
+
+        y = min(x, L)   or   y = max(x, L)
+
+    effects  selected effects other than a limit of the amplifier
+    """
+    best, largest = None, -1.0
+    for side in (1, -1):
+        on_plateau = [
+            side * track.response > _plateau_start(track, side, view.noise)
+            for track in view.tracks
+        ]
+        rows = [is_on[track.rows] for is_on, track in zip(on_plateau, view.tracks, strict=True)]
+        if not 0 < sum(int(is_on.sum()) for is_on in rows) < MAX_SHARE * sum(map(len, rows)):
+            continue
+        tracks = tuple(
+            replace(track, rows=track.rows[~is_on], block=track.block[~is_on])
+            for track, is_on in zip(view.tracks, rows, strict=True)
+        )
+        fitted = with_effects(with_tracks(view, tracks), effects)
+        shared, per_track = fitted.nuisance.shared, fitted.nuisance.columns_per_track
+        errors, levels = [], []
+        for k, (track, is_on) in enumerate(zip(view.tracks, on_plateau, strict=True)):
+            error = np.zeros(len(track.response))
+            if is_on.any():
+                offset = float(fitted.null.coefficients[shared + per_track * k])
+                level = float(np.median(track.response[is_on]))
+                distance = side * (level - (fitted.static[k] + offset))
+                excess = np.where(is_on, side * np.minimum(distance, 0.0), 0.0)
+                if float(np.abs(excess).max()) > MIN_EXCESS * view.noise:
+                    error = excess
+                    levels.append(level - offset)
+            errors.append(error)
+        power = float(sum(np.sum(error**2) for error in errors))
+        if levels and power > largest:
+            level, largest = float(np.median(levels)), power
+            best = SensorRangeEnd(error=tuple(errors), level=level, side=side)
+    return best
+
+
+def _plateau_start(track: Track, side: int, noise: float) -> float:
+    """Return the reading, times its side, at which a plateau starts; infinite without one.
+
+    The drive must move while the reading does not: at constant drive the stage rests as well.
+    """
+    readings = side * track.response
+    top = float(np.quantile(readings, 1.0 - 20.0 / max(len(readings), 200)))
+    is_near = readings > top - PLATEAU_WIDTH * noise
+    if (
+        int(np.sum(is_near[track.rows])) < MIN_ROWS
+        or np.ptp(readings[is_near]) > 2.0 * PLATEAU_WIDTH * noise
+        or np.ptp(track.drive[is_near]) < MIN_DRIVE_RANGE * noise
+    ):
+        return np.inf
+    return float(np.median(readings[is_near])) - PLATEAU_WIDTH * noise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,11 +144,6 @@ class ResidualStructure:
     view: View
     healthy_p_value: float
     range_end: SensorRangeEnd | None = None
-
-    @property
-    def exceeds_healthy(self) -> bool:
-        """Whether the residual is more systematic than in any healthy stage."""
-        return self.range_end is None and self.healthy_p_value <= smallest_structure_p_value()
 
     @property
     def block_power(self) -> Array:
@@ -118,7 +195,13 @@ def search_all(view: View, executor: Executor) -> SearchResult:
         if structure is None:
             continue
         executor.report("searching again without this structure")
-        second = search(_subtract_structure(view, structure), executor)
+        tracks = []
+        for k, (track, error) in enumerate(zip(view.tracks, structure.curve, strict=True)):
+            is_measured = ~structure.is_beyond_range(k)[track.rows]
+            rows, block = track.rows[is_measured], track.block[is_measured]
+            response = track.response - error
+            tracks.append(replace(track, response=response, rows=rows, block=block))
+        second = search(with_tracks(view, tracks), executor)
         if second.final.rms < best_rms:
             best_rms = second.final.rms
             best = replace(
@@ -131,16 +214,6 @@ def locate_residual(view: View, outcome: Outcome) -> SearchResult:
     """Locate the residual without naming it; used where the model class is rejected."""
     scores = score_coordinates(Residual.of(outcome.final))
     return SearchResult(raw=view, outcome=outcome, unexplained=_unexplained(outcome, scores))
-
-
-def _subtract_structure(view: View, structure: ResidualStructure) -> View:
-    """Subtract a structure from the view, and drop rows beyond the range of the sensor."""
-    tracks = []
-    for k, (track, curve) in enumerate(zip(view.tracks, structure.curve, strict=True)):
-        is_measured = ~structure.is_beyond_range(k)[track.rows]
-        rows, block = track.rows[is_measured], track.block[is_measured]
-        tracks.append(replace(track, response=track.response - curve, rows=rows, block=block))
-    return with_tracks(view, tracks)
 
 
 def add_structure(view: View, structure: ResidualStructure) -> tuple[Track, ...]:
@@ -209,40 +282,35 @@ def _structure_replacing_effect(outcome: Outcome) -> ResidualStructure | None:
 def _first_significant(
     residual: Residual, scores: Sequence[CoordinateScore], outcome: Outcome
 ) -> ResidualStructure | None:
-    """Return the structure with the largest gain that is rare in surrogates and healthy stages."""
-    has_mains = MAINS in {cause.effect.name for cause in outcome.causes}
+    """Return the structure with the largest gain that is rare in surrogates and healthy stages.
+
+    Its curve is refitted without tangents of effects, which would absorb a part of it.
+    """
+    has_mains, view = MAINS in {cause.effect.name for cause in outcome.causes}, residual.view
     for score in scores:
         is_line = score.coordinate in MAINS_COORDINATES
         if has_mains and is_line and mains_frequency_Hz(score.basis.per_unit):
             continue  # interference with other harmonics or a faster phase change than modelled
         if QUANTISATION in outcome.faults and score.coordinate == READING:
             continue  # the error of a converter is a sawtooth of the reading
-        healthy_p_value = structure_p_value(score.gain, residual.null.rms, residual.view.noise)
-        if score.p_value <= MAX_P_VALUE and healthy_p_value <= MAX_HEALTHY_P_VALUE:
-            return _structure_along(residual, score, healthy_p_value)
+        healthy_p_value = structure_p_value(score.gain, residual.null.rms, view.noise)
+        if score.p_value > MAX_P_VALUE or healthy_p_value > MAX_HEALTHY_P_VALUE:
+            continue
+        beside_model = Residual.of(view)
+        if score.coordinate == "time":
+            fitted = fit_time_course(beside_model, score)
+        else:
+            fitted = beside_model.score(score.basis, score.p_value)
+        tracks, coefficients = range(len(view.tracks)), fitted.coefficients
+        return ResidualStructure(
+            score=fitted,
+            curve=tuple(fitted.basis.curve(k, coefficients) for k in tracks),
+            share=_share(residual, score.gain),
+            residual=beside_model.values,
+            view=view,
+            healthy_p_value=healthy_p_value,
+        )
     return None
-
-
-def _structure_along(
-    residual: Residual, score: CoordinateScore, healthy_p_value: float
-) -> ResidualStructure:
-    """Refit the curve without tangents of effects, which would absorb a part of it."""
-    residual_beside_model = Residual.of(residual.view)
-    if score.coordinate == "time":
-        fitted = fit_time_course(residual_beside_model, score)
-    else:
-        fitted = residual_beside_model.score(score.basis, score.p_value)
-    return ResidualStructure(
-        score=fitted,
-        curve=tuple(
-            fitted.basis.curve(k, fitted.coefficients)
-            for k in range(len(residual_beside_model.view.tracks))
-        ),
-        share=_share(residual, score.gain),
-        residual=residual_beside_model.values,
-        view=residual_beside_model.view,
-        healthy_p_value=healthy_p_value,
-    )
 
 
 def _sensor_range_structure(outcome: Outcome) -> ResidualStructure | None:
@@ -261,7 +329,12 @@ def _sensor_range_structure(outcome: Outcome) -> ResidualStructure | None:
     error = view.rows(end.error)
     values = replace(view.null, response=view.response - error).residual + error
     residual = Residual(view=view, null=replace(view.null, response=values))
-    gain, *surrogate_gains = _gains_of_error(error, values)
+    # share of power that the error explains of the residual, and of its shifts
+    power = max(float(np.sum(values**2)), 1e-300)
+    gain, *surrogate_gains = (
+        float(np.sum((2.0 * np.roll(values, shift) - error) * error)) / power
+        for shift in np.linspace(0, len(values), SURROGATES + 1, endpoint=False).astype(int)
+    )
     p_value = rank_p_value(gain, surrogate_gains)
     rms = float(np.sqrt(np.mean(values**2)))
     healthy_p_value = structure_p_value(gain, rms, view.noise)
@@ -282,12 +355,3 @@ def _sensor_range_structure(outcome: Outcome) -> ResidualStructure | None:
         healthy_p_value=healthy_p_value,
         range_end=end,
     )
-
-
-def _gains_of_error(error: Array, residual: Array) -> list[float]:
-    """Return the share of power that a sensor error explains of the residual and of its shifts."""
-    shifts = np.linspace(0, len(residual), SURROGATES + 1, endpoint=False).astype(int)
-    power = max(float(np.sum(residual**2)), 1e-300)
-    return [
-        float(np.sum((2.0 * np.roll(residual, shift) - error) * error)) / power for shift in shifts
-    ]

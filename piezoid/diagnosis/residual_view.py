@@ -10,8 +10,7 @@ from math import sqrt
 import numpy as np
 
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.drive_history import History
-from piezoid.diagnosis.initial_states import Reversals, hypotheses
+from piezoid.diagnosis.drive_history import History, Reversals, hypotheses
 from piezoid.diagnosis.nuisance import NuisanceClass
 from piezoid.diagnosis.nuisance_columns import BoucWenLaw
 from piezoid.diagnosis.segments import BLOCKS, Places, Track
@@ -95,17 +94,30 @@ class View:
         """Return the rms of the residual."""
         return self.null.rms
 
+    @property
+    def fastest_Hz(self) -> float:
+        """Return the sampling rate of the fastest track."""
+        return max(track.rate_Hz for track in self.tracks)
+
+    @property
+    def longest_s(self) -> float:
+        """Return the duration of the longest track."""
+        return max(track.duration_s for track in self.tracks)
+
     @Once
     def noise(self) -> float:
         """Return the rms of the white noise, at least that of a coarse converter.
 
         A systematic error that alternates from sample to sample looks like noise, so the noise of
-        a track is at most its residual.
+        a track is at most its residual. Readings on one step of a converter do not differ, but
+        have an error of up to half the step.
         """
-        rows = np.diff(self.nuisance.edges)
+        rows, noise = np.diff(self.nuisance.edges), []
+        for track in self.tracks:
+            step = step_size(np.round(track.response, DIGITS))
+            noise.append(max(white_noise_rms(track.response), step / sqrt(12.0)))
         residual = np.add.reduceat(self.null.residual**2, self.nuisance.edges[:-1]) / rows
-        noise = np.square([_noise(track.response) for track in self.tracks])
-        return float(np.sqrt(np.average(np.minimum(noise, residual), weights=rows)))
+        return float(np.sqrt(np.average(np.minimum(np.square(noise), residual), weights=rows)))
 
     def rows(self, signals: Sequence[Array]) -> Array:
         """Return the values of signals of all tracks at the rows, (rows,)."""
@@ -125,12 +137,6 @@ class View:
         column = np.zeros(self.nuisance.edges[-1])
         column[self.track_rows(k)] = values
         return column
-
-
-def _noise(response: Array) -> float:
-    # readings on one step of a converter do not differ, but have an error of up to half the step
-    step = step_size(np.round(response, DIGITS))
-    return max(white_noise_rms(response), step / sqrt(12.0))
 
 
 def view_of(
@@ -166,22 +172,19 @@ def with_reversals(view: View, reversals: tuple[Reversals, ...]) -> View:
     """Return the view with other initial states of its tracks."""
     if reversals == view.nuisance.reversals:
         return view
-    return replace(
-        view, nuisance=replace(view.nuisance, histories=_histories_with(view, reversals))
+    histories = tuple(
+        history
+        if of_track == history.reversals
+        else History(track=history.track, reversals=of_track)
+        for history, of_track in zip(view.nuisance.histories, reversals, strict=True)
     )
+    return replace(view, nuisance=replace(view.nuisance, histories=histories))
 
 
 def with_shared_reversals(view: View, reversals: tuple[Reversals, ...]) -> View:
     """Return the view with other initial states of its tracks and no fitted corrections."""
-    histories = _histories_with(view, reversals)
-    return replace(view, nuisance=replace(view.nuisance, histories=histories, free=False))
-
-
-def _histories_with(view: View, reversals: tuple[Reversals, ...]) -> tuple[History, ...]:
-    return tuple(
-        history.with_reversals(of_track)
-        for history, of_track in zip(view.nuisance.histories, reversals, strict=True)
-    )
+    nuisance = with_reversals(view, reversals).nuisance
+    return replace(view, nuisance=replace(nuisance, free=False))
 
 
 def with_bouc_wen(view: View, bouc_wen: BoucWenLaw | None) -> View:

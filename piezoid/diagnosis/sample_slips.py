@@ -203,32 +203,27 @@ def _sums_from(values: Array, first: Places) -> Array:
 
 def strongest_slips(view: View, null: Null) -> list[Slip]:
     """Return the strongest slip of every track, the largest gain first."""
-    slips = [_strongest_slip(view, null, k) for k in range(len(view.tracks))]
-    return sorted(filter(None, slips), key=lambda slip: slip.gain, reverse=True)
-
-
-def _strongest_slip(view: View, null: Null, k: int) -> Slip | None:
-    rows = view.tracks[k].rows
-    if len(rows) < MIN_ROWS:
-        return None
-    scan = SlipScan.of(view, null, k)
-    first = scan.instants()
-    best = None
-    for samples in scan.promising_lengths(first) if len(first) else ():
-        gain, beta = scan.score(samples, first)
-        # a tangent has the right sign but may be wrong in length, except of one sample
-        low = MIN_BETA_OF_ONE if abs(samples) == 1 else MIN_BETA
-        high = max_slip(len(scan.static)) / abs(samples)
-        gain = np.where((beta > low) & (beta < high), gain, 0.0)
-        j = int(np.argmax(gain))
-        if gain[j] > (best.gain if best else 0.0):
-            best = Slip(
-                track=k,
-                instant=int(rows[first[j]]),
-                samples=samples * float(beta[j]),
-                gain=float(gain[j]),
-            )
-    return best
+    slips = []
+    for k, track in enumerate(view.tracks):
+        scan, best = SlipScan.of(view, null, k), None
+        first = scan.instants() if len(track.rows) >= MIN_ROWS else track.rows[:0]
+        for samples in scan.promising_lengths(first) if len(first) else ():
+            gain, beta = scan.score(samples, first)
+            # a tangent has the right sign but may be wrong in length, except of one sample
+            low = MIN_BETA_OF_ONE if abs(samples) == 1 else MIN_BETA
+            high = max_slip(len(scan.static)) / abs(samples)
+            gain = np.where((beta > low) & (beta < high), gain, 0.0)
+            j = int(np.argmax(gain))
+            if gain[j] > (best.gain if best else 0.0):
+                best = Slip(
+                    track=k,
+                    instant=int(track.rows[first[j]]),
+                    samples=samples * float(beta[j]),
+                    gain=float(gain[j]),
+                )
+        if best is not None:
+            slips.append(best)
+    return sorted(slips, key=lambda slip: slip.gain, reverse=True)
 
 
 def refine_slip(

@@ -12,13 +12,11 @@ import numpy as np
 from piezoid.diagnosis.blocked_regression import CrossValidated, Null
 from piezoid.diagnosis.effect import Effect, Trial
 from piezoid.diagnosis.residual_view import View
-from piezoid.numerics.arrays import Array
 
 MIN_FILTER_SHARE = 0.05  # smallest coefficient of a filter's tangent
 # of the length of a column: smallest part orthogonal to the null that separates a lag from a loop
 MIN_ORTHOGONAL = 0.03
 TINY = 1e-12  # of a column: numerically zero
-ValidatedTrial = tuple[Trial, CrossValidated, Array]  # with its columns orthogonal to the null
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,29 +77,35 @@ def screen_trials(
     """
     edges = np.cumsum([0, *(trial.columns.shape[1] for trial in trials)])
     orthogonal = null.project_out(np.hstack([trial.columns for trial in trials]))
-    validated: list[ValidatedTrial] = []
+    placebos, physical, separable = [], [], []
     for trial, (first, stop) in zip(trials, pairwise(edges.tolist()), strict=True):
         columns = orthogonal[:, first:stop]
-        validated.append((trial, null.cross_validated(columns, projected=True), columns))
-    placebos = [cv for trial, cv, _ in validated if not trial.physical]
-    physical = [result for result in validated if result[0].physical]
-    separable = [
-        result
-        for result in physical
-        if not (one_speed and result[0].needs_time) and _is_separable(result)
-    ]
+        cv = null.cross_validated(columns, projected=True)
+        if not trial.physical:
+            placebos.append(cv)
+            continue
+        physical.append((trial, cv, columns))
+        centred = trial.columns[:, 0] - trial.columns[:, 0].mean()
+        min_norm = MIN_ORTHOGONAL * np.linalg.norm(centred)
+        is_loop_width = one_speed or np.linalg.norm(columns[:, 0]) < min_norm
+        if not (trial.needs_time and is_loop_width):
+            separable.append((trial, cv, columns))
     possible = [result for result in separable if _is_possible(effect, result[0], result[1])]
     trial, cv, columns = max(possible or physical, key=lambda result: result[1].gain)
-    share, bound = _shares(cv, columns)
+    # rms of the contribution beyond the null with its error, and the norm of the whole trial
+    added_rms = float(np.sqrt(np.mean((columns @ cv.coefficient) ** 2)))
+    length = np.sqrt(np.mean(columns**2, axis=0))
+    error = float(np.sqrt(np.sum((length * cv.spread) ** 2)))
+    norm = np.linalg.norm(trial.columns - trial.columns.mean(axis=0))
     return ScoreTest(
         effect=effect,
         trial=trial,
         cv=cv,
         placebo=max(placebos, key=lambda cv: cv.gain, default=None),
-        share=share,
-        bound=bound,
+        share=added_rms / 2.0,
+        bound=(added_rms + 1.645 * error) / 2.0,
         floor=trial.minimum_coefficient * float(np.sqrt(np.mean(columns[:, 0] ** 2))) / 2.0,
-        absorption=_absorption(trial, columns),
+        absorption=max(float(norm / (np.linalg.norm(columns) + TINY)), 1.0),
         physical=bool(possible),
         separable=bool(separable),
         total_gain=cv.gain,
@@ -119,26 +123,3 @@ def _is_possible(effect: Effect, trial: Trial, cv: CrossValidated) -> bool:
     return bool(
         low <= cv.coefficient[0] <= high and abs(cv.coefficient[0]) >= trial.minimum_coefficient
     )
-
-
-def _is_separable(result: ValidatedTrial) -> bool:
-    """Tell whether a trial that needs time has a sufficient part orthogonal to the null."""
-    trial, _, orthogonal = result
-    if not trial.needs_time:
-        return True
-    centred = trial.columns[:, 0] - trial.columns[:, 0].mean()
-    return bool(np.linalg.norm(orthogonal[:, 0]) >= MIN_ORTHOGONAL * np.linalg.norm(centred))
-
-
-def _absorption(trial: Trial, orthogonal: Array) -> float:
-    """Return the ratio of the norm of a trial to its norm orthogonal to the null."""
-    centred = trial.columns - trial.columns.mean(axis=0)
-    return max(float(np.linalg.norm(centred) / (np.linalg.norm(orthogonal) + TINY)), 1.0)
-
-
-def _shares(cv: CrossValidated, orthogonal: Array) -> tuple[float, float]:
-    """Return the rms of a trial beyond the null as a share of the stroke, and its upper bound."""
-    added_rms = float(np.sqrt(np.mean((orthogonal @ cv.coefficient) ** 2)))
-    length = np.sqrt(np.mean(orthogonal**2, axis=0))
-    error = float(np.sqrt(np.sum((length * cv.spread) ** 2)))
-    return added_rms / 2.0, (added_rms + 1.645 * error) / 2.0

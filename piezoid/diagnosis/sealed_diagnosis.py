@@ -45,17 +45,12 @@ def write_diagnosis(
     return seal(SCHEMA, content)
 
 
-def read_diagnosis(content: bytes, location: str = "diagnosis.json") -> Diagnosis:
-    """Read the diagnosis of the first axis from diagnosis.json.
+def read_diagnoses(content: bytes, location: str = "diagnosis.json") -> tuple[Diagnosis, ...]:
+    """Read the diagnoses of all axes from diagnosis.json.
 
     Raises ``ParameterFileError`` if the digest does not match, the schema is different, or an
     entry is missing or of another type.
     """
-    return read_diagnoses(content, location)[0]
-
-
-def read_diagnoses(content: bytes, location: str = "diagnosis.json") -> tuple[Diagnosis, ...]:
-    """Read the diagnoses of all axes; raises the same errors as ``read_diagnosis``."""
     record = unseal(content, SCHEMA, location)
     with refusing(SCHEMA, location, remedy=REMEDY):
         first = {name: entry for name, entry in record.items() if name not in OTHER_ENTRIES}
@@ -66,19 +61,9 @@ def read_diagnoses(content: bytes, location: str = "diagnosis.json") -> tuple[Di
 def _diagnosis_entries(diagnosis: Diagnosis) -> dict[str, Any]:
     unit = "counts, rms" if "displacement" in diagnosis.counted else "m, rms"
     entries = {n: v for n, v in fields_of(diagnosis).items() if n not in NOT_WRITTEN}
-    not_detected = [_not_detected_entries(effect, unit) for effect in diagnosis.not_detected]
-    entries |= {"not_detected": not_detected}
+    not_detected = [[*_rename(fields_of(n), NOT_DETECTED).items()] for n in diagnosis.not_detected]
+    entries["not_detected"] = [dict([*e[:2], ("unit", unit), *e[2:]]) for e in not_detected]
     return _without_empty(entries, "unexplained", "budget", "counted")
-
-
-def _not_detected_entries(effect: NotDetected, unit: str) -> dict[str, Any]:
-    entries = [*_rename(fields_of(effect), NOT_DETECTED).items()]
-    return dict([*entries[:2], ("unit", unit), *entries[2:]])
-
-
-def _read_not_detected(table: Mapping[str, Any]) -> NotDetected:
-    entries = {name: entry for name, entry in table.items() if name != "unit"}
-    return from_fields(NotDetected, _rename(_check_effect(entries), _invert(NOT_DETECTED)))
 
 
 def _check_effect(table: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -115,7 +100,18 @@ LAYOUTS = (
         write=lambda finding: _without_empty(fields_of(finding), "coordinate", "law", "seen"),
         read=lambda table: from_fields(Finding, _check_effect(table)),
     ),
-    RecordLayout(kind=NotDetected, write=fields_of, read=_read_not_detected),
+    RecordLayout(
+        kind=NotDetected,
+        write=fields_of,
+        read=lambda table: from_fields(
+            NotDetected,
+            {
+                name: entry
+                for name, entry in _rename(_check_effect(table), _invert(NOT_DETECTED)).items()
+                if name != "unit"
+            },
+        ),
+    ),
     _layout(FinalError, HELD_OUT),
     _layout(HeldOut, HELD_OUT),
     _layout(Unexplained, UNEXPLAINED),

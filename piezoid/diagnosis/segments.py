@@ -125,17 +125,26 @@ def tracks_of(
     """
     pieces = pieces_of(recordings, axis, scales, rig)
     commanded = pieces_of(recordings, axis, scales, Rig())
+    # the simulation of declared poles starts at rest, but the drive may move before
+    poles_Hz = (rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz)
+    slowest_s = sum(1.0 / (2.0 * np.pi * pole_Hz) for pole_Hz in poles_Hz if pole_Hz)
     share = ROWS // len(pieces)
     starts: dict[int, int] = {}
     tracks = []
     for piece, unfiltered in zip(pieces, commanded, strict=True):
         recording = recordings[piece.recording]
-        first = _first_sample(recording, len(piece.drive), starts.get(piece.recording, 0))
-        starts[piece.recording] = first + len(piece.drive)
+        samples, earliest = len(piece.drive), starts.get(piece.recording, 0)
+        first = next(
+            int(p.start)
+            for p in recording.pieces
+            if p.stop - p.start == samples and p.start >= earliest
+        )
+        starts[piece.recording] = first + samples
         bridged = np.array(recording.bridged, dtype=int) - first
-        bridged = bridged[(bridged >= 0) & (bridged < len(piece.drive))]
-        rows = np.setdiff1d(spread_rows(len(piece.drive), share), bridged)
-        rows = rows[rows >= _settling_samples(piece, rig)]
+        bridged = bridged[(bridged >= 0) & (bridged < samples)]
+        rows = np.setdiff1d(spread_rows(samples, share), bridged)
+        settled = int(np.ceil(SETTLING * slowest_s * piece.sampling_rate_Hz))
+        rows = rows[rows >= min(settled, samples // 10)]
         command, drive = _command_and_drive(piece, unfiltered, rig, clock_Hz)
         tracks.append(
             Track(
@@ -145,24 +154,13 @@ def tracks_of(
                 drive=drive,
                 sensor_Hz=rig.sensor_bandwidth_Hz,
                 response=piece.response,
-                other_drives=_other_drives(recording, axis, first, len(piece.drive)),
+                other_drives=_other_drives(recording, axis, first, samples),
                 rows=rows,
-                block=rows * BLOCKS // len(piece.drive),
+                block=rows * BLOCKS // samples,
                 bridged=bridged,
             )
         )
     return tuple(tracks)
-
-
-def _settling_samples(piece: Piece, rig: Rig) -> int:
-    """Return the number of samples in which the declared poles settle.
-
-    Their simulation starts at rest, but the drive may move before the first sample.
-    """
-    poles_Hz = (rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz)
-    slowest_s = sum(1.0 / (2.0 * np.pi * pole_Hz) for pole_Hz in poles_Hz if pole_Hz)
-    samples = int(np.ceil(SETTLING * slowest_s * piece.sampling_rate_Hz))
-    return min(samples, len(piece.drive) // 10)
 
 
 def _command_and_drive(
@@ -175,17 +173,14 @@ def _command_and_drive(
     """
     rate_Hz = piece.sampling_rate_Hz
     amplifier_Hz, sensor_Hz = rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz
-    if is_held(rate_Hz, clock_Hz, rig):
+    has_bandwidth = amplifier_Hz is not None or sensor_Hz is not None
+    if has_bandwidth and clock_Hz is not None and abs(rate_Hz / clock_Hz - 1.0) < EQUAL_RATE:
+        # samples are values of the converter, which holds them
         ceramic = staircase_response(unfiltered.drive, (amplifier_Hz,), rate_Hz)
         return ceramic, staircase_response(unfiltered.drive, (amplifier_Hz, sensor_Hz), rate_Hz)
     delay = 0.0 if clock_Hz is None else 0.5 * rate_Hz / clock_Hz
     command = later(piece.drive, delay) if delay else piece.drive
     return command, behind_pole(command, sensor_Hz, rate_Hz)
-
-
-def _first_sample(recording: Recording, samples: int, earliest: int) -> int:
-    starts = [int(p.start) for p in recording.pieces if p.stop - p.start == samples]
-    return next(start for start in starts if start >= earliest)
 
 
 def _other_drives(recording: Recording, axis: str, first: int, samples: int) -> dict[str, Array]:
@@ -199,12 +194,6 @@ def _other_drives(recording: Recording, axis: str, first: int, samples: int) -> 
             part = values[first : first + samples]
             drives[channel.axis] = np.asarray(2.0 * (part - values.min()) / span - 1.0)
     return drives
-
-
-def is_held(rate_Hz: float, clock_Hz: float | None, rig: Rig) -> bool:
-    """Tell whether samples are converter values and a pole of the signal chain is declared."""
-    has_bandwidth = rig.amplifier_bandwidth_Hz is not None or rig.sensor_bandwidth_Hz is not None
-    return has_bandwidth and clock_Hz is not None and abs(rate_Hz / clock_Hz - 1.0) < EQUAL_RATE
 
 
 def staircase_response(

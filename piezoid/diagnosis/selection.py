@@ -3,15 +3,24 @@
 Every effect gets a score test by its tangents. A shortlist is refitted with the whole model, and
 the effect with the smallest error is selected if it is significant, physical and clearly better
 than its placebos. All other effects are then tested again beside it. At the end each selected
-effect must be significant beside all others and not be small beside the structure of the residual,
-and confounded effects that explain as much are reported with it.
+effect must be significant beside all others and not be small beside the structure of the residual.
+
+Each confounded effect is then refitted instead of the selected effect, with all others in the
+model. The two are not separable on these recordings if the loss over blocks is not significantly
+smaller with the selected effect (Vuong). The difference between two interpolations of the drive
+may be significant, so a small difference does not separate effects either.
+
+Source: Vuong, Econometrica 57 (1989).
 """
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import hypot, sqrt
 
+from piezoid.diagnosis.blocked_regression import paired_z
 from piezoid.diagnosis.candidate import (
     Candidate,
+    evaluate,
     explained_share,
     structural_candidate,
 )
@@ -25,16 +34,26 @@ from piezoid.diagnosis.initial_state_search import (
     with_individual_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.model_comparison import Confounded, compare_models
-from piezoid.diagnosis.refitted_view import with_effects
+from piezoid.diagnosis.refinement import initial_guess, refine
+from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_view import View, with_shared_reversals, with_tracks
 from piezoid.diagnosis.score_test import ScoreTest, score_test
+from piezoid.diagnosis.step_responses import step_response_view
 from piezoid.formatting import words
 from piezoid.numerics.executor import SERIAL, Executor
+from piezoid.records.recording import Recording
 
 CLEAR_SHARE = 0.65  # explained share of the power above the noise from which structure is clear
 MAX_REPAIRS = 3
 EVIDENT = 0.5  # largest relative error at which a shared initial state is evident
+MIN_TANGENT_GAIN = 0.5  # of the effect's gain, by a confounded effect that is refitted
+SEPARABLE = 1.96  # standard errors between two effects
+MIN_DIFFERENCE = 0.02  # of the explained and of the remaining error, to separate two effects
+Confounded = dict[str, tuple[str, ...]]  # names of effects that could replace an effect, by name
+STAMP_FAULTS = ("gap", "duplicate_time", "time_reversed")
+INVALID = "lost_readings"
+CERTAIN_P = 1e-12  # time stamps and flags are read, not estimated
+CLOCK, SPIKES = "timestamp_fault", "outliers"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,46 +161,35 @@ def _test_dropped_effects(final: View, tested: Collection[str]) -> dict[str, Sco
 
 
 def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
-    """Test the structural effects, beside all causes."""
+    """Test the structural effects, beside all causes.
+
+    The residual of a misspecified class resembles missing structure. A structural effect is
+    therefore named only if it is clear or the nuisance class fits well.
+    """
     final = outcome.final
     for effect in every_effect():
-        if effect.structural is None or effect.untestable(final):
+        structural = effect.structural
+        if structural is None or effect.untestable(final):
             continue
         executor.report(f"testing {words(effect.name)}")
         result = structural_candidate(effect, final)
         if result is None:
             continue
-        test, structure = result
-        if structure.may_be_named and exceeds_misfit(structure, final):
-            outcome = replace(outcome, causes=(*outcome.causes, structure))
+        test, candidate = result
+        is_clear = explained_share(candidate.cv.gain, final.rms, final.noise) > CLEAR_SHARE
+        fits_well = final.rms < structural.largest_noise_ratio * final.noise
+        if candidate.may_be_named and (is_clear or fits_well):
+            outcome = replace(outcome, causes=(*outcome.causes, candidate))
             continue
         outcome = replace(outcome, score_tests={**outcome.score_tests, effect.name: test})
-        if structure.is_significant:
-            outcome = replace(
-                outcome,
-                dismissed=(*outcome.dismissed, structure),
-                confounded=_with_confounded(outcome.confounded, effect),
-            )
+        if candidate.is_significant:
+            confounded = {
+                name: (*alternatives, effect.name) if name in effect.confounded else alternatives
+                for name, alternatives in outcome.confounded.items()
+            }
+            dismissed = (*outcome.dismissed, candidate)
+            outcome = replace(outcome, dismissed=dismissed, confounded=confounded)
     return outcome
-
-
-def exceeds_misfit(structure: Candidate, final: View) -> bool:
-    """Tell whether a structural effect is clear or the nuisance class fits well.
-
-    The residual of a misspecified class resembles missing structure.
-    """
-    structural = structure.effect.structural
-    assert structural is not None
-    is_clear = explained_share(structure.cv.gain, final.rms, final.noise) > CLEAR_SHARE
-    return is_clear or final.rms < structural.largest_noise_ratio * final.noise
-
-
-def _with_confounded(confounded: Confounded, effect: Effect) -> Confounded:
-    """Add a structural effect to the alternatives of the causes it is confounded with."""
-    return {
-        name: (*alternatives, effect.name) if name in effect.confounded else alternatives
-        for name, alternatives in confounded.items()
-    }
 
 
 def repair_faults(
@@ -217,3 +225,140 @@ def repair_faults(
             view = with_tracks(view, fault.tracks)
     initial = (shared, individual) if view.tracks == individual.tracks else None
     return with_shared_reversals(view, assumed.nuisance.reversals), faults, initial
+
+
+def compare_models(
+    clean: View, selected: Sequence[SelectedEffect], executor: Executor
+) -> tuple[list[Candidate], Confounded, list[Candidate]]:
+    """Evaluate every selected effect beside the others, and find its confounded effects.
+
+    Effects that may not be named are dismissed one by one, the smallest gain first. An effect
+    detected in step responses is evaluated on these, where the drive is filtered.
+
+    Returns effects that may be named, their confounded effects, and the dismissed effects.
+    """
+    dismissed: list[Candidate] = []
+    while True:
+        candidates, confounded = [], {}
+        for k, effect in enumerate(selected):
+            name, view = effect.effect.name, clean
+            executor.report(f"comparing {words(name)} with confounded effects")
+            remaining = [*selected[:k], *selected[k + 1 :]]
+            if effect.from_jumps:
+                step_responses = step_response_view(with_effects(clean, remaining))
+                if step_responses is not None:
+                    view = step_responses
+                    remaining = [e for e in remaining if e.effect.drive_filter is None]
+            refined, with_effect = refine(effect, view, remaining, finer=1)
+            without = with_effects(view, remaining)
+            test = score_test(effect.effect, without)
+            assert test is not None
+            candidate = evaluate(refined, with_effect, without, test=test)
+            candidates.append(candidate)
+            alternatives = _find_confounded(candidate, view, remaining, executor)
+            confounded[name] = tuple(alternative.effect.name for alternative in alternatives)
+        rejected = [c for c in candidates if not c.may_be_named]
+        if not rejected:
+            return candidates, confounded, dismissed
+        weakest = min(rejected, key=lambda candidate: candidate.cv.gain)
+        dismissed.append(weakest)
+        selected = [c.selected for c in candidates if c is not weakest]
+
+
+def _find_confounded(
+    candidate: Candidate,
+    clean: View,
+    remaining: Sequence[SelectedEffect],
+    executor: Executor,
+) -> tuple[Candidate, ...]:
+    """Return the effects that could replace a selected effect, the smallest error first."""
+    in_model = {effect.effect.name for effect in remaining}
+    alternatives = executor.map(
+        lambda effect: _evaluate_alternative(effect, candidate, clean, remaining),
+        [
+            effect
+            for effect in every_effect()
+            if effect.name in candidate.effect.confounded and effect.name not in in_model
+        ],
+    )
+    confounded = [
+        alternative
+        for alternative in alternatives
+        if alternative is not None and is_confounded(alternative, candidate)
+    ]
+    return tuple(sorted(confounded, key=lambda alternative: alternative.cv.rms))
+
+
+def _evaluate_alternative(
+    effect: Effect, candidate: Candidate, clean: View, remaining: Sequence[SelectedEffect]
+) -> Candidate | None:
+    """Refit a confounded effect instead of a selected one; None if its gain is too small."""
+    without = candidate.without
+    if effect.trials is None or effect.structural is not None or effect.untestable(without):
+        return None
+    test = score_test(effect, without)
+    if test is None or test.total_gain < MIN_TANGENT_GAIN * candidate.cv.gain:
+        return None
+    if test.separable and not test.physical:
+        return None
+    guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
+    refined, view = refine(guess, clean, remaining, finer=1)
+    return evaluate(refined, view, without, test=test)
+
+
+def is_confounded(alternative: Candidate, candidate: Candidate) -> bool:
+    """Tell whether the recordings cannot separate an alternative from a selected effect."""
+    if not alternative.physical:
+        # an impossible effect with a smaller error raises doubts about the selected effect
+        return alternative.cv.rms < candidate.cv.rms
+    excess = alternative.cv.rms**2 - candidate.cv.rms**2
+    explained = candidate.without.rms**2 - candidate.cv.rms**2
+    is_small = excess < MIN_DIFFERENCE * explained
+    if is_small and alternative.cv.rms < (1.0 + MIN_DIFFERENCE) * candidate.cv.rms:
+        return True
+    return paired_z(alternative.cv.loss, candidate.cv.loss) < SEPARABLE
+
+
+def with_ingest_faults(
+    outcome: Outcome, recordings: Sequence[Recording], half_stroke_m: float
+) -> Outcome:
+    """Add the faults that ingest detected and repaired to the outcome of a search.
+
+    The size of a clock fault is the number of samples that are missing, have a repeated stamp, or
+    by which the clock stepped back, plus the samples of a slip. The size of invalid readings is
+    their largest distance from the motion, in nm.
+
+    recordings     the searched recordings
+    half_stroke_m  half the range of the displacement
+    """
+    statements = [(r.name, s) for r in recordings for s in r.statements]
+    faults, tracks = dict(outcome.faults), outcome.clean.tracks
+    stamps = [(name, s.value) for name, s in statements if s.quantity in STAMP_FAULTS]
+    counts = [value for _, value in stamps if value]
+    if counts:
+        slip = faults.pop(CLOCK, None)
+        clock = Fault(
+            tracks=tracks if slip is None else slip.tracks,
+            value=sum(counts) + (abs(slip.value) if slip else 0.0),
+            # each number is rounded to whole samples
+            spread=hypot(sqrt(len(counts) / 12.0), slip.spread if slip else 0.0),
+            p_value=CERTAIN_P,
+            locations=tuple(
+                dict.fromkeys([n for n, _ in stamps] + list(slip.locations if slip else ()))
+            ),
+        )
+        faults = {CLOCK: clock, **faults}
+    invalid = [(name, s) for name, s in statements if s.quantity == INVALID]
+    if invalid:
+        largest_nm = 1e9 * max(statement.value or 0.0 for _, statement in invalid)
+        spikes = faults.pop(SPIKES, None)
+        readings = Fault(
+            tracks=tracks if spikes is None else spikes.tracks,
+            value=largest_nm,
+            # the error of the true reading is the noise
+            spread=max(1e9 * outcome.final.noise * half_stroke_m, 0.01 * largest_nm),
+            p_value=CERTAIN_P,
+            locations=tuple(f"{name}: {statement.text}" for name, statement in invalid),
+        )
+        faults = {SPIKES: readings.merged_with(spikes), **faults}
+    return replace(outcome, faults=faults)

@@ -83,8 +83,7 @@ def delay_trials(
 
 def trial_times_s(view: View, longest_s: float, count: int) -> list[float]:
     """Return time constants from half a sample of the fastest recording on, log-spaced."""
-    fastest_Hz = max(track.rate_Hz for track in view.tracks)
-    times_s = np.geomspace(SHORTEST_SAMPLES / fastest_Hz, longest_s, count)
+    times_s = np.geomspace(SHORTEST_SAMPLES / view.fastest_Hz, longest_s, count)
     return [float(time_s) for time_s in times_s]
 
 
@@ -99,11 +98,6 @@ def drive_change(view: View, drive_filter: Filter, parameters: Parameters) -> Ar
         response = view.nuisance.static_rows(k, view.weight, track.read(command))
         changes.append(response - view.static[k][track.rows])
     return np.concatenate(changes)[:, None]
-
-
-def zero_columns(view: View) -> Array:
-    """Return zero columns for a trial that is evaluated without a tangent."""
-    return np.zeros((len(view.response), 1))
 
 
 def with_displacement(recording: Recording, displacement_m: Array) -> Recording:
@@ -144,17 +138,14 @@ def other_axis_columns(view: View, *, backwards: bool = False) -> Array:
 
     backwards  whether to reverse these drives in time, for a placebo
     """
-    axes = sorted({axis for track in view.tracks for axis in track.other_drives})
-    columns = [_columns_of_axis(view, axis, backwards) for axis in axes]
-    return np.column_stack([np.zeros((len(view.response), 0)), *columns])
-
-
-def _columns_of_axis(view: View, axis: str, backwards: bool) -> Array:
-    columns = np.zeros((len(view.response), 2 + len(GAPS)))
-    for k, track in enumerate(view.tracks):
-        if axis not in track.other_drives:
-            continue
-        drive = track.other_drives[axis][:: -1 if backwards else 1]
-        plays, _ = play_columns(drive, GAPS, np.full(len(GAPS), drive[0]))
-        columns[view.track_rows(k)] = np.column_stack([drive, drive**2, plays])[track.rows]
-    return columns
+    columns = [np.zeros((len(view.response), 0))]
+    for axis in sorted({axis for track in view.tracks for axis in track.other_drives}):
+        of_axis = np.zeros((len(view.response), 2 + len(GAPS)))
+        for k, track in enumerate(view.tracks):
+            if axis not in track.other_drives:
+                continue
+            drive = track.other_drives[axis][:: -1 if backwards else 1]
+            plays, _ = play_columns(drive, GAPS, np.full(len(GAPS), drive[0]))
+            of_axis[view.track_rows(k)] = np.column_stack([drive, drive**2, plays])[track.rows]
+        columns.append(of_axis)
+    return np.column_stack(columns)

@@ -22,7 +22,7 @@ from piezoid.diagnosis.refinement import initial_guess, refine
 from piezoid.diagnosis.refitted_view import SelectedEffect
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.score_test import score_test
-from piezoid.diagnosis.segments import BLOCKS, Track
+from piezoid.diagnosis.segments import BLOCKS
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.step_rows import rows_after_steps
 from piezoid.numerics.arrays import Array
@@ -66,16 +66,22 @@ class Trend(NuisanceClass):
 
 
 def modes_after_steps(view: View) -> tuple[SelectedEffect, ...]:
-    """Return the resonances that are significant in step responses."""
-    step_responses = step_response_view(view)
+    """Return the resonances that are significant in step responses, refined on these."""
+    step_responses, modes = step_response_view(view), []
     if step_responses is None:
         return ()
-    modes = [
-        _significant_mode(with_any_phase(effect), step_responses)
-        for effect in every_effect()
-        if effect.may_be_absorbed
-    ]
-    return tuple(mode for mode in modes if mode is not None)
+    for mode in every_effect():
+        if not mode.may_be_absorbed or mode.untestable(step_responses):
+            continue
+        effect = with_any_phase(mode)
+        test = score_test(effect, step_responses)
+        if test is None or not test.physical:
+            continue
+        guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
+        refined, refined_view = refine(guess, step_responses, [])
+        if evaluate(refined, refined_view, step_responses, test=test).is_significant:
+            modes.append(replace(refined, from_jumps=True))
+    return tuple(modes)
 
 
 def with_any_phase(effect: Effect) -> Effect:
@@ -89,7 +95,9 @@ def with_any_phase(effect: Effect) -> Effect:
     trials, columns = effect.trials, effect.columns
 
     def two_phases(view: View, parameters: Parameters) -> Array:
-        return np.hstack([columns(view, parameters), columns(_with_delay(view), parameters)])
+        tracks = [replace(track, rows=np.maximum(track.rows - 1, 0)) for track in view.tracks]
+        delayed = replace(with_tracks(view, tracks), static_override=view.static)
+        return np.hstack([columns(view, parameters), columns(delayed, parameters)])
 
     def two_phase_trials(view: View) -> list[Trial]:
         return [
@@ -104,44 +112,43 @@ def with_any_phase(effect: Effect) -> Effect:
     return replace(effect, trials=two_phase_trials, columns=two_phases)
 
 
-def _with_delay(view: View) -> View:
-    """Return the view with each row one sample earlier."""
-    tracks = [replace(track, rows=np.maximum(track.rows - 1, 0)) for track in view.tracks]
-    return replace(with_tracks(view, tracks), static_override=view.static)
-
-
 def step_response_view(view: View) -> View | None:
-    """Return the view of the step responses with fixed static responses; None without jumps."""
-    spans = {k: _spans_after_jumps(track.drive) for k, track in enumerate(view.tracks)}
-    tracks_with_jumps = [k for k in spans if spans[k]]
-    if not tracks_with_jumps:
+    """Return the view of the step responses with fixed static responses; None without jumps.
+
+    All samples of the spans after jumps are rows, and each span has its own blocks.
+    """
+    histories, static = [], []
+    for k, track in enumerate(view.tracks):
+        spans = [np.arange(first, stop) for first, stop in _spans_after_jumps(track.drive)]
+        if not spans:
+            continue
+        blocks = [(span - span[0]) * BLOCKS // MAX_SAMPLES for span in spans]
+        responses = replace(track, rows=np.concatenate(spans), block=np.concatenate(blocks))
+        histories.append(History(track=responses, reversals=view.nuisance.reversals[k]))
+        static.append(view.static[k])
+    if not histories:
         return None
-    tracks = [_with_spans(view.tracks[k], spans[k]) for k in tracks_with_jumps]
-    histories = [
-        History(track=track, reversals=view.nuisance.reversals[k])
-        for track, k in zip(tracks, tracks_with_jumps, strict=True)
-    ]
-    trend = Trend(histories=tuple(histories))
-    static = tuple(view.static[k] for k in tracks_with_jumps)
-    return replace(with_tracks(replace(view, nuisance=trend), tracks), static_override=static)
+    trends = replace(view, nuisance=Trend(histories=tuple(histories)))
+    with_trends = with_tracks(trends, [history.track for history in histories])
+    return replace(with_trends, static_override=tuple(static))
 
 
 def without_unresolved_ringing(view: View, selected: Sequence[SelectedEffect]) -> View:
     """Return the view without rows after steps at which the samples do not resolve the ringing."""
     parameters = [effect.parameters for effect in selected if effect.effect.may_be_absorbed]
     modes = [LinearMode(frequency_Hz=p["frequency_Hz"], quality=p["quality"]) for p in parameters]
-    tracks = [_with_resolved_rows(track, modes) for track in view.tracks]
-    if all(len(new.rows) == len(old.rows) for new, old in zip(tracks, view.tracks, strict=True)):
+    tracks = []
+    for track in view.tracks:
+        unresolved = rows_after_steps(track.command, track.rate_Hz, modes)
+        is_resolved = ~np.isin(track.rows, unresolved)
+        if is_resolved.any() and not is_resolved.all():
+            block = np.unique(track.block[is_resolved], return_inverse=True)[1]
+            tracks.append(replace(track, rows=track.rows[is_resolved], block=block))
+        else:
+            tracks.append(track)
+    if all(new is old for new, old in zip(tracks, view.tracks, strict=True)):
         return view
     return with_tracks(view, tracks)
-
-
-def _with_resolved_rows(track: Track, modes: Sequence[LinearMode]) -> Track:
-    is_resolved = ~np.isin(track.rows, rows_after_steps(track.command, track.rate_Hz, modes))
-    if is_resolved.all() or not is_resolved.any():
-        return track
-    block = np.unique(track.block[is_resolved], return_inverse=True)[1]
-    return replace(track, rows=track.rows[is_resolved], block=block)
 
 
 def _spans_after_jumps(drive: Array) -> list[Span]:
@@ -161,21 +168,3 @@ def _spans_after_jumps(drive: Array) -> list[Span]:
         if change[end:stop].max() < MAX_MOTION * change[jump:end].max():
             spans.append((first, stop))
     return spans
-
-
-def _with_spans(track: Track, spans: Sequence[Span]) -> Track:
-    """Return the track with all samples of these spans as rows, each span with its own blocks."""
-    rows = [np.arange(first, stop) for first, stop in spans]
-    block = [(span - span[0]) * BLOCKS // MAX_SAMPLES for span in rows]
-    return replace(track, rows=np.concatenate(rows), block=np.concatenate(block))
-
-
-def _significant_mode(effect: Effect, step_responses: View) -> SelectedEffect | None:
-    """Return a mode refined on step responses, or None if it is not significant."""
-    test = None if effect.untestable(step_responses) else score_test(effect, step_responses)
-    if test is None or not test.physical:
-        return None
-    guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
-    refined, view = refine(guess, step_responses, [])
-    candidate = evaluate(refined, view, step_responses, test=test)
-    return replace(refined, from_jumps=True) if candidate.is_significant else None

@@ -1,15 +1,32 @@
-"""Findings of unexplained structure: size, coordinate and profile."""
+"""Findings of unexplained structure: of the residual along a coordinate, or of the noise.
 
+A sensor may have more noise at one end of its range, an amplifier while it slews. The mean of the
+residual does not show it, and no effect of the catalogue explains it. The noise at a sample is
+estimated by the second difference of the error e of the static response, which hysteresis hardly
+changes,
+
+    d_i^2 = (e_(i-1) - 2 e_i + e_(i+1))^2 / 6,      log d_i^2 = offset of the track + f(x_i) + xi,
+
+xi the logarithm of chi-squared, of mean -1.27. Curves f along one coordinate are tested as for a
+residual: on left-out blocks, against the same logarithms shifted along each recording.
+
+Source: Harvey, Econometrica 44 (1976) on regressions of the logarithm; von Neumann (1941) on
+differences.
+"""
+
+from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.blocked_regression import Null
+from piezoid.diagnosis.coordinate_bases import signal_bases
 from piezoid.diagnosis.coordinate_descriptions import (
     coordinate_profile,
     coordinate_words,
     next_experiment,
 )
-from piezoid.diagnosis.coordinate_scores import CoordinateScore
+from piezoid.diagnosis.coordinate_scores import CoordinateScore, Residual
 from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     CoordinateProfile,
@@ -18,12 +35,19 @@ from piezoid.diagnosis.diagnosis import (
     Size,
     held_out_gain,
 )
-from piezoid.diagnosis.noise_level import NoiseLevel, excess_of
 from piezoid.diagnosis.residual_structure import ResidualStructure
 from piezoid.diagnosis.residual_view import View
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
+from piezoid.records.sample_statistics import step_size
 
+MEAN_LOG = -1.2704  # of chi-squared of one degree: the digamma of 1/2, and log 2
+MIN_NOISE = 1e-3  # of the noise: smaller differences are rounding
+RANGE = (0.02, 0.98)  # quantiles of the noise level that count as its lowest and highest value
+# Highest over lowest level: at most 1.5 on an outsider's healthy stages, 1.7 with a delay, and at
+# least 3.7 if the noise grows with the reading or the speed (docs/how_piezoid_decides.md).
+MIN_RATIO = 2.0
+MIN_SHARE = 0.5  # of the residual's power: below it other structure passes for noise
 HALF_HEIGHT = 0.5  # of a curve's largest height: the range that a finding states
 MEDIAN = 0.6745  # of the magnitude of a normal variable, in standard deviations
 NOISE_EXPERIMENT = (
@@ -31,6 +55,75 @@ NOISE_EXPERIMENT = (
     "all of it: noise that stays with the level is the sensor's or its supply's, noise that comes "
     "with the speed the amplifier's, the converter's or the guide's."
 )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NoiseLevel:
+    """Level of the noise along the coordinate that explains most of it.
+
+    score  of the curve of the logarithm of the noise power
+    local  (rows,)  magnitude of the noise at each row
+    level  (rows,)  rms of the noise by the curve
+    view   the view with these rows
+    """
+
+    score: CoordinateScore
+    local: Array
+    level: Array
+    view: View
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Return the lowest and the highest noise level."""
+        low, high = np.quantile(self.level, RANGE)
+        return float(low), float(high)
+
+
+def noise_level(view: View, max_p_value: float) -> NoiseLevel | None:
+    """Return the noise level along the coordinate on which it depends; None if uniform.
+
+    max_p_value  of the coordinate
+
+    Noise below the resolution of the converter cannot be measured. Noise that is a minor part of
+    the residual cannot be separated from other structure. Time is not tested: the distribution of
+    the logarithms is skew, so that random signs are no null distribution.
+    """
+    if any(step_size(track.response) > view.noise for track in view.tracks):
+        return None
+    local = np.concatenate([_local_noise(view, k) for k in range(len(view.tracks))])
+    if float(np.mean(local**2)) < MIN_SHARE * view.rms**2:
+        return None
+    values = np.log(np.maximum(local, MIN_NOISE * view.noise) ** 2)
+    offsets = np.column_stack(
+        [view.track_column(k, np.ones(len(t.rows))) for k, t in enumerate(view.tracks)]
+    )
+    residual = Residual(view=view, null=Null(columns=offsets, response=values, block=view.block))
+    surrogates = residual.surrogates(np.random.default_rng(0))
+    scores, _ = residual.score_all(signal_bases(view), surrogates)
+    best = max(scores, key=lambda score: score.gain)
+    mean = values - residual.values + best.fitted - MEAN_LOG
+    ratio = np.exp(0.5 * np.diff(np.quantile(best.fitted, RANGE)))
+    if best.gain <= 0.0 or best.p_value > max_p_value or ratio < MIN_RATIO:
+        return None
+    return NoiseLevel(score=best, local=local, level=np.exp(0.5 * mean), view=view)
+
+
+def _local_noise(view: View, k: int) -> Array:
+    """Return the magnitude of the noise at the rows of a track.
+
+    Rows at which it cannot be measured have the typical level: next to samples that were not
+    recorded, and where the second difference of the static response exceeds the noise.
+    """
+    track, static = view.tracks[k], view.static[k]
+    noise = np.full(len(static), np.nan)
+    noise[1:-1] = np.abs(np.diff(track.response - static, 2)) / sqrt(6.0)
+    noise[1:-1][np.abs(np.diff(static, 2)) > sqrt(6.0) * view.noise] = np.nan
+    for missing in track.bridged.tolist():
+        noise[max(missing - 1, 0) : missing + 2] = np.nan
+    rows = noise[track.rows]
+    measured = rows[np.isfinite(rows) & (rows > 0.0)]
+    typical = float(np.exp(np.mean(np.log(measured)))) if len(measured) else view.noise
+    return np.where(np.isfinite(rows), rows, typical)
 
 
 def structure_finding(
@@ -48,13 +141,16 @@ def structure_finding(
     scale_m        displacement of 1 in scaled units
     middle_m       displacement of 0 in scaled units
     """
-    score, view = structure.score, structure.view
+    score, view, end, law = structure.score, structure.view, structure.range_end, ""
     low_m, rms_m, high_m = (view.half_stroke_m * rms for rms in _rms_with_interval(structure))
     sign = float(np.sign(scale_m))
     profile = _profile(
         score, view, sign * structure.residual, sign * score.fitted, scale_m, middle_m
     )
     share = f"{100 * structure.share:.0f} % of the residual power above the noise"
+    if end is not None:  # applies to other recordings
+        limit = "min" if end.side * scale_m > 0.0 else "max"
+        law = f"reading = {limit}(displacement, {with_unit(middle_m + scale_m * end.level, 'm')})"
     return Finding(
         effect=SOMETHING_ELSE,
         held_out_gain=held_out_gain(without_curve.rms_m, with_curve.rms_m),
@@ -70,7 +166,7 @@ def structure_finding(
         next_experiment=next_experiment(score.coordinate),
         parameters=_parameters(structure),
         coordinate=score.coordinate,
-        law=_law(structure, scale_m, middle_m),
+        law=law,
         seen=profile,
     )
 
@@ -80,10 +176,18 @@ def noise_finding(
 ) -> Finding:
     """Return the finding of noise that depends on a coordinate.
 
+    Its size is the rms of the noise beyond its lowest level, with an interval over blocks.
+
     error  held-out error of the model, which includes this noise
     """
-    score, view = noise.score, noise.view
-    low_m, rms_m, high_m = (view.half_stroke_m * rms for rms in excess_of(noise))
+    score, view, quietest = noise.score, noise.view, noise.range[0]
+    power, rows = np.add.reduceat(noise.local**2, view.null.edges), len(noise.local)
+    mean = float(power.sum()) / rows
+    margin = 1.96 * float(np.std(power, ddof=1)) * sqrt(len(power)) / rows
+    low_m, rms_m, high_m = (
+        view.half_stroke_m * sqrt(max(mean + side * margin - quietest**2, 0.0))
+        for side in (-1.0, 0.0, 1.0)
+    )
     quiet, loud = (with_unit(view.half_stroke_m * rms, "m") for rms in noise.range)
     return Finding(
         effect=SOMETHING_ELSE,
@@ -153,15 +257,6 @@ def _location(structure: ResidualStructure, profile: CoordinateProfile) -> str:
     return f", most of it from {start} to {stop}{recording}"
 
 
-def _law(structure: ResidualStructure, scale_m: float, middle_m: float) -> str:
-    """Return the formula of the end of a sensor's range, which applies to other recordings."""
-    end = structure.range_end
-    if end is None:
-        return ""
-    limit = "min" if end.side * scale_m > 0.0 else "max"
-    return f"reading = {limit}(displacement, {with_unit(middle_m + scale_m * end.level, 'm')})"
-
-
 def _profile(
     score: CoordinateScore,
     view: View,
@@ -172,37 +267,34 @@ def _profile(
 ) -> CoordinateProfile:
     """Return the profile of the residual along the coordinate of a score.
 
-    The profile of a course in time is that of the recording with the largest power.
+    The profile of a course in time is that of the recording with the largest power. A periodic
+    coordinate is a fraction of the period.
 
     residual, fitted  (rows,)  in half strokes
     """
-    tracks, recording = range(len(view.tracks)), ""
+    tracks, recording, basis = range(len(view.tracks)), "", score.basis
     if score.coordinate == "time":
         power = [float(np.sum(fitted[view.track_rows(k)] ** 2)) for k in tracks]
         strongest = int(np.argmax(power))
         tracks, recording = range(strongest, strongest + 1), view.tracks[strongest].name
-    is_periodic = score.basis.per_unit > 0.0
-    position = np.concatenate([_position(score, view, k) for k in tracks])
-    if score.coordinate in ("displacement", "reading") and not is_periodic:
+    positions = []
+    for k in tracks:
+        values = basis.position[k][view.tracks[k].rows]
+        if basis.per_unit and basis.harmonics:
+            first = k * 2 * basis.harmonics
+            cosine, sine = score.coefficients[first : first + 2]
+            phase = np.arctan2(sine, cosine) / (2.0 * np.pi)
+            values = (values * basis.per_unit - phase) % 1.0
+        elif basis.per_unit:
+            values = values * basis.per_unit
+        positions.append(values)
+    position = np.concatenate(positions)
+    if score.coordinate in ("displacement", "reading") and not basis.per_unit:
         position = position * np.sign(scale_m) + middle_m
     return coordinate_profile(
         position,
         view.half_stroke_m * np.concatenate([residual[view.track_rows(k)] for k in tracks]),
         view.half_stroke_m * np.concatenate([fitted[view.track_rows(k)] for k in tracks]),
-        unit="" if is_periodic else score.basis.unit,
+        unit="" if basis.per_unit else basis.unit,
         recording=recording,
     )
-
-
-def _position(score: CoordinateScore, view: View, k: int) -> Array:
-    """Return the coordinate of a track's rows; if periodic, as a fraction of the period."""
-    basis = score.basis
-    position = basis.position[k][view.tracks[k].rows]
-    if not basis.per_unit:
-        return position
-    if not basis.harmonics:
-        return position * basis.per_unit
-    first = k * 2 * basis.harmonics
-    cosine, sine = score.coefficients[first : first + 2]
-    phase = np.arctan2(sine, cosine) / (2.0 * np.pi)
-    return np.asarray((position * basis.per_unit - phase) % 1.0)

@@ -8,7 +8,7 @@ import pytest
 from piezoid import diagnose
 from piezoid.diagnosis.budget import RemainingErrors, with_budget
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
+from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
 from piezoid.identification.simulation import simulate_recording
 from piezoid.records.frames import from_arrays
 from piezoid.records.recording import Recording
@@ -50,7 +50,7 @@ def test_the_final_error_is_that_of_the_model_and_the_parts_add_up() -> None:
     part = next(part for part in bouc_wen.budget if part.part == "loop_shape")
     assert part.is_explained
     assert power(bouc_wen) == pytest.approx(bouc_wen.baseline.rms_m**2, rel=1e-9)
-    assert read_diagnosis(write_diagnosis(bouc_wen)) == bouc_wen
+    assert read_diagnoses(write_diagnosis(bouc_wen))[0] == bouc_wen
     error_m = simulate_recording(bouc_wen.model, loops) - loops.displacement_m()
     assert np.std(error_m) == pytest.approx(bouc_wen.model.quality.rms_m, rel=0.1)
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.drive_history import CHUNK, History, states_at
-from piezoid.diagnosis.initial_states import memory_after
+from piezoid.diagnosis.drive_history import CHUNK, History, memory_after, states_on
 from piezoid.diagnosis.nuisance import MAX_KEPT, NuisanceClass
 from piezoid.diagnosis.nuisance_columns import (
     SHARED,
@@ -58,7 +57,7 @@ def test_states_at_rows_follow_from_rows_and_turns_alone(reversals) -> None:
     place = track(drive).rows
     assert len(thinned_drive(drive, place)[0]) < len(place) + 60
     plays, friction = every_state(drive, reversals)
-    found = states_at(drive, reversals, place)
+    found = states_on(*thinned_drive(drive, place), reversals)
     np.testing.assert_array_equal(found[0], plays[place])
     np.testing.assert_allclose(found[1], friction[place], atol=1e-11)
 

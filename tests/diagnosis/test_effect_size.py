@@ -9,8 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 import piezoid
-from piezoid.diagnosis.candidate import Candidate, evaluate
-from piezoid.diagnosis.effect_size import size_of
+from piezoid.diagnosis.candidate import Candidate, evaluate, size_of
 from piezoid.diagnosis.effects import amplifier_saturation, cross_coupling
 from piezoid.diagnosis.refinement import initial_guess, refine
 from piezoid.diagnosis.score_test import ScoreTest, score_test

@@ -12,7 +12,7 @@ from piezoid.diagnosis.experiment import Plan, plan
 from piezoid.diagnosis.planning.candidate_drives import EXPERIMENTS, Experiment, drive_of
 from piezoid.diagnosis.planning.drive_limits import Bench, DriveLimits
 from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files, sentences
-from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
+from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
 from piezoid.digests import unseal
 from piezoid.errors import ExcitationError, LabFileError, ParameterFileError
 from piezoid.records.collection import collect
@@ -165,4 +165,4 @@ def test_a_sealed_diagnosis_of_an_effect_that_nobody_knows_is_refused() -> None:
     strange = replace(diagnosis.not_detected[0], effect="gremlins")
     content = write_diagnosis(replace(diagnosis, not_detected=(strange,)))
     with pytest.raises(ParameterFileError, match="gremlins"):
-        read_diagnosis(content)
+        read_diagnoses(content)[0]

@@ -20,7 +20,7 @@ from scipy.signal import lfilter, lsim
 from piezoid import diagnose, fit
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.effects import EFFECTS, effect_named
-from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnosis, write_diagnosis
+from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnoses, write_diagnosis
 from piezoid.digests import unseal
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
@@ -227,7 +227,7 @@ def test_a_diagnosis_is_the_same_whatever_the_number_of_threads_and_survives_its
     together = diagnose(STAGES["cross_coupling"](), threads=3, progress=messages.add)
     written = write_diagnosis(alone)
     assert write_diagnosis(together) == written
-    assert read_diagnosis(written) == alone
+    assert read_diagnoses(written)[0] == alone
     content = unseal(written, SCHEMA, "diagnosis.json")
     assert content["final"]["held_out_rms_m"] == alone.final.rms_m
     assert {"testing lag", "comparing cross coupling with confounded effects"} <= messages

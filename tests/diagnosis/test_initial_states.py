@@ -6,11 +6,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.drive_history import DELIBERATE, memory_after, shared_hypotheses
 from piezoid.diagnosis.initial_state_search import (
     with_individual_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.initial_states import DELIBERATE, memory_after, shared_hypotheses
 from piezoid.diagnosis.nuisance_columns import THRESHOLD
 from piezoid.diagnosis.residual_view import with_reversals
 from piezoid.numerics.arrays import Array

@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.zoo.stages import drawn, stage
 from piezoid.diagnosis.diagnose import diagnose, view_on
-from piezoid.diagnosis.noise_level import NoiseLevel, noise_level
 from piezoid.diagnosis.signals import with_displacement
+from piezoid.diagnosis.structure_findings import NoiseLevel, noise_level
 from piezoid.numerics.arrays import Array
 from piezoid.records.collection import collect
 from piezoid.records.lab import Lab, read_lab

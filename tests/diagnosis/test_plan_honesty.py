@@ -11,7 +11,7 @@ from piezoid.diagnosis.candidate import MINIMUM_SHARE
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.experiment import Plan, plan
+from piezoid.diagnosis.experiment import CandidateTable, Plan, plan, simulate_candidates
 from piezoid.diagnosis.planning.candidate_drives import EXPERIMENTS, drive_of
 from piezoid.diagnosis.planning.drive_limits import Bench, DriveLimits, bench_of
 from piezoid.diagnosis.planning.open_questions import (
@@ -22,7 +22,6 @@ from piezoid.diagnosis.planning.open_questions import (
     remaining_uncertainty,
 )
 from piezoid.diagnosis.planning.plan_file import sentences
-from piezoid.diagnosis.planning.plan_ranking import CandidateTable, simulate_candidates
 from piezoid.diagnosis.planning.separation import SeparationEstimate
 from piezoid.errors import ExcitationError
 from piezoid.records.lab import Amplifier, Lab

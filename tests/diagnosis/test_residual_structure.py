@@ -11,7 +11,7 @@ import pytest
 
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
-from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnosis, write_diagnosis
+from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnoses, write_diagnosis
 from piezoid.digests import unseal
 from piezoid.identification.fit import fit
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
@@ -89,7 +89,7 @@ def test_a_reading_that_ends_is_told_with_its_level():
 def test_something_else_survives_its_file_and_its_picture_shows_where_the_reading_is_wrong():
     dented = with_hidden("dent")
     written = write_diagnosis(dented)
-    assert read_diagnosis(written) == dented
+    assert read_diagnoses(written)[0] == dented
     content = unseal(written, SCHEMA, "diagnosis.json")
     assert set(content["unexplained"]) >= {"rms_m", "share", "p_value"}
     entry = next(entry for entry in content["findings"] if entry["effect"] == SOMETHING_ELSE)

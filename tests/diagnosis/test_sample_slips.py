@@ -11,10 +11,9 @@ from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import timestamp_fault
 from piezoid.diagnosis.effects.timestamp_fault import slip_evidence
-from piezoid.diagnosis.ingest_faults import with_ingest_faults
 from piezoid.diagnosis.residual_view import with_tracks
 from piezoid.diagnosis.sample_slips import delay_like_null, strongest_slips
-from piezoid.diagnosis.selection import Outcome, search
+from piezoid.diagnosis.selection import Outcome, search, with_ingest_faults
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Channel, Quantity
 from piezoid.statement import finding

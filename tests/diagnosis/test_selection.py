@@ -10,9 +10,9 @@ import piezoid.diagnosis.diagnose as diagnose
 import piezoid.diagnosis.selection as search
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.effects import creep, cross_coupling, initial_state, thermal_drift
-from piezoid.diagnosis.model_comparison import compare_models
 from piezoid.diagnosis.refitted_view import SelectedEffect
 from piezoid.diagnosis.score_test import score_test
+from piezoid.diagnosis.selection import compare_models
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.numerics.executor import SERIAL
 from piezoid.records.lab import Lab

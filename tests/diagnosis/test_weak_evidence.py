@@ -8,7 +8,7 @@ import pytest
 
 from piezoid.diagnosis import residual_structure
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE
-from piezoid.diagnosis.sensor_range import SensorRangeEnd
+from piezoid.diagnosis.residual_structure import SensorRangeEnd
 from piezoid.identification.loop_shape_blocks import Errors
 
 from .bench import thinned

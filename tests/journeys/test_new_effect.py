@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 import piezoid
 from piezoid.diagnosis import effects
-from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
+from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
 from piezoid.formatting import words
 from piezoid.identification.store import read_model, write_model
 from piezoid.operators.linear import sample
@@ -44,8 +44,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import Appearance, unsigned
-from piezoid.diagnosis.effect import Effect, Tangent, Trial, without_part
+from piezoid.diagnosis.effect import (
+    Appearance,
+    Effect,
+    Tangent,
+    Trial,
+    unsigned,
+    without_part,
+)
 from piezoid.diagnosis.signals import filtered_change, with_extension
 from piezoid.identification.extensions.extension import Extension, free
 from piezoid.identification.extensions.loop_effect import LoopEffect
@@ -176,7 +182,7 @@ def test_diagnose_finds_it_and_measures_it_in_the_refitted_model(known: Known) -
     assert finding.size.ci95[0] < 100.0 * SHARE < finding.size.ci95[1]
     assert finding.held_out_gain > 0.3
     assert finding.explanation.startswith("Charge leak: what was moved fast")
-    assert read_diagnosis(write_diagnosis(known.found)).names == known.found.names
+    assert read_diagnoses(write_diagnosis(known.found))[0].names == known.found.names
 
 
 def test_the_model_holds_it_fitted_and_comes_back_from_its_file(known: Known) -> None:

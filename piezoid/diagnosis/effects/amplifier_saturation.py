@@ -15,9 +15,9 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import OVER_DRIVE
 from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
+    OVER_DRIVE,
     Effect,
     EffectEstimate,
     Parameters,
@@ -27,7 +27,7 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement, zero_columns
+from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
 from piezoid.identification.extensions.amplifier_limits import AmplifierLimits
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
@@ -55,6 +55,7 @@ def _command_range(view: View) -> tuple[float, float]:
 def _trials(view: View) -> list[Trial]:
     low, high = _command_range(view)
     margin, middle = MIN_RANGE * (high - low), 0.5 * (high + low)
+    no_tangent = np.zeros((len(view.response), 1))
     candidates = [
         (depth, levels, limits)
         for depth in (*DEPTHS, *LARGE_DEPTHS)
@@ -69,7 +70,7 @@ def _trials(view: View) -> list[Trial]:
     ]
     return [
         Trial(
-            columns=drive_change(view, _clip, levels) if depth in DEPTHS else zero_columns(view),
+            columns=drive_change(view, _clip, levels) if depth in DEPTHS else no_tangent,
             parameters=levels,
             free=dict.fromkeys(levels, max(MIN_STEP, STEP * depth)),
             limits=limits,

@@ -14,8 +14,10 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import OVER_DRIVE
-from piezoid.diagnosis.effect import Effect
+from piezoid.diagnosis.effect import (
+    OVER_DRIVE,
+    Effect,
+)
 from piezoid.diagnosis.signals import with_added
 from piezoid.records.recording import Recording
 

@@ -26,9 +26,9 @@ from itertools import product
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import Appearance
 from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
+    Appearance,
     Effect,
     EffectEstimate,
     Parameters,
@@ -61,27 +61,14 @@ HOLD_CHANGE = 1e-4  # of the drive's range: a smaller change is a hold
 MIN_HOLD_s = 0.2  # of a hold in the picture
 
 
-def _untestable(view: View) -> str:
-    longest_s = _longest_s(view)
-    if longest_s >= MIN_DURATION_s:
-        return ""
-    return (
-        f"the longest recording lasts {longest_s:.2g} s; creep needs {MIN_DURATION_s:g} s or more"
-    )
-
-
-def _longest_s(view: View) -> float:
-    return max(track.duration_s for track in view.tracks)
-
-
 def _ladder(view: View, parameters: Parameters, *, backwards: bool = False) -> Array:
     """Return the relaxation of the static response with a coefficient of a whole step per decade.
 
     backwards  whether to run the relaxation backwards in time, for a placebo
     """
-    first, stop = np.log10([FASTEST_s, SLOWEST * _longest_s(view)])
+    first, stop = np.log10([FASTEST_s, SLOWEST * view.longest_s])
     decade = np.arange(first + 0.5 / PER_DECADE, stop, 1.0 / PER_DECADE)
-    share = 1.0 + parameters["tilt"] * (decade - np.log10(min(REFERENCE_s, _longest_s(view))))
+    share = 1.0 + parameters["tilt"] * (decade - np.log10(min(REFERENCE_s, view.longest_s)))
     share[0] *= parameters["begins"]
     times_s, share = (10.0**decade).tolist(), np.maximum(share, 0.0) / PER_DECADE
     order = slice(None, None, -1 if backwards else 1)
@@ -106,16 +93,6 @@ def _trials(view: View) -> list[Trial]:
             )
         )
     return trials
-
-
-def _decays(view: View) -> Array:
-    """Return one exponential decay for each track: creep from before the recording."""
-    return np.column_stack(
-        [
-            view.track_column(k, np.exp(-track.rows / (track.rate_Hz * DECAY_s)))
-            for k, track in enumerate(view.tracks)
-        ]
-    )
 
 
 def _tangent(drive: DriveResponse, _: float) -> Array:
@@ -151,7 +128,8 @@ def inject(recording: Recording, share: float) -> Recording:
 
 def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """Return the model extension, starting from the creep share of the search."""
-    time_s = np.geomspace(FASTEST_s, SLOWEST * setting.longest_s, RUNGS)
+    longest_s = max(piece.samples / piece.rate_Hz for piece in setting.pieces)
+    time_s = np.geomspace(FASTEST_s, SLOWEST * longest_s, RUNGS)
     share = np.clip(estimate.first_coefficient * np.log10(time_s[1] / time_s[0]), 1e-4, 0.1)
     return (CreepLadder(time_s=tuple(time_s.tolist()), share=(float(share),) * RUNGS, even=True),)
 
@@ -177,9 +155,20 @@ EFFECT = Effect(
     ),
     tangent=Tangent(columns=_tangent),
     confounded=("thermal_drift",),
-    untestable=_untestable,
+    untestable=lambda view: (
+        ""
+        if view.longest_s >= MIN_DURATION_s
+        else f"the longest recording lasts {view.longest_s:.2g} s; creep needs "
+        f"{MIN_DURATION_s:g} s or more"
+    ),
     trials=_trials,
-    covariates=_decays,
+    # one exponential decay for each track: creep from before the recording
+    covariates=lambda view: np.column_stack(
+        [
+            view.track_column(k, np.exp(-track.rows / (track.rate_Hz * DECAY_s)))
+            for k, track in enumerate(view.tracks)
+        ]
+    ),
     columns=_ladder,
     size=lambda _, __, coefficient: 100.0 * float(coefficient[0]),
     inject=inject,

@@ -15,18 +15,17 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import Appearance, unsigned
-from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
+    Appearance,
     ConstantDriveData,
     Effect,
     EffectEstimate,
     SearchScaling,
     Tangent,
     Trial,
+    unsigned,
     without_part,
 )
-from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import (
     GAPS,
     added_percent,
@@ -41,25 +40,6 @@ from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.recording import Quantity, Recording
 
 NAME = "cross_coupling"
-
-
-def _untestable(view: View) -> str:
-    if any(track.other_drives for track in view.tracks):
-        return ""
-    return "no recording holds the moving drive of another axis"
-
-
-def _trials(view: View) -> list[Trial]:
-    return [
-        Trial(columns=other_axis_columns(view)),
-        Trial(columns=other_axis_columns(view, backwards=True), physical=False),
-    ]
-
-
-def _tangent(drive: DriveResponse, _: float) -> Array:
-    if not drive.other_drives:
-        return np.zeros((len(drive.voltage_V), 1))
-    return 1e-6 * np.column_stack(list(drive.other_drives.values()))
 
 
 def _other_drive(recording: Recording) -> tuple[Array, Array]:
@@ -100,22 +80,22 @@ def inject(recording: Recording, share: float) -> Recording:
 
 def extend(_: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
     """Return the model extension, starting from the estimate of the search."""
-    axes = sorted({axis for piece in setting.pieces for axis in piece.others_V})
-    return tuple(_cross_axis(axis, setting) for axis in axes)
-
-
-def _cross_axis(axis: str, setting: SearchScaling) -> Extension:
-    drives = [piece.others_V[axis] for piece in setting.pieces if axis in piece.others_V]
-    low, high = min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)
-    return CrossAxis(
-        axis=axis,
-        centre_V=(high + low) / 2,
-        reach_V=(high - low) / 2,
-        gain_m_per_V=0.0,
-        curvature_m_per_V_per_V=0.0,
-        play_threshold_V=tuple(gap * (high - low) / 2 for gap in GAPS.tolist()),
-        play_weight_m_per_V=(0.0,) * len(GAPS),
-    )
+    extensions = []
+    for axis in sorted({axis for piece in setting.pieces for axis in piece.others_V}):
+        drives = [piece.others_V[axis] for piece in setting.pieces if axis in piece.others_V]
+        low, high = min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)
+        extensions.append(
+            CrossAxis(
+                axis=axis,
+                centre_V=(high + low) / 2,
+                reach_V=(high - low) / 2,
+                gain_m_per_V=0.0,
+                curvature_m_per_V_per_V=0.0,
+                play_threshold_V=tuple(gap * (high - low) / 2 for gap in GAPS.tolist()),
+                play_weight_m_per_V=(0.0,) * len(GAPS),
+            )
+        )
+    return tuple(extensions)
 
 
 EFFECT = Effect(
@@ -133,9 +113,21 @@ EFFECT = Effect(
         along=_other_drive,
         reading="Coupling: a line or a loop over the drive of the other axis.",
     ),
-    tangent=Tangent(columns=_tangent),
-    untestable=_untestable,
-    trials=_trials,
+    tangent=Tangent(
+        columns=lambda drive, _: (
+            1e-6
+            * np.column_stack([*drive.other_drives.values()] or [np.zeros(len(drive.voltage_V))])
+        )
+    ),
+    untestable=lambda view: (
+        ""
+        if any(track.other_drives for track in view.tracks)
+        else "no recording holds the moving drive of another axis"
+    ),
+    trials=lambda view: [
+        Trial(columns=other_axis_columns(view)),
+        Trial(columns=other_axis_columns(view, backwards=True), physical=False),
+    ],
     columns=lambda view, _: other_axis_columns(view),
     size=added_percent(lambda view, _: other_axis_columns(view)),
     model_error=0.06,  # by the hysteresis of the other axis, which the plays represent in part

@@ -13,8 +13,8 @@ Source
     Devasia, Eleftheriou & Moheimani (2007)
 """
 
-from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.effect import (
+    OVER_SPEED,
     Effect,
     EffectEstimate,
     Parameters,
@@ -47,13 +47,6 @@ def _trials(view: View) -> list[Trial]:
     return delay_trials(view, _delayed, delays)
 
 
-def _size(view: View, parameters: Parameters, _: Array) -> float:
-    fastest_Hz = max(track.rate_Hz for track in view.tracks)
-    samples = parameters.get("delay_samples", 0.0)
-    time_s = parameters.get("delay_s", 0.0) + samples / fastest_Hz
-    return 1e6 * time_s
-
-
 def extend(estimate: EffectEstimate, _: SearchScaling) -> tuple[Extension, ...]:
     """Return the model extension, starting from the estimate of the search."""
     samples = estimate.parameters.get("delay_samples", 0.0)
@@ -76,7 +69,10 @@ EFFECT = Effect(
     confounded=("lag", "rate_dependence", "resonance"),
     trials=_trials,
     response_filter=_delayed,
-    size=_size,
+    size=lambda view, parameters, _: (
+        1e6
+        * (parameters.get("delay_s", 0.0) + parameters.get("delay_samples", 0.0) / view.fastest_Hz)
+    ),
     inject=lambda recording, share: with_extension(recording, Delay(delay_s=share / SPEED)),
     extend=extend,
     without=without_part(Delay, lag=True),

@@ -23,9 +23,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import Appearance
-from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
+    Appearance,
     Effect,
     EffectEstimate,
     Parameters,
@@ -134,32 +133,23 @@ def _trials_between(view: View) -> list[Trial]:
         float(np.sqrt(np.mean(np.gradient(static) ** 2))) * track.rate_Hz
         for static, track in zip(view.static, view.tracks, strict=True)
     ]
-    count = len(speed)
-    changes = [
-        _trial_between(k, _from_track_on(view, k))
-        for k in range(1, count)
-        if any(a < EQUAL_SPEED * b and b < EQUAL_SPEED * a for a in speed[:k] for b in speed[k:])
-    ]
-    placebos = [
-        _trial_between(0, _from_track_on(view, k) - _from_track_on(view, k + 1), physical=False)
-        for k in range(1, count - 1)
-    ]
-    return [*changes, *placebos]
-
-
-def _trial_between(track: int, columns: Array, *, physical: bool = True) -> Trial:
-    parameters = {"track": float(track), "place": 0.0}
-    return _trial(columns, parameters, physical=physical, min_change=MIN_CHANGE_BETWEEN)
-
-
-def _columns(view: View, parameters: Parameters) -> Array:
-    duration = parameters.get("lasts", 0.0)
-    return _change(view, int(parameters["track"]), parameters["place"], duration)
-
-
-def _tangent(drive: DriveResponse, _: float) -> Array:
-    is_late = drive.time_s > 0.5 * drive.time_s[-1]
-    return np.asarray((drive.static_m * is_late)[:, None])
+    trials, placebos = [], []
+    for k in range(1, len(speed)):
+        column = _from_track_on(view, k)
+        if any(a < EQUAL_SPEED * b and b < EQUAL_SPEED * a for a in speed[:k] for b in speed[k:]):
+            change = {"track": float(k), "place": 0.0}
+            trials.append(_trial(column, change, min_change=MIN_CHANGE_BETWEEN))
+        if k < len(speed) - 1:
+            temporary = column - _from_track_on(view, k + 1)
+            placebos.append(
+                _trial(
+                    temporary,
+                    {"track": 0.0, "place": 0.0},
+                    physical=False,
+                    min_change=MIN_CHANGE_BETWEEN,
+                )
+            )
+    return [*trials, *placebos]
 
 
 def _about_middle(recording: Recording) -> tuple[Array, Array]:
@@ -208,10 +198,17 @@ WITHIN = Effect(
         reading="Multiplied by the side of the range. A gain change: a permanent step, or a "
         "slope from end to end.",
     ),
-    tangent=Tangent(columns=_tangent, per_drive=True),
+    tangent=Tangent(
+        columns=lambda drive, _: np.asarray(
+            (drive.static_m * (drive.time_s > 0.5 * drive.time_s[-1]))[:, None]
+        ),
+        per_drive=True,
+    ),
     confounded=("creep", "thermal_drift"),
     trials=_trials,
-    columns=_columns,
+    columns=lambda view, parameters: _change(
+        view, int(parameters["track"]), parameters["place"], parameters.get("lasts", 0.0)
+    ),
     covariates=_gains_of_tracks,
     size=lambda _, __, coefficient: 100.0 * float(coefficient[0]),
     model_error=0.03,  # hysteresis absorbs a part of a step of the gain

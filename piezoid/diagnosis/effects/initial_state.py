@@ -19,9 +19,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import OVER_TIME
-from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.effect import Effect, Structural, Trial
+from piezoid.diagnosis.effect import (
+    OVER_TIME,
+    Effect,
+    Structural,
+    Trial,
+)
 from piezoid.diagnosis.initial_state_search import with_shared_state_if_as_good
 from piezoid.diagnosis.residual_view import View, with_free_memory
 from piezoid.diagnosis.signals import with_added
@@ -31,11 +34,6 @@ from piezoid.identification.simulation import starts_of
 from piezoid.records.recording import Recording
 
 MIN_CHANGE = 1e-6  # of half the stroke: initial states that differ by less are equal
-
-
-def _null_without(view: View) -> Null:
-    """Return the nuisance class with one initial state shared by all recordings."""
-    return with_shared_state_if_as_good(view).null
 
 
 def _trials(view: View) -> list[Trial]:
@@ -87,7 +85,8 @@ EFFECT = Effect(
     confounded=("creep", "thermal_drift", "gain_change", "amplifier_saturation"),
     trials=_trials,
     structural=Structural(
-        null_without=_null_without,
+        # one initial state shared by all recordings
+        null_without=lambda view: with_shared_state_if_as_good(view).null,
         structure=lambda structure, _, is_selected: replace(structure, memory=is_selected),
         largest_noise_ratio=1.6,
     ),

@@ -18,9 +18,13 @@ Source
 
 from dataclasses import replace
 
-from piezoid.diagnosis.appearance import OVER_SPEED
-from piezoid.diagnosis.effect import Effect, Parameters, Trial, delay_tangent, without_part
-from piezoid.diagnosis.residual_view import View
+from piezoid.diagnosis.effect import (
+    OVER_SPEED,
+    Effect,
+    Parameters,
+    delay_tangent,
+    without_part,
+)
 from piezoid.diagnosis.signals import delay_trials, trial_times_s, with_extension
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
 from piezoid.numerics.arrays import Array
@@ -35,11 +39,6 @@ def _lagged(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
     return relaxed(response, parameters["time_s"], rate_Hz)
 
 
-def _trials(view: View) -> list[Trial]:
-    times_s = trial_times_s(view, LONGEST_s, TRIALS)
-    return delay_trials(view, _lagged, [("time_s", time_s) for time_s in times_s])
-
-
 BEHIND = Effect(
     name="lag",
     explanation=__doc__ or "",
@@ -52,7 +51,9 @@ BEHIND = Effect(
     shows=OVER_SPEED,
     tangent=delay_tangent(_lagged, "time_s"),
     confounded=("delay", "rate_dependence", "resonance"),
-    trials=_trials,
+    trials=lambda view: delay_trials(
+        view, _lagged, [("time_s", time_s) for time_s in trial_times_s(view, LONGEST_s, TRIALS)]
+    ),
     response_filter=_lagged,
     size=lambda _, parameters, __: 1e6 * parameters["time_s"],
     inject=lambda recording, share: with_extension(recording, FirstOrderLag(lag_s=share / SPEED)),

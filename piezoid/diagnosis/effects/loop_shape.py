@@ -17,8 +17,10 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import OVER_DRIVE
-from piezoid.diagnosis.effect import Effect
+from piezoid.diagnosis.effect import (
+    OVER_DRIVE,
+    Effect,
+)
 from piezoid.diagnosis.signals import with_added
 from piezoid.identification.model import AxisModel
 from piezoid.operators.play import play_columns

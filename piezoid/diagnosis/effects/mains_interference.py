@@ -15,13 +15,13 @@ Source
     Thomson (1982); grid statistics of ENTSO-E
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import IN_SPECTRUM
 from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
+    IN_SPECTRUM,
     ConstantDriveData,
     Effect,
     Parameters,
@@ -55,40 +55,24 @@ MIN_LINE_RATIO = 8.0  # amplitude of a line over that of the surrounding spectru
 MIN_DRIVEN_RATIO = 1.0  # line of the static response over a line of the residual that it may cause
 CLOCK_ERROR = 2e-3  # of the nominal frequency: grids stay within 0.1 % for hours
 PLANNED_Hz = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
+DrivenLines = Callable[[int, float], bool]  # (track, frequency_Hz) -> whether the stage moves so
 
 
-def _untestable(view: View) -> str:
-    fastest_Hz = max(track.rate_Hz for track in view.tracks)
-    if fastest_Hz > ROWS_PER_PERIOD * min(GRIDS_Hz):
-        return ""
-    return f"the fastest recording has {fastest_Hz:.4g} Hz; the grid needs more than 110 Hz"
+def _driven_lines(view: View) -> DrivenLines:
+    """Return a test for lines of the residual that may be misfit of the motion of the stage.
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DrivenLines:
-    """Spectral lines of the motion of the stage.
-
-    spectra  amplitudes of the static response of every track
-    floors   of the sensor noise in such a spectrum
+    Such a line of a track, at a frequency in Hz, is smaller than that of the motion itself, which
+    stands out of the spectrum around it and of the noise of the sensor.
     """
+    spectra, floors = [], []
+    for track, static in zip(view.tracks, view.static, strict=True):
+        samples = len(static)
+        wave = np.abs(np.fft.rfft((static - static.mean()) * np.hanning(samples)))
+        spectra.append(4.0 * wave / samples)
+        floors.append(white_noise_rms(track.response) / np.sqrt(len(track.response)))
 
-    view: View
-    spectra: tuple[Array, ...]
-    floors: tuple[float, ...]
-
-    @classmethod
-    def of(cls, view: View) -> "DrivenLines":
-        """Return the spectral lines of the static responses of a view."""
-        floors = [white_noise_rms(t.response) / np.sqrt(len(t.response)) for t in view.tracks]
-        spectra = tuple(_spectrum(static) for static in view.static)
-        return cls(view=view, spectra=spectra, floors=tuple(floors))
-
-    def is_driven(self, k: int, frequency_Hz: float) -> bool:
-        """Tell whether a line of the residual may be misfit of the motion of the stage.
-
-        The line of the residual is then smaller than that of the motion itself.
-        """
-        spectrum, track = self.spectra[k], self.view.tracks[k]
+    def is_driven(k: int, frequency_Hz: float) -> bool:
+        spectrum, track = spectra[k], view.tracks[k]
         step_Hz = track.rate_Hz / len(track.response)
         distance_Hz = np.abs(np.arange(len(spectrum)) * step_Hz - frequency_Hz)
         is_line = distance_Hz <= max(OFFSET_Hz, 2.0 * step_Hz)
@@ -97,61 +81,38 @@ class DrivenLines:
         )
         if not is_line.any() or not is_around.any():
             return False
-        around = max(float(np.median(spectrum[is_around])), self.floors[k])
         line = float(spectrum[is_line].max())
-        return line > MIN_LINE_RATIO * around and line > MIN_DRIVEN_RATIO * self._residual_line(
-            k, frequency_Hz
-        )
+        if line <= MIN_LINE_RATIO * max(float(np.median(spectrum[is_around])), floors[k]):
+            return False
+        residual = view.null.residual[view.track_rows(k)]
+        angles_rad = 2.0 * np.pi * _around(frequency_Hz) / track.rate_Hz
+        power = float(_powers(residual, angles_rad, track.rows).max())
+        return line > MIN_DRIVEN_RATIO * (2.0 * float(np.sqrt(power)) / len(residual))
 
-    def _residual_line(self, k: int, frequency_Hz: float) -> float:
-        """Return the largest amplitude of the residual of a track near a frequency."""
-        track, residual = self.view.tracks[k], self.view.null.residual[self.view.track_rows(k)]
-        trials_Hz = _around(frequency_Hz)
-        powers = _powers(residual, 2.0 * np.pi * trials_Hz / track.rate_Hz, track.rows)
-        return 2.0 * float(np.sqrt(powers.max())) / len(residual)
+    return is_driven
 
 
 def _around(frequency_Hz: float) -> Array:
     return np.asarray(frequency_Hz + np.arange(-OFFSET_Hz, OFFSET_Hz + 1e-9, OFFSET_STEP_Hz))
 
 
-def _spectrum(signal: Array) -> Array:
-    wave = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(len(signal))))
-    return np.asarray(4.0 * wave / len(signal))
-
-
-def _line_columns(driven: DrivenLines, grid_Hz: float, harmonics: tuple[int, ...]) -> Array:
+def _line_columns(
+    view: View, is_driven: DrivenLines, grid_Hz: float, harmonics: tuple[int, ...]
+) -> Array:
     """Return columns of lines with a slowly changing phase, for tracks that do not move so."""
-    view, columns = driven.view, []
+    columns = []
     for k, track in enumerate(view.tracks):
         time_s = track.rows / track.rate_Hz
         knots = min(1 + int(track.duration_s / PHASE_TIME_s), MAX_KNOTS)
         position = time_s / max(track.duration_s, 1e-9) * (knots - 1)
         splines = np.maximum(1.0 - np.abs(position[:, None] - np.arange(knots)), 0.0)
         for n in visible_harmonics(track.rate_Hz, grid_Hz, harmonics):
-            if driven.is_driven(k, folded_Hz(n * grid_Hz, track.rate_Hz)):
+            if is_driven(k, folded_Hz(n * grid_Hz, track.rate_Hz)):
                 continue
             phase = 2 * np.pi * n * grid_Hz * time_s
             for wave in (np.cos(phase), np.sin(phase)):
                 columns += [view.track_column(k, wave * spline) for spline in splines.T]
     return np.column_stack(columns) if columns else np.zeros((len(view.response), 0))
-
-
-def _strongest_line(driven: DrivenLines, nominal_Hz: float) -> tuple[float, int]:
-    """Return the frequency and the harmonic of the strongest line of the residual."""
-    view, trials_Hz = driven.view, _around(nominal_Hz)
-    best = (0.0, nominal_Hz, 1)
-    for n in HARMONICS:
-        power = np.zeros(len(trials_Hz))
-        for k, track in enumerate(view.tracks):
-            is_visible = n in visible_harmonics(track.rate_Hz, nominal_Hz, HARMONICS)
-            if not is_visible or driven.is_driven(k, folded_Hz(n * nominal_Hz, track.rate_Hz)):
-                continue
-            angles_rad = 2 * np.pi * n * trials_Hz / track.rate_Hz
-            power += _powers(view.null.residual[view.track_rows(k)], angles_rad, track.rows)
-        j = int(np.argmax(power))
-        best = max(best, (float(power[j]), float(trials_Hz[j]), n))
-    return best[1], best[2]
 
 
 def _powers(signal: Array, angles_rad: Array, samples: Places) -> Array:
@@ -169,10 +130,23 @@ def _powers(signal: Array, angles_rad: Array, samples: Places) -> Array:
 
 
 def _trials(view: View) -> list[Trial]:
-    trials, driven = [], DrivenLines.of(view)
+    """Return the strongest line of the residual near each grid and placebo frequency."""
+    trials, is_driven = [], _driven_lines(view)
     for nominal_Hz in (*GRIDS_Hz, *PLACEBOS_Hz):
-        frequency_Hz, harmonic = _strongest_line(driven, nominal_Hz)
-        columns = _line_columns(driven, frequency_Hz, (harmonic,))
+        trials_Hz = _around(nominal_Hz)
+        best = (0.0, nominal_Hz, 1)  # power, frequency and harmonic
+        for n in HARMONICS:
+            power = np.zeros(len(trials_Hz))
+            for k, track in enumerate(view.tracks):
+                is_visible = n in visible_harmonics(track.rate_Hz, nominal_Hz, HARMONICS)
+                if not is_visible or is_driven(k, folded_Hz(n * nominal_Hz, track.rate_Hz)):
+                    continue
+                angles_rad = 2 * np.pi * n * trials_Hz / track.rate_Hz
+                power += _powers(view.null.residual[view.track_rows(k)], angles_rad, track.rows)
+            j = int(np.argmax(power))
+            best = max(best, (float(power[j]), float(trials_Hz[j]), n))
+        _, frequency_Hz, harmonic = best
+        columns = _line_columns(view, is_driven, frequency_Hz, (harmonic,))
         if columns.shape[1]:
             parameters = {"frequency_Hz": frequency_Hz}
             is_grid = nominal_Hz in GRIDS_Hz
@@ -181,7 +155,7 @@ def _trials(view: View) -> list[Trial]:
 
 
 def _columns(view: View, parameters: Parameters) -> Array:
-    return _line_columns(DrivenLines.of(view), parameters["frequency_Hz"], HARMONICS)
+    return _line_columns(view, _driven_lines(view), parameters["frequency_Hz"], HARMONICS)
 
 
 def _tangent(drive: DriveResponse, _: float) -> Array:
@@ -236,7 +210,11 @@ EFFECT = Effect(
     "the wiring before you raise the bandwidth.",
     shows=IN_SPECTRUM,
     tangent=Tangent(columns=_tangent, per_drive=True),
-    untestable=_untestable,
+    untestable=lambda view: (
+        ""
+        if view.fastest_Hz > ROWS_PER_PERIOD * min(GRIDS_Hz)
+        else f"the fastest recording has {view.fastest_Hz:.4g} Hz; the grid needs more than 110 Hz"
+    ),
     trials=_trials,
     columns=_columns,
     size=added_percent(_columns),

@@ -19,15 +19,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import OVER_DRIVE
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.drive_response import DriveResponse
-from piezoid.diagnosis.effect import Effect, Structural, Tangent, Trial
+from piezoid.diagnosis.effect import (
+    OVER_DRIVE,
+    Effect,
+    Structural,
+    Tangent,
+    Trial,
+)
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import stroke_of, with_displacement
-from piezoid.identification.joint.vector import Structure
-from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
@@ -47,23 +49,13 @@ def _null_without(view: View) -> Null:
 
 def _trials(view: View) -> list[Trial]:
     column = view.column(lambda _, track: track.drive) * _irreversible_response(view)
-    return [
-        Trial(
-            columns=column[:, None],
-            minimum_coefficient=MIN_OPENING,
-            unique=_explains_most(view, column),
-        )
-    ]
-
-
-def _explains_most(view: View, column: Array) -> bool:
-    """Tell whether one column explains most of the power of all products with the drive."""
+    # whether the column explains most of the power of all products with the drive
     null, n_products = _null_without(view), len(view.nuisance.bias_columns)
     orthogonal, residual = null.project_out(column), null.residual
     explained = float(orthogonal @ residual) ** 2 / (float(orthogonal @ orthogonal) + 1e-300)
-    widest_error = float(np.sum(view.null.residual**2))
-    error = float(np.sum(residual**2))
-    return explained > MIN_SHARE * (error - widest_error * (1.0 + n_products / len(residual)))
+    widest_error = float(np.sum(view.null.residual**2)) * (1.0 + n_products / len(residual))
+    explains_most = explained > MIN_SHARE * (float(np.sum(residual**2)) - widest_error)
+    return [Trial(columns=column[:, None], minimum_coefficient=MIN_OPENING, unique=explains_most)]
 
 
 def _irreversible_response(view: View) -> Array:
@@ -81,18 +73,6 @@ def _irreversible_response(view: View) -> Array:
         return nuisance.static(k, weight) - np.interp(track.drive, up, middle)
 
     return view.column(distance)
-
-
-def _tangent(drive: DriveResponse, _: float) -> Array:
-    unit = drive.drive_V / drive.half_range_V
-    return np.column_stack([drive.irreversible_m * unit, drive.irreversible_m * unit**2])
-
-
-def _structure(structure: Structure, model: AxisModel, is_selected: bool) -> Structure:
-    """Return the structure with a free envelope if the effect is selected."""
-    return replace(
-        structure, bends=(model.hysteresis.envelope.zero or BENDS) if is_selected else 0
-    )
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -124,12 +104,20 @@ EFFECT = Effect(
     control="The inverse does not represent how minor loops change with the bias: use "
     "feedback for small scans near the ends of the range.",
     shows=OVER_DRIVE,
-    tangent=Tangent(columns=_tangent),
+    tangent=Tangent(
+        columns=lambda drive, _: (
+            drive.irreversible_m[:, None]
+            * np.column_stack([(unit := drive.drive_V / drive.half_range_V), unit**2])
+        )
+    ),
     confounded=("asymmetry",),
     trials=_trials,
     structural=Structural(
         null_without=_null_without,
-        structure=_structure,
+        # with a free envelope
+        structure=lambda structure, model, is_selected: replace(
+            structure, bends=(model.hysteresis.envelope.zero or BENDS) if is_selected else 0
+        ),
         largest_noise_ratio=2.0,
         may_be_bouc_wen=True,
     ),

@@ -18,8 +18,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import OVER_TIME
-from piezoid.diagnosis.effect import Effect, Fault, FaultTest
+from piezoid.diagnosis.effect import (
+    OVER_TIME,
+    Effect,
+    Fault,
+    FaultTest,
+)
 from piezoid.diagnosis.effects.quantisation import drive_step
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Track
@@ -114,25 +118,22 @@ def largest_undetected(view: View) -> float:
 
     At a twentieth of all instants, where the stage moves fast, a larger spike may be undetected.
     """
-    step = drive_step(view)
-    tracks = zip(view.tracks, view.static, strict=True)
-    return max(_undetected(track, static, step) for track, static in tracks) / 2.0
-
-
-def _undetected(track: Track, static: Array, step: float) -> float:
-    y = track.response
-    min_size, heights = _min_size(y, step), []
-    for width, ranks in NEIGHBOURHOODS:
-        if len(y) < 4 * width:
-            continue
-        size, _, spread = _spike_sizes(track, static, width, ranks)
-        tail_start = float(np.quantile(size, TAIL))
-        decay = max(float(np.mean(size[size >= tail_start] - tail_start)), 0.1 * _noise(y))
-        decades = float(np.log(max(len(y) * (1.0 - TAIL) / MAX_CHANCE, 1.0)))
-        fast = float(np.quantile(3.0 * spread, 0.95))
-        tail_end = tail_start + decay * decades
-        heights.append(max(min_size, MIN_TAIL_RATIO * tail_start, tail_end, fast))
-    return min(heights, default=min_size)
+    step, largest = drive_step(view), []
+    for track, static in zip(view.tracks, view.static, strict=True):
+        y = track.response
+        min_size, heights = _min_size(y, step), []
+        for width, ranks in NEIGHBOURHOODS:
+            if len(y) < 4 * width:
+                continue
+            size, _, spread = _spike_sizes(track, static, width, ranks)
+            tail_start = float(np.quantile(size, TAIL))
+            decay = max(float(np.mean(size[size >= tail_start] - tail_start)), 0.1 * _noise(y))
+            decades = float(np.log(max(len(y) * (1.0 - TAIL) / MAX_CHANCE, 1.0)))
+            fast = float(np.quantile(3.0 * spread, 0.95))
+            tail_end = tail_start + decay * decades
+            heights.append(max(min_size, MIN_TAIL_RATIO * tail_start, tail_end, fast))
+        largest.append(min(heights, default=min_size))
+    return max(largest) / 2.0
 
 
 def without_spikes(track: Track, static: Array) -> Track:

@@ -19,13 +19,17 @@ Source
     Widrow & Kollar (2008); Rayleigh (1880) on phases that point together
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.diagnosis.appearance import OVER_TIME
-from piezoid.diagnosis.effect import Effect, Fault, FaultTest
+from piezoid.diagnosis.effect import (
+    OVER_TIME,
+    Effect,
+    Fault,
+    FaultTest,
+)
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.numerics.arrays import Array
@@ -60,25 +64,31 @@ VALUES_PER_STEP = 4.0  # of a drive; with fewer the steps may be those of the dr
 MIN_FINE_ROWS = 0.1  # of all rows
 
 
-def find_steps(view: View) -> Fault | None:
-    """Find coarse steps of the reading, else of the drive."""
-    return _steps_of_reading(view) or _steps_of_drive(view)
-
-
 def _steps_of_reading(view: View) -> Fault | None:
-    """Find steps of the reading; each recording may have its own range of the converter."""
-    steps = np.array([_visible_step(track.measured) for track in view.tracks])
+    """Find steps of the reading; each recording may have its own range of the converter.
+
+    The p-value is exp(-n R^2), that of n random phases with the same mean resultant
+
+        R = |mean exp(2 pi i y / step)|, over the rows at which the reading changed  [Rayleigh]
+    """
+    visible, evidence = [], 0.0
+    for track in view.tracks:
+        reading = track.measured
+        step = lattice_step(reading)
+        if step <= max(MIN_STEP, MIN_NOISE_RATIO * white_noise_rms(reading)):
+            visible.append(0.0)  # small compared with stroke or noise
+            continue
+        visible.append(step)
+        changed = reading[1:][np.diff(reading) != 0]
+        resultant = abs(np.mean(np.exp(2j * np.pi * changed / step))) if len(changed) else 0.0
+        evidence += float(len(changed) * resultant**2)
+    steps = np.array(visible)
     samples = np.array([len(track.response) for track in view.tracks])
     is_coarse = steps > 0.0
     if samples[is_coarse].sum() < MIN_SAMPLES * samples.sum():
         return None
     step = float(steps[int(np.argmax(np.where(is_coarse, samples, 0)))])
     is_equal = np.abs(steps - step) < EQUAL_STEPS * step
-    evidence = sum(
-        _rayleigh(track.measured, track_step)
-        for track, track_step in zip(view.tracks, steps.tolist(), strict=True)
-        if track_step
-    )
     difference = np.abs(steps[is_coarse & ~is_equal] - step)
     return Fault(
         tracks=view.tracks,
@@ -88,66 +98,29 @@ def _steps_of_reading(view: View) -> Fault | None:
     )
 
 
-def _visible_step(response: Array) -> float:
-    """Return the step of a reading, or 0 if it is small compared with stroke or noise."""
-    step = lattice_step(response)
-    return step if step > max(MIN_STEP, MIN_NOISE_RATIO * white_noise_rms(response)) else 0.0
-
-
 def lattice_step(response: Array) -> float:
     """Return the step of a reading that is a multiple of it, or 0 if no value repeats.
 
     Spikes, and values interpolated instead of them, are not multiples. A step of which nearly all
-    samples are multiples is therefore searched first, near the median gap of the values.
+    samples are multiples is therefore searched first, near the median gap of the values. Values
+    printed with few digits are uneven, and their mean gap is too inexact to count hundreds of
+    steps: the step is the one at which the phases of the values agree best.
     """
     if not np.any(np.diff(response) == 0):
         return 0.0
     values, count = np.unique(np.round(response, DECIMALS), return_counts=True)
     gap = float(np.median(np.diff(values))) if len(values) > 1 else 0.0
     if MAX_LATTICE_STEPS * gap > values[-1] - values[0]:
-        step = _refine_step(gap, values)
+        n_steps = float(np.ptp(values)) / gap
+        trials = int(2.0 * STEP_ERROR * n_steps * TRIALS_PER_PERIOD) + 2
+        ratios = np.linspace(1.0 - STEP_ERROR, 1.0 + STEP_ERROR, trials)
+        phasors = np.exp(2j * np.pi * np.outer(ratios / gap, values))
+        step = gap / float(ratios[int(np.argmax(np.abs(phasors.sum(axis=1))))])
         position = (values - values[np.argmax(count)]) / step
         is_on = np.abs(position - np.round(position)) < ON_LATTICE
         if count[is_on].sum() > MIN_ON_LATTICE * len(response):
             return step
     return step_size(np.round(response, DECIMALS))
-
-
-def _refine_step(gap: float, values: Array) -> float:
-    """Return the step near a gap at which the phases of the values agree best.
-
-    Values printed with few digits are uneven, and their mean gap is too inexact to count hundreds
-    of steps.
-    """
-    count = float(np.ptp(values)) / gap
-    trials = int(2.0 * STEP_ERROR * count * TRIALS_PER_PERIOD) + 2
-    ratios = np.linspace(1.0 - STEP_ERROR, 1.0 + STEP_ERROR, trials)
-    phasors = np.exp(2j * np.pi * np.outer(ratios / gap, values))
-    return gap / float(ratios[int(np.argmax(np.abs(phasors.sum(axis=1))))])
-
-
-def _rayleigh(response: Array, step: float) -> float:
-    """Return n R^2; exp(-n R^2) is the p-value of n random phases with the same mean resultant R.
-
-    R = |mean exp(2 pi i y / step)|, over the rows at which the reading changed  [Rayleigh's test]
-    """
-    changed = response[1:][np.diff(response) != 0]
-    resultant = abs(np.mean(np.exp(2j * np.pi * changed / step))) if len(changed) else 0.0
-    return float(len(changed) * resultant**2)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sawtooth:
-    """Quantisation error of a drive: the step, the position of one step, and the p-value."""
-
-    step: float
-    origin: float
-    p_value: float
-
-    def error(self, drive: Array) -> Array:
-        """Return the error of the converter, in steps."""
-        position = (drive - self.origin) / self.step
-        return np.asarray(np.round(position) - position)
 
 
 def drive_step(view: View) -> float:
@@ -160,6 +133,7 @@ def _steps_of_drive(view: View) -> Fault | None:
     """Find a residual that is a sawtooth of the drive.
 
     The residual of a recorded staircase is not a sawtooth and would dilute that of other tracks.
+    The standard error of the height of the sawtooth is that over blocks of rows.
     """
     drive, residual = view.column(lambda _, track: track.drive), view.null.residual
     is_fine = _is_finer(view, 1.0 / MAX_STEPS)
@@ -167,34 +141,35 @@ def _steps_of_drive(view: View) -> Fault | None:
     sawtooth = _strongest_sawtooth(drive[rows], residual[rows])
     if sawtooth is None:
         return None
-    is_finer = _is_finer(view, sawtooth.step)
+    step, origin, p_value = sawtooth
+    is_finer = _is_finer(view, step)
     if np.mean(is_finer) < MIN_FINE_ROWS:
         return None
-    column = view.null.project_out(sawtooth.error(drive) * is_finer)
-    height, std = _height(column, residual)
-    is_off = abs(height / sawtooth.step - 1.0) > HEIGHT_ERROR
-    if is_off or height < max(MIN_STEP, HEIGHT_Z * std):
-        return None
-    return Fault(
-        tracks=tuple(
-            replace(track, drive=track.drive + sawtooth.step * sawtooth.error(track.drive))
-            for track in view.tracks
-        ),
-        value=1e9 * view.half_stroke_m * height,
-        spread=1e9 * view.half_stroke_m * max(std, 0.01 * height),
-        p_value=sawtooth.p_value,
-    )
-
-
-def _height(column: Array, residual: Array) -> tuple[float, float]:
-    """Return the coefficient of a column in a residual, and its standard error by blocks."""
+    column = view.null.project_out(_sawtooth_error(drive, step, origin) * is_finer)
     blocks = np.array_split(np.arange(len(column)), BLOCKS)
     product = np.array([column[b] @ residual[b] for b in blocks])
     square = np.array([column[b] @ column[b] for b in blocks])
     height = float(product.sum() / square.sum())
     deviation = product - height * square
-    std = np.sqrt(deviation @ deviation * BLOCKS / (BLOCKS - 1)) / square.sum()
-    return height, float(std)
+    std = float(np.sqrt(deviation @ deviation * BLOCKS / (BLOCKS - 1)) / square.sum())
+    is_off = abs(height / step - 1.0) > HEIGHT_ERROR
+    if is_off or height < max(MIN_STEP, HEIGHT_Z * std):
+        return None
+    return Fault(
+        tracks=tuple(
+            replace(track, drive=track.drive + step * _sawtooth_error(track.drive, step, origin))
+            for track in view.tracks
+        ),
+        value=1e9 * view.half_stroke_m * height,
+        spread=1e9 * view.half_stroke_m * max(std, 0.01 * height),
+        p_value=p_value,
+    )
+
+
+def _sawtooth_error(drive: Array, step: float, origin: float) -> Array:
+    """Return the error of a converter with steps of the drive, in steps."""
+    position = (drive - origin) / step
+    return np.asarray(np.round(position) - position)
 
 
 def _is_finer(view: View, step: float) -> NDArray[np.bool_]:
@@ -210,8 +185,11 @@ def _is_finer(view: View, step: float) -> NDArray[np.bool_]:
     return np.concatenate(is_finer)
 
 
-def _strongest_sawtooth(drive: Array, residual: Array) -> Sawtooth | None:
-    """Return the sawtooth of the strongest line, if its amplitude agrees with its period."""
+def _strongest_sawtooth(drive: Array, residual: Array) -> tuple[float, float, float] | None:
+    """Return the sawtooth of the strongest line, if its amplitude agrees with its period.
+
+    Returns the step of the drive, the position of one step, and the p-value.
+    """
     frequencies, spectrum = _spectrum(drive, residual)
     power = np.abs(spectrum) ** 2
     j, median = int(np.argmax(power)), float(np.median(power)) + 1e-300
@@ -223,13 +201,10 @@ def _strongest_sawtooth(drive: Array, residual: Array) -> Sawtooth | None:
     # the transform counts from the lower end of the range, a cell represents its middle
     middle = RANGE / 2 - RANGE / CELLS / 2
     phase = float(np.angle(spectrum[j])) + 2.0 * np.pi * frequency * middle
+    origin = (np.pi / 2 - phase) / (2.0 * np.pi * frequency)
     # the power of white noise is exponential: its median is ln 2 times its mean
     expected = len(spectrum) * np.exp(-float(power[j]) * np.log(2.0) / median)
-    return Sawtooth(
-        step=1.0 / frequency,
-        origin=(np.pi / 2 - phase) / (2.0 * np.pi * frequency),
-        p_value=float(min(1.0, expected)),
-    )
+    return 1.0 / frequency, origin, float(min(1.0, expected))
 
 
 def _spectrum(drive: Array, residual: Array) -> tuple[Array, NDArray[np.complex128]]:
@@ -271,6 +246,9 @@ EFFECT = Effect(
     control="The loop hunts between steps; a narrower converter range helps, filters do not.",
     shows=OVER_TIME,
     tangent="its remedy is a finer converter range, not another drive",
-    fault=FaultTest(find=find_steps, bound=largest_undetected),
+    fault=FaultTest(
+        find=lambda view: _steps_of_reading(view) or _steps_of_drive(view),
+        bound=largest_undetected,
+    ),
     inject=inject,
 )

@@ -17,8 +17,8 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.effect import (
+    OVER_SPEED,
     Effect,
     EffectEstimate,
     Parameters,

@@ -17,9 +17,8 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import IN_SPECTRUM
-from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
+    IN_SPECTRUM,
     Effect,
     EffectEstimate,
     Parameters,
@@ -49,34 +48,41 @@ MIN_RATE_Hz = 200.0
 PLANNED_QUALITY = 20.0
 
 
-def _untestable(view: View) -> str:
-    fastest_Hz = max(track.rate_Hz for track in view.tracks)
-    if fastest_Hz < MIN_RATE_Hz:
-        return f"the fastest recording has {fastest_Hz:.4g} Hz; modes lie above {LOWEST_Hz:g} Hz"
-    return ""
-
-
-def _ringing(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
-    return mode(response, parameters["frequency_Hz"], parameters["quality"], rate_Hz)
-
-
 def _columns(view: View, parameters: Parameters) -> Array:
-    return filtered_change(view, _ringing, parameters)
+    frequency_Hz, quality = parameters["frequency_Hz"], parameters["quality"]
+    return filtered_change(
+        view, lambda static, rate_Hz, _: mode(static, frequency_Hz, quality, rate_Hz), parameters
+    )
 
 
 def _trials(view: View) -> list[Trial]:
-    highest_Hz = 0.24 * max(track.rate_Hz for track in view.tracks)
+    """Return a grid of modes, and a finer grid about the mode that explains most.
+
+    A sharp mode between two frequencies of the first grid explains little at both, and a search by
+    steps from there ends at a mode that is damped too much.
+    """
+    highest_Hz = 0.24 * view.fastest_Hz
     count = int(PER_OCTAVE * np.log2(highest_Hz / LOWEST_Hz)) + 1
     trials = [
         _trial(view, {"frequency_Hz": frequency_Hz, "quality": quality}, highest_Hz)
         for frequency_Hz in np.geomspace(LOWEST_Hz, highest_Hz, count).tolist()
         for quality in QUALITIES
     ]
-    best, share = _best(view, trials)
-    if share < MIN_POWER_SHARE:
+    orthogonal = view.null.project_out(np.hstack([trial.columns for trial in trials]))
+    residual = view.null.residual
+    square = np.einsum("ij,ij->j", orthogonal, orthogonal) + 1e-300
+    shares = (orthogonal.T @ residual) ** 2 / square / float(residual @ residual)
+    best = int(np.argmax(shares))
+    if float(shares[best]) < MIN_POWER_SHARE:
         return trials
+    best_Hz, reach = trials[best].parameters["frequency_Hz"], 2.0 ** (1.0 / PER_OCTAVE)
     smooth = with_polynomial_response(view)
-    return trials + [_trial(smooth, mode, highest_Hz) for mode in _finer_grid(best.parameters)]
+    for quality in FINE_QUALITIES:
+        count = int(2.0 * np.log(reach) * quality / FINE_STEP) + 1
+        for ratio in np.geomspace(1.0 / reach, reach, count).tolist():
+            parameters = {"frequency_Hz": best_Hz * ratio, "quality": quality}
+            trials.append(_trial(smooth, parameters, highest_Hz))
+    return trials
 
 
 def _trial(view: View, mode: Parameters, highest_Hz: float) -> Trial:
@@ -87,36 +93,6 @@ def _trial(view: View, mode: Parameters, highest_Hz: float) -> Trial:
         free={"frequency_Hz": 1.06, "quality": 1.6},
         limits={"quality": QUALITY_RANGE, "frequency_Hz": (LOWEST_Hz, highest_Hz)},
     )
-
-
-def _best(view: View, trials: list[Trial]) -> tuple[Trial, float]:
-    """Return the trial that explains most of the squared residual, and its share."""
-    orthogonal = view.null.project_out(np.hstack([trial.columns for trial in trials]))
-    residual = view.null.residual
-    square = np.einsum("ij,ij->j", orthogonal, orthogonal) + 1e-300
-    shares = (orthogonal.T @ residual) ** 2 / square / float(residual @ residual)
-    k = int(np.argmax(shares))
-    return trials[k], float(shares[k])
-
-
-def _finer_grid(best: Parameters) -> list[dict[str, float]]:
-    """Return a finer grid of modes about the best mode of the first grid.
-
-    A sharp mode between two frequencies of the first grid explains little at both, and a search by
-    steps from there ends at a mode that is damped too much.
-    """
-    reach = 2.0 ** (1.0 / PER_OCTAVE)
-    counts = [int(2.0 * np.log(reach) * quality / FINE_STEP) + 1 for quality in FINE_QUALITIES]
-    return [
-        {"frequency_Hz": best["frequency_Hz"] * ratio, "quality": quality}
-        for quality, count in zip(FINE_QUALITIES, counts, strict=True)
-        for ratio in np.geomspace(1.0 / reach, reach, count).tolist()
-    ]
-
-
-def _tangent(drive: DriveResponse, frequency_Hz: float) -> Array:
-    moved_m = mode(drive.static_m, frequency_Hz, PLANNED_QUALITY, drive.rate_Hz)
-    return (moved_m - drive.static_m)[:, None]
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -153,9 +129,21 @@ EFFECT = Effect(
     control="The resonance limits the bandwidth: use a notch or a limit on the sensitivity "
     "there, and round the corners of triangles.",
     shows=IN_SPECTRUM,
-    tangent=Tangent(columns=_tangent, lags=True, scale=500.0, scale_parameter="frequency_Hz"),
+    tangent=Tangent(
+        columns=lambda drive, frequency_Hz: (
+            mode(drive.static_m, frequency_Hz, PLANNED_QUALITY, drive.rate_Hz) - drive.static_m
+        )[:, None],
+        lags=True,
+        scale=500.0,
+        scale_parameter="frequency_Hz",
+    ),
     confounded=("delay", "lag"),
-    untestable=_untestable,
+    untestable=lambda view: (
+        ""
+        if view.fastest_Hz >= MIN_RATE_Hz
+        else f"the fastest recording has {view.fastest_Hz:.4g} Hz; modes lie above "
+        f"{LOWEST_Hz:g} Hz"
+    ),
     trials=_trials,
     columns=_columns,
     size=lambda _, parameters, __: parameters["frequency_Hz"],

@@ -17,15 +17,16 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import Appearance, unsigned
 from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
+    Appearance,
     Effect,
     EffectEstimate,
     Parameters,
     SearchScaling,
     Tangent,
     Trial,
+    unsigned,
     without_part,
 )
 from piezoid.diagnosis.effects.quantisation import lattice_step
@@ -69,55 +70,44 @@ def _harmonics(position: Array, periods: float) -> Array:
     return np.column_stack([cosine, sine, 2.0 * cosine**2 - 1.0, 2.0 * sine * cosine])
 
 
-def _waves_of_track(view: View, k: int, periods: float) -> Array:
-    """Return the waves of a track along its position, the reading without the error.
-
-    Over the reading a sine is distorted: an amplitude of a tenth of the period has a third of its
-    size in higher orders [Kepler's equation].
-    """
-    track, error = view.tracks[k], np.zeros(len(view.static[k]))
-    deviation = track.response - view.static[k]
-    for _ in range(ROUNDS):
-        waves = _harmonics(_position(view, k, error), periods)
-        rows = np.column_stack([waves[track.rows], np.ones(len(track.rows))])
-        coefficients = np.linalg.lstsq(rows, deviation[track.rows], rcond=None)[0]
-        error += DAMPING * (waves @ coefficients[:-1] - error)
-    return _harmonics(_position(view, k, error)[track.rows], periods)
-
-
 def _columns(view: View, periods: float) -> Array:
-    """Return first and second order with separate phases of all tracks that show the error."""
+    """Return first and second order with separate phases of all tracks that show the error.
+
+    The waves are those along the position, the reading without the error: over the reading a sine
+    is distorted, and an amplitude of a tenth of the period has a third of its size in higher
+    orders [Kepler's equation].
+    """
     columns = []
-    for k in range(len(view.tracks)):
-        if np.ptp(_reading_at_rows(view, k)) * periods / 2.0 >= PERIODS_IN_TRACK:
-            columns += [view.track_column(k, wave) for wave in _waves_of_track(view, k, periods).T]
+    for k, (track, static) in enumerate(zip(view.tracks, view.static, strict=True)):
+        if np.ptp(_reading_at_rows(view, k)) * periods / 2.0 < PERIODS_IN_TRACK:
+            continue
+        deviation, error = track.response - static, np.zeros(len(static))
+        for _ in range(ROUNDS):
+            waves = _harmonics(_position(view, k, error), periods)
+            rows = np.column_stack([waves[track.rows], np.ones(len(track.rows))])
+            coefficients = np.linalg.lstsq(rows, deviation[track.rows], rcond=None)[0]
+            error += DAMPING * (waves @ coefficients[:-1] - error)
+        waves = _harmonics(_position(view, k, error)[track.rows], periods)
+        columns += [view.track_column(k, wave) for wave in waves.T]
     return np.column_stack(columns) if columns else np.zeros((len(view.response), 0))
 
 
-def _spectrum(view: View) -> tuple[Array, Array]:
-    """Return spatial frequencies, and the power of the residual that a wave of each explains.
+def _trials(view: View) -> list[Trial]:
+    """Return the strongest spatial frequency; the three strongest others are its placebos.
 
-    Waves below half a step of a coarse converter do not count.
+    A wave below half a step of a coarse converter does not count.
     """
     frequencies = STEP * np.arange(round(MAX_PERIODS / STEP) + 1, dtype=np.float64)
     padded = round(2.0 / STEP / RANGE * CELLS)  # cells, for a resolution of STEP
-    power: Array = np.zeros(len(frequencies))
+    power: Array = np.zeros(len(frequencies))  # of the residual that a wave explains
     for k, track in enumerate(view.tracks):
         position, residual = _reading_at_rows(view, k), view.null.residual[view.track_rows(k)]
         cell = np.clip(((position + RANGE / 2) * (CELLS / RANGE)).astype(int), 0, CELLS - 1)
         spectrum = np.fft.rfft(np.bincount(cell, residual, CELLS), padded)
-        wave = np.abs(spectrum[: len(frequencies)])
-        rows = max(len(position), 1)
-        step = lattice_step(track.measured)
+        wave, rows = np.abs(spectrum[: len(frequencies)]), max(len(position), 1)
         is_resolved = np.ptp(position) * frequencies / 2.0 > PERIODS_IN_TRACK
-        is_large = 2.0 * wave / rows > step / 2.0
+        is_large = 2.0 * wave / rows > lattice_step(track.measured) / 2.0
         power += np.where(is_resolved & is_large, wave**2 / rows, 0.0)
-    return frequencies, power
-
-
-def _trials(view: View) -> list[Trial]:
-    """Return the strongest spatial frequency; the three strongest others are its placebos."""
-    frequencies, power = _spectrum(view)
     power = np.where(frequencies < MIN_PERIODS, 0.0, power)
     if not np.any(power > 0.0):
         return []

@@ -15,9 +15,9 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
+    OVER_SPEED,
     Effect,
     Parameters,
     Tangent,
@@ -25,7 +25,7 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement, zero_columns
+from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
 from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import slewed
@@ -47,12 +47,11 @@ def _trials(view: View) -> list[Trial]:
         float(np.quantile(np.abs(np.diff(track.command)), FASTEST_QUANTILE)) * track.rate_Hz
         for track in view.tracks
     )
+    no_tangent = np.zeros((len(view.response), 1))
     limits = [(share, {"limit_per_s": share * fastest}) for share in (*LOW_SHARES, *SHARES)]
     return [
         Trial(
-            columns=drive_change(view, _slew_limited, limit)
-            if share in SHARES
-            else zero_columns(view),
+            columns=drive_change(view, _slew_limited, limit) if share in SHARES else no_tangent,
             parameters=limit,
             needs_time=True,
             free={"limit_per_s": 1.12},

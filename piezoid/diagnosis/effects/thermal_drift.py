@@ -17,9 +17,8 @@ Source
 import numpy as np
 from numpy.polynomial.legendre import legval
 
-from piezoid.diagnosis.appearance import OVER_TIME
-from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
+    OVER_TIME,
     Effect,
     Tangent,
     Trial,
@@ -36,13 +35,6 @@ PLACEBOS = (8, 11)  # number of half waves of the first placebo wave
 PLANNED_s = 100.0
 
 
-def _untestable(view: View) -> str:
-    longest_s = max(track.duration_s for track in view.tracks)
-    if longest_s < DEGREES_s[0]:
-        return f"the longest recording lasts {longest_s:.2g} s, drift needs {DEGREES_s[0]:g} s"
-    return ""
-
-
 def _curves(view: View, first_wave: int = 0) -> Array:
     """Return polynomials of time for every long track, or as many waves for placebos.
 
@@ -56,18 +48,6 @@ def _curves(view: View, first_wave: int = 0) -> Array:
             curve = wave if first_wave else legval(share, np.eye(n + 2)[n + 1])
             columns.append(view.track_column(k, curve))
     return np.column_stack(columns)
-
-
-def _trials(view: View) -> list[Trial]:
-    return [
-        Trial(columns=_curves(view)),
-        *(Trial(columns=_curves(view, wave), physical=False) for wave in PLACEBOS),
-    ]
-
-
-def _tangent(drive: DriveResponse, _: float) -> Array:
-    unit = drive.time_s / PLANNED_s
-    return 1e-6 * np.column_stack([unit, unit**2])
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -86,10 +66,22 @@ EFFECT = Effect(
     control="Feedforward cannot compensate drift; feedback from a sensor can. Without it, "
     "wait, and re-zero before long scans.",
     shows=OVER_TIME,
-    tangent=Tangent(columns=_tangent, per_drive=True),
+    tangent=Tangent(
+        columns=lambda drive, _: (
+            1e-6 * np.column_stack([(unit := drive.time_s / PLANNED_s), unit**2])
+        ),
+        per_drive=True,
+    ),
     confounded=("creep",),
-    untestable=_untestable,
-    trials=_trials,
+    untestable=lambda view: (
+        ""
+        if view.longest_s >= DEGREES_s[0]
+        else f"the longest recording lasts {view.longest_s:.2g} s, drift needs {DEGREES_s[0]:g} s"
+    ),
+    trials=lambda view: [
+        Trial(columns=_curves(view)),
+        *(Trial(columns=_curves(view, wave), physical=False) for wave in PLACEBOS),
+    ],
     columns=lambda view, _: _curves(view),
     size=added_percent(lambda view, _: _curves(view)),
     inject=inject,

@@ -22,9 +22,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.diagnosis.appearance import OVER_TIME
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.effect import Effect, Fault, FaultTest
+from piezoid.diagnosis.effect import (
+    OVER_TIME,
+    Effect,
+    Fault,
+    FaultTest,
+)
 from piezoid.diagnosis.effects.outliers import without_spikes
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.sample_slips import (
@@ -128,7 +132,8 @@ def largest_undetected(view: View) -> float:
 def slip_evidence(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
     """Compare the delay of windows of equal speed before and after a slip.
 
-    Returns None if no speed occurs on both sides, or the stage moves one way only.
+    The windows are of equal motion and do not cross the slip. Returns None if no speed occurs on
+    both sides, or the stage moves one way only.
     """
     scan = SlipScan.of(view, null, slip.track)
     n, samples = len(scan.samples), int(slip.samples)
@@ -140,13 +145,17 @@ def slip_evidence(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
     column = np.zeros(len(null.residual))
     column[scan.rows] = np.where(np.arange(n) >= first, change, 0.0)
     residual = (null.residual - beta * null.project_out(column))[scan.rows]
-    windows = _windows(change, first)
+    motion = np.cumsum(change**2)
+    edges = np.searchsorted(motion, np.linspace(0.0, motion[-1], WINDOWS + 1)[1:-1])
+    edges = np.unique(np.concatenate([[0, first, len(change)], edges]))
+    windows = [slice(int(a), int(b)) for a, b in pairwise(edges)]
     square = np.array([change[w] @ change[w] for w in windows]) + 1e-300
     is_after = np.array([w.start >= first for w in windows])
     product = np.array([change[w] @ residual[w] for w in windows])
     delay = samples * (product / square + beta * is_after)
     speed = np.sqrt(np.array([np.sum(change[w] ** 4) for w in windows]) / square) + 1e-150
-    is_common = _occurs_on_both_sides(speed, is_after)
+    is_equal = np.abs(np.log(speed[:, None] / speed[None, :])) < np.log(EQUAL_SPEED)
+    is_common = np.any(is_equal & (is_after[:, None] != is_after[None, :]), axis=1)
     sides = is_after[is_common]
     if min(sides.sum(), (~sides).sum()) < MIN_WINDOWS or not _moves_both_ways(change, first):
         return None
@@ -160,21 +169,6 @@ def slip_evidence(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
         p_value=_permutation_p_value(delay[is_common], weight),
         rms=float(np.sqrt(np.mean(change[first:] ** 2) * (n - first) / n)),
     )
-
-
-def _windows(change: Array, first: int) -> list[slice]:
-    """Cut the rows of a track into windows of equal motion that do not cross the slip."""
-    motion = np.cumsum(change**2)
-    edges = np.searchsorted(motion, np.linspace(0.0, motion[-1], WINDOWS + 1)[1:-1])
-    edges = np.unique(np.concatenate([[0, first, len(change)], edges]))
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
-
-
-def _occurs_on_both_sides(speed: Array, is_after: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tell for each window whether its speed occurs on both sides of the slip."""
-    is_equal = np.abs(np.log(speed[:, None] / speed[None, :])) < np.log(EQUAL_SPEED)
-    is_across = is_after[:, None] != is_after[None, :]
-    return np.asarray(np.any(is_equal & is_across, axis=1))
 
 
 def _moves_both_ways(change: Array, first: int) -> bool:
@@ -217,7 +211,11 @@ def find_slips(view: View, refit: Refit | None = None) -> Fault | None:
     refit  refits repaired tracks with the effects of the view; None: the view has no effects
     """
     refit = refit or partial(with_tracks, view)
-    repaired = _without_spikes(view, refit)
+    pairs = zip(view.tracks, view.static, strict=True)
+    # spikes would hide a small slip
+    tracks = [without_spikes(track, static) for track, static in pairs]
+    is_clean = all(new is old for new, old in zip(tracks, view.tracks, strict=True))
+    repaired = view if is_clean else refit(tracks)
     slips: list[SlipEvidence] = []
     while len(slips) < MAX_SLIPS:
         evidence = _next_slip(repaired, refit)
@@ -234,7 +232,14 @@ def find_slips(view: View, refit: Refit | None = None) -> Fault | None:
     for evidence in slips:
         tracks[evidence.slip.track] = shift_readings(tracks[evidence.slip.track], evidence.slip)
     # a second slip at the instant of the first one corrects its length
-    at_first = [evidence for evidence in slips if _is_same(evidence.slip, slips[0].slip, view)]
+    first = slips[0].slip
+    width = instant_error(len(view.tracks[first.track].drive))
+    at_first = [
+        evidence
+        for evidence in slips
+        if evidence.slip.track == first.track
+        and abs(evidence.slip.instant - first.instant) <= width
+    ]
     last = at_first[-1]
     return Fault(
         tracks=tuple(tracks),
@@ -279,18 +284,9 @@ def find_equal_slips(view: View, refit: Refit, samples: int) -> Fault | None:
     )
 
 
-def _without_spikes(view: View, refit: Refit) -> View:
-    """Return the view without spikes, which would hide a small slip."""
-    pairs = zip(view.tracks, view.static, strict=True)
-    tracks = [without_spikes(track, static) for track, static in pairs]
-    if all(new is old for new, old in zip(tracks, view.tracks, strict=True)):
-        return view
-    return refit(tracks)
-
-
 def _next_slip(view: View, refit: Refit) -> SlipEvidence | None:
-    """Return the strongest significant slip, or None."""
-    null = delay_like_null(view)
+    """Return the strongest slip that is significant, also beside other axes, or None."""
+    null, has_other_axes = delay_like_null(view), any(t.other_drives for t in view.tracks)
     for slip in strongest_slips(view, null):
         if slip.gain < MIN_TRIAL_GAIN:
             break
@@ -304,20 +300,15 @@ def _next_slip(view: View, refit: Refit) -> SlipEvidence | None:
                 view, replace(slip, samples=length), refit=refit, has_length=True
             )
             evidence = slip_evidence(view, null, resized)
-        if (
-            evidence is not None
-            and evidence.is_significant
-            and _is_significant_beside_other_axes(view, evidence.slip)
-        ):
+        if evidence is None or not evidence.is_significant:
+            continue
+        if not has_other_axes:
+            return evidence
+        wider_null = delay_like_null(view, other_axes=True)
+        beside_other_axes = slip_evidence(view, wider_null, evidence.slip)
+        if beside_other_axes is not None and beside_other_axes.is_significant:
             return evidence
     return None
-
-
-def _is_significant_beside_other_axes(view: View, slip: Slip) -> bool:
-    if not any(track.other_drives for track in view.tracks):
-        return True
-    evidence = slip_evidence(view, delay_like_null(view, other_axes=True), slip)
-    return evidence is not None and evidence.is_significant
 
 
 def _is_confirmed(original: View, undone: View, evidence: SlipEvidence) -> bool:
@@ -333,12 +324,6 @@ def _is_confirmed(original: View, undone: View, evidence: SlipEvidence) -> bool:
     expected = evidence.slip.gain * float(np.sum(null.residual[rows] ** 2))
     explained = float(np.sum(null.residual**2) - np.sum(undone_null.residual**2))
     return evidence.slip.gain > EVIDENT_GAIN and explained > MIN_CONFIRMED * expected
-
-
-def _is_same(slip: Slip, reference: Slip, view: View) -> bool:
-    """Tell whether two slips have the same track and instant."""
-    width = instant_error(len(view.tracks[reference.track].drive))
-    return slip.track == reference.track and abs(slip.instant - reference.instant) <= width
 
 
 def inject(recording: Recording, share: float) -> Recording:

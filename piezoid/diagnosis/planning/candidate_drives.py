@@ -96,11 +96,6 @@ def at_rate(highest_Hz: float, waveform: Waveform) -> VoltageFunction:
     return drive
 
 
-def _sines(bench: Bench, rate_Hz: float, _: np.random.Generator) -> Array:
-    usable = [f for f in GRID_Hz if f <= rate_Hz / ROWS]
-    return sine_grid(bench.limits, rate_Hz, shares=AMPLITUDES, frequencies_Hz=usable, block_s=0.5)
-
-
 def _small_multisine(bench: Bench, rate_Hz: float, rng: np.random.Generator) -> Array:
     limits, samples = bench.limits, round(rate_Hz)
     low_V, high_V = limits.voltage_min_V, limits.voltage_max_V
@@ -160,11 +155,6 @@ def _ramps(bench: Bench, rng: np.random.Generator) -> Voltages:
     return drive(bench, rng)
 
 
-def _slow_ramp(bench: Bench, rate_Hz: float, _: np.random.Generator) -> Array:
-    low_V, high_V = bench.limits.range_V
-    return path_V([low_V, high_V, low_V], bench.limits, rate_Hz, move_s=40.0)
-
-
 def _held_levels(levels: int, *, mirrored: bool) -> VoltageFunction:
     return at_rate(
         SLOWER_Hz,
@@ -208,7 +198,16 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         name="sine_grid",
         why="Sines of every amplitude at every frequency: which errors grow with speed, and at "
         "which amplitudes.",
-        drive=at_rate(ROWS * max(GRID_Hz), _sines),
+        drive=at_rate(
+            ROWS * max(GRID_Hz),
+            lambda b, f, _: sine_grid(
+                b.limits,
+                f,
+                shares=AMPLITUDES,
+                frequencies_Hz=[line_Hz for line_Hz in GRID_Hz if line_Hz <= f / ROWS],
+                block_s=0.5,
+            ),
+        ),
     ),
     Experiment(
         name="small_multisine",
@@ -246,6 +245,11 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     Experiment(
         name="slow_ramp",
         why="The whole range once, slowly, up and down.",
-        drive=at_rate(1000.0, _slow_ramp),
+        drive=at_rate(
+            1000.0,
+            lambda b, f, _: path_V(
+                [*b.limits.range_V, b.limits.voltage_min_V], b.limits, f, move_s=40.0
+            ),
+        ),
     ),
 )

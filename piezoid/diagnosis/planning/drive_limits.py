@@ -93,11 +93,6 @@ class Bench:
     range_from: str = ""
     speed_from: str = ""
 
-    @property
-    def limits_from(self) -> str:
-        """Return the origin of the limits, in words."""
-        return f"{self.range_from}; {self.speed_from}"
-
 
 def bench_of(
     model: ActuatorModel,
@@ -108,44 +103,35 @@ def bench_of(
 ) -> Bench:
     """Return the drive limits of an axis and of other axes, from the model and lab.toml."""
     limits, range_from, speed_from = _limits(axis, lab)
-    other_axes = {
+    other_limits = {
         name: _limits(model_axis, lab)[0]
         for name, model_axis in model.axes.items()
         if name != axis.axis
     }
-    for recording in recordings:
-        for channel in recording.channels:
-            if channel.quantity is Quantity.VOLTAGE and channel.axis not in (
-                axis.axis,
-                *other_axes,
-            ):
-                low_V, high_V = float(channel.values.min()), float(channel.values.max())
-                if high_V > low_V:
-                    other_axes[channel.axis] = replace(
-                        limits, voltage_min_V=low_V, voltage_max_V=high_V
-                    )
-    return Bench(
-        axis=axis.axis,
-        limits=limits,
-        clock_Hz=_clock_Hz(model, lab, recordings, clock_Hz),
-        other_limits=other_axes,
-        range_from=range_from,
-        speed_from=speed_from,
-    )
-
-
-def _clock_Hz(
-    model: ActuatorModel, lab: Lab, recordings: Sequence[Recording], requested_Hz: float | None
-) -> float:
+    for channel in (channel for recording in recordings for channel in recording.channels):
+        is_drive = channel.quantity is Quantity.VOLTAGE
+        if is_drive and channel.axis not in (axis.axis, *other_limits):
+            low_V, high_V = float(channel.values.min()), float(channel.values.max())
+            if high_V > low_V:
+                other_limits[channel.axis] = replace(
+                    limits, voltage_min_V=low_V, voltage_max_V=high_V
+                )
     rates_Hz = [recording.sampling_rate_Hz for recording in recordings]
-    declared_Hz = requested_Hz or lab.acquisition.sampling_rate_Hz or model.controller_rate_Hz
+    declared_Hz = clock_Hz or lab.acquisition.sampling_rate_Hz or model.controller_rate_Hz
     if declared_Hz is None and not rates_Hz:
         raise LabFileError(
             f"{lab.place}: no sampling rate of the converters",
             needed="the rate at which the drive will be played",
             remedy="Write [acquisition] sampling_rate_Hz = ... into lab.toml, or add --rate.",
         )
-    return declared_Hz or max(rates_Hz)
+    return Bench(
+        axis=axis.axis,
+        limits=limits,
+        clock_Hz=declared_Hz or max(rates_Hz),
+        other_limits=other_limits,
+        range_from=range_from,
+        speed_from=speed_from,
+    )
 
 
 def _limits(axis: AxisModel, lab: Lab) -> tuple[DriveLimits, str, str]:

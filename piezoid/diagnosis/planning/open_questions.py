@@ -9,7 +9,6 @@ The errors of ``separation`` are too small, but their ratios are reliable: if th
 given, the interval of the diagnosis is expected to shrink in proportion to the standard error.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite, sqrt
 
@@ -61,20 +60,17 @@ def questions_of(diagnosis: Diagnosis, effect: str | None) -> tuple[Question, ..
 
     Raises ``ExcitationError`` if no question is open, or none is about the effect.
     """
-    questions = [*_to_separate(diagnosis), *_to_tighten(diagnosis), *_to_detect(diagnosis)]
-    if effect is not None:
-        return _about(effect, questions)
-    pressing = tuple(question for question in questions if is_open(question))
-    if not pressing:
-        raise ExcitationError(
-            "the diagnosis has no open question that a drive could answer",
-            needed="confounded effects, wide intervals, or effects with a high detection limit",
-            remedy="No recording is needed. To plan one for an effect, name it with --effect.",
-        )
-    return pressing
-
-
-def _about(effect: str, questions: Sequence[Question]) -> tuple[Question, ...]:
+    questions = _every_question(diagnosis)
+    if effect is None:
+        pressing = tuple(question for question in questions if is_open(question))
+        if not pressing:
+            raise ExcitationError(
+                "the diagnosis has no open question that a drive could answer",
+                needed="confounded effects, wide intervals, or effects with a high detection "
+                "limit",
+                remedy="No recording is needed. To plan one for an effect, name it with --effect.",
+            )
+        return pressing
     tangent = _tangent_of(effect)
     if isinstance(tangent, str):
         raise ExcitationError(
@@ -92,6 +88,42 @@ def _about(effect: str, questions: Sequence[Question]) -> tuple[Question, ...]:
     return about
 
 
+def _every_question(diagnosis: Diagnosis) -> list[Question]:
+    """Return the effects to separate, the sizes to tighten, and the effects to detect."""
+    questions, stroke_m, findings = [], diagnosis.stroke_m, diagnosis.findings
+    shares = {finding.effect: finding.share for finding in findings}
+    suspects = {finding.effect: suspect_of(finding, stroke_m) for finding in findings}
+    for finding in findings:
+        suspect = suspects[finding.effect]
+        for name in finding.not_separable_from:
+            alternative = _suspect(name, shares.get(name, finding.share), stroke_m)
+            if suspect and alternative:
+                pair = (suspect, alternative)
+                questions.append(Question(kind="separate", suspects=pair, finding=finding))
+    for finding in sorted(findings, key=_relative_width, reverse=True):
+        suspect = suspects[finding.effect]
+        if suspect:
+            further = tuple(s for s in suspects.values() if s and s.name != finding.effect)
+            questions.append(
+                Question(kind="tighten", suspects=(suspect, *further), finding=finding)
+            )
+    limits_m = [
+        (inf if absent.detection_limit_m is None else absent.detection_limit_m, absent)
+        for absent in diagnosis.not_detected
+    ]
+    for limit_m, absent in sorted(limits_m, key=lambda pair: pair[0], reverse=True):
+        share = UNTESTED_SHARE if limit_m == inf else limit_m / stroke_m
+        suspect = _suspect(absent.effect, share, stroke_m)
+        if suspect is None:
+            continue
+        min_gain = effect_named(absent.effect).minimum_gain
+        floor_m = max(MINIMUM_SHARE * stroke_m, diagnosis.envelope_rms_m * sqrt(2.0 * min_gain))
+        questions.append(
+            Question(kind="detect", suspects=(suspect,), absent=absent, floor_m=floor_m)
+        )
+    return questions
+
+
 def is_open(question: Question) -> bool:
     """Tell whether a question is worth a recording."""
     if question.kind == "tighten":
@@ -105,51 +137,6 @@ def suspect_of(finding: Finding, stroke_m: float) -> Suspect | None:
     return suspect and replace(
         suspect, scale=finding.parameters.get(suspect.tangent.scale_parameter)
     )
-
-
-def _to_separate(diagnosis: Diagnosis) -> list[Question]:
-    shares = {finding.effect: finding.share for finding in diagnosis.findings}
-    questions = []
-    for finding in diagnosis.findings:
-        suspect = suspect_of(finding, diagnosis.stroke_m)
-        for name in finding.not_separable_from:
-            alternative = _suspect(name, shares.get(name, finding.share), diagnosis.stroke_m)
-            if suspect and alternative:
-                questions.append(
-                    Question(kind="separate", suspects=(suspect, alternative), finding=finding)
-                )
-    return questions
-
-
-def _to_tighten(diagnosis: Diagnosis) -> list[Question]:
-    suspects = [suspect_of(finding, diagnosis.stroke_m) for finding in diagnosis.findings]
-    questions = []
-    for finding in sorted(diagnosis.findings, key=_relative_width, reverse=True):
-        suspect = suspect_of(finding, diagnosis.stroke_m)
-        if suspect:
-            further = tuple(s for s in suspects if s and s.name != finding.effect)
-            questions.append(
-                Question(kind="tighten", suspects=(suspect, *further), finding=finding)
-            )
-    return questions
-
-
-def _to_detect(diagnosis: Diagnosis) -> list[Question]:
-    def limit_m(absent: NotDetected) -> float:
-        return inf if absent.detection_limit_m is None else absent.detection_limit_m
-
-    stroke_m, questions = diagnosis.stroke_m, []
-    for absent in sorted(diagnosis.not_detected, key=limit_m, reverse=True):
-        share = UNTESTED_SHARE if limit_m(absent) == inf else limit_m(absent) / stroke_m
-        suspect = _suspect(absent.effect, share, stroke_m)
-        if suspect is None:
-            continue
-        min_gain = effect_named(absent.effect).minimum_gain
-        floor_m = max(MINIMUM_SHARE * stroke_m, diagnosis.envelope_rms_m * sqrt(2.0 * min_gain))
-        questions.append(
-            Question(kind="detect", suspects=(suspect,), absent=absent, floor_m=floor_m)
-        )
-    return questions
 
 
 def _suspect(name: str, share: float, stroke_m: float) -> Suspect | None:

@@ -1,6 +1,6 @@
 """Write a plan as sentences and as files: drive.csv and plan.json."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import isfinite
 from typing import Any
 
@@ -26,20 +26,12 @@ ALONE = (
 
 def plan_files(plan: Plan, *, model_digest: str, diagnosis_digest: str) -> dict[str, bytes]:
     """Return drive.csv and plan.json by name."""
-    drive = plan.drive.to_csv().encode()
+    question, drive, limits = plan.question, plan.drive, plan.limits
+    drive_csv = drive.to_csv().encode()
     content = {
         "model": model_digest,
         "diagnosis": diagnosis_digest,
-        "drive_csv": digest_of_bytes(drive),
-        **plan_json(plan),
-    }
-    return {"drive.csv": drive, "plan.json": seal(SCHEMA, content)}
-
-
-def plan_json(plan: Plan) -> dict[str, Any]:
-    """Return the content of plan.json without digests."""
-    question, drive, limits = plan.question, plan.drive, plan.limits
-    return {
+        "drive_csv": digest_of_bytes(drive_csv),
         "axis": plan.axis,
         "question": _question_json(question),
         "why": " ".join(sentences(plan)),
@@ -75,6 +67,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
             for alternative in plan.alternatives
         ],
     }
+    return {"drive.csv": drive_csv, "plan.json": seal(SCHEMA, content)}
 
 
 def _question_json(question: Question) -> dict[str, Any]:
@@ -124,7 +117,16 @@ def sentences(plan: Plan) -> tuple[str, ...]:
             "reports: no recording is needed.",
             f"The best drive for a check is {_drive_text(plan)}.",
         )
-    drive = f"{_drive_text(plan)}. {plan.drive.why}"
+    drive, set_aside = f"{_drive_text(plan)}. {plan.drive.why}", []
+    for earlier in plan.set_aside:
+        first, *further = map(words, earlier.effects)
+        if earlier.kind == "separate":
+            set_aside.append(f"{first} or {further[0]}")
+        elif earlier.kind == "tighten":
+            set_aside.append(f"the size of {first}")
+        else:
+            set_aside.append(f"whether there is {first}")
+    unanswered = "; ".join(set_aside)
     texts = (
         _reason(question),
         f"Play {drive}"
@@ -133,7 +135,9 @@ def sentences(plan: Plan) -> tuple[str, ...]:
         _expectation(plan),
         ALONE if plan.recorded is None else "",
         plan.forbids,
-        _remaining_questions(plan.set_aside),
+        f"More important, but answered by no drive within these limits: {unanswered}."
+        if unanswered
+        else "",
     )
     return tuple(text for text in texts if text)
 
@@ -166,7 +170,20 @@ def _reason(question: Question) -> str:
 def _expectation(plan: Plan) -> str:
     question, recorded, planned = plan.question, plan.recorded, plan.planned
     if question.kind == "separate":
-        return _separability_text(question, recorded, planned)
+        text = f"Expected separability of the two: {planned.separability:.2g} of 1"
+        if recorded is not None:
+            text += f" (now {recorded.separability:.2g})"
+            shrinks = planned.worst / recorded.worst if isfinite(recorded.worst) else 1.0
+            if shrinks < 1.0:
+                text += f"; the wider interval shrinks to {100 * shrinks:.0f} % of its width"
+        uncertain = [
+            words(name)
+            for name, error in zip(question.effects, planned.errors, strict=True)
+            if POWER * error > 1.0
+        ]
+        if uncertain:
+            text += f". The size of {' and of '.join(uncertain)} remains smaller than its error"
+        return f"{text}."
     if question.finding is not None:
         size = question.finding.size
         expected = significant(expected_half(question, recorded, planned), 2)
@@ -179,37 +196,3 @@ def _expectation(plan: Plan) -> str:
     is_smallest = expected_m <= question.floor_m
     smallest = ", the smallest size that a diagnosis reports" if is_smallest else ""
     return f"Expected detection limit: {with_unit(expected_m, 'm', 2)} rms{now}{smallest}."
-
-
-def _separability_text(
-    question: Question, recorded: SeparationEstimate | None, planned: SeparationEstimate
-) -> str:
-    text = f"Expected separability of the two: {planned.separability:.2g} of 1"
-    if recorded is not None:
-        text += f" (now {recorded.separability:.2g})"
-        shrinks = planned.worst / recorded.worst if isfinite(recorded.worst) else 1.0
-        if shrinks < 1.0:
-            text += f"; the wider interval shrinks to {100 * shrinks:.0f} % of its width"
-    uncertain = [
-        words(name)
-        for name, error in zip(question.effects, planned.errors, strict=True)
-        if POWER * error > 1.0
-    ]
-    if uncertain:
-        text += f". The size of {' and of '.join(uncertain)} remains smaller than its error"
-    return f"{text}."
-
-
-def _remaining_questions(questions: Sequence[Question]) -> str:
-    if not questions:
-        return ""
-    texts = []
-    for question in questions:
-        first, *further = map(words, question.effects)
-        if question.kind == "separate":
-            texts.append(f"{first} or {further[0]}")
-        elif question.kind == "tighten":
-            texts.append(f"the size of {first}")
-        else:
-            texts.append(f"whether there is {first}")
-    return f"More important, but answered by no drive within these limits: {'; '.join(texts)}."

@@ -17,6 +17,7 @@ Source: least squares with a known covariance of the errors; Cook & Weisberg (19
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import cast
 
 import numpy as np
@@ -47,14 +48,6 @@ class Suspect:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Errors:
-    """Residual of a model: white noise and model error."""
-
-    noise_m: float
-    structure_m: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class SeparationEstimate:
     """Expected precision of effects.
 
@@ -76,31 +69,45 @@ def estimate_separation(
     drives: Sequence[DriveResponse],
     suspects: Sequence[Suspect],
     reference: Sequence[DriveResponse],
-    errors: Errors,
+    *,
+    noise_m: float,
+    structure_m: float,
 ) -> SeparationEstimate:
     """Return the expected precision of suspects on drives.
 
-    drives     all of one model, evaluated together
-    reference  along which the suspects have their size
+    drives       all of one model, evaluated together
+    reference    along which the suspects have their size
+    noise_m      of the sensor
+    structure_m  rms of the model error
     """
     scales = [scale_of(suspect, reference) for suspect in suspects]
-    weight = row_weights(drives)
+    # all drives count equally
+    weight = np.concatenate([np.full(len(d.rows), len(d.rows) ** -0.5) for d in drives])
     has_lag = any(suspect.tangent.lags for suspect in suspects)
     basis = basis_of(weight[:, None] * null_columns(drives, lag=not has_lag))
     blocks = [
         orthogonal_to(basis, weight[:, None] * block_of(suspect.tangent, scale, drives))
         for suspect, scale in zip(suspects, scales, strict=True)
     ]
-    relative_errors = []
+    bases = [basis_of(block) for block in blocks]
+    errors = []
     for k, (suspect, scale) in enumerate(zip(suspects, scales, strict=True)):
-        strength = suspect.rms_m / _unit_rms(suspect.tangent, scale, reference, drives)
-        sums = np.concatenate(_column_sums(suspect.tangent, scale, drives))
-        other_bases = [basis, *(basis_of(block) for j, block in enumerate(blocks) if j != k)]
-        column = weight * strength * sums
-        relative_errors.append(
-            _relative_error(column, np.hstack(other_bases), weight, drives, errors)
+        # a coupling that was never recorded has its size along the drive that excites it most
+        unit_rms = _centred_rms(suspect.tangent, scale, reference) or max(
+            _centred_rms(suspect.tangent, scale, (drive,)) for drive in drives
         )
-    return SeparationEstimate(separability=_separability(blocks), errors=tuple(relative_errors))
+        strength = suspect.rms_m / (unit_rms or 1.0)
+        column = weight * strength * np.concatenate(_column_sums(suspect.tangent, scale, drives))
+        nuisance = np.hstack([basis, *bases[:k], *bases[k + 1 :]])
+        errors.append(_relative_error(column, nuisance, weight, drives, noise_m, structure_m))
+    separability = 1.0  # the smallest of any pair
+    for a, b in combinations(bases, 2):
+        of_pair = 0.0
+        if a.shape[1] and b.shape[1]:
+            correlation = float(np.linalg.svd(a.T @ b, compute_uv=False)[0])
+            of_pair = float(np.clip(1.0 - correlation**2, 0.0, 1.0))
+        separability = min(separability, of_pair)
+    return SeparationEstimate(separability=separability, errors=tuple(errors))
 
 
 def scale_of(suspect: Suspect, reference: Sequence[DriveResponse]) -> float:
@@ -114,12 +121,6 @@ def scale_of(suspect: Suspect, reference: Sequence[DriveResponse]) -> float:
     return suspect.rms_m / max(speed_m_per_s, 1e-30)
 
 
-def row_weights(drives: Sequence[DriveResponse]) -> Array:
-    """Return a weight for every row, such that all drives count equally."""
-    counts = [len(drive.rows) for drive in drives]
-    return np.concatenate([np.full(count, count**-0.5) for count in counts])
-
-
 def block_of(tangent: Tangent, scale: float, drives: Sequence[DriveResponse]) -> Array:
     """Return an effect's columns at the rows of all drives, (rows, columns)."""
     blocks = [tangent.columns(drive, scale)[drive.rows] for drive in drives]
@@ -131,21 +132,6 @@ def block_of(tangent: Tangent, scale: float, drives: Sequence[DriveResponse]) ->
 
 def _column_sums(tangent: Tangent, scale: float, drives: Sequence[DriveResponse]) -> list[Array]:
     return [tangent.columns(drive, scale)[drive.rows].sum(axis=1) for drive in drives]
-
-
-def _unit_rms(
-    tangent: Tangent,
-    scale: float,
-    reference: Sequence[DriveResponse],
-    drives: Sequence[DriveResponse],
-) -> float:
-    """Return the rms of an effect of strength one along the reference.
-
-    If the reference does not excite it, as a coupling that was never recorded, the rms is that
-    along the drive that excites it most.
-    """
-    rms = _centred_rms(tangent, scale, reference)
-    return rms or max(_centred_rms(tangent, scale, (drive,)) for drive in drives) or 1.0
 
 
 def _centred_rms(tangent: Tangent, scale: float, drives: Sequence[DriveResponse]) -> float:
@@ -175,23 +161,17 @@ def orthogonal_to(basis: Array, columns: Array) -> Array:
     return np.asarray(remainder[:, np.linalg.norm(remainder, axis=0) > 1e3 * ROUNDING * length])
 
 
-def _separability(blocks: Sequence[Array]) -> float:
-    """Return the smallest separability of any pair."""
-    bases = [basis_of(block) for block in blocks]
-    pairs = [(a, b) for k, a in enumerate(bases) for b in bases[k + 1 :]]
-    return min((_separability_of_pair(a, b) for a, b in pairs), default=1.0)
-
-
-def _separability_of_pair(a: Array, b: Array) -> float:
-    if not a.shape[1] or not b.shape[1]:
-        return 0.0
-    correlation = float(np.linalg.svd(a.T @ b, compute_uv=False)[0])
-    return float(np.clip(1.0 - correlation**2, 0.0, 1.0))
-
-
 def _relative_error(
-    column: Array, nuisance: Array, weight: Array, drives: Sequence[DriveResponse], errors: Errors
+    column: Array,
+    nuisance: Array,
+    weight: Array,
+    drives: Sequence[DriveResponse],
+    noise_m: float,
+    structure_m: float,
 ) -> float:
+    """Return the standard error of a strength: of white noise, and of errors of similar states."""
+    from scipy.spatial.distance import pdist, squareform
+
     remainder = orthogonal_to(basis_of(nuisance), column[:, None])
     if not remainder.shape[1]:
         return float("inf")
@@ -201,17 +181,10 @@ def _relative_error(
         max(min(len(drive.voltage_V), share) / count, 1.0)
         for drive, count in zip(drives, rows, strict=True)
     ]
-    white = errors.noise_m**2 * float(np.sum(estimator**2 / np.repeat(samples_per_row, rows)))
-    structure = errors.structure_m**2 * _correlated_variance(drives, estimator)
-    return float(np.sqrt(white + structure))
-
-
-def _correlated_variance(drives: Sequence[DriveResponse], estimator: Array) -> float:
-    """Return d' K d with the kernel of similar states."""
-    from scipy.spatial.distance import pdist, squareform
-
+    white = noise_m**2 * float(np.sum(estimator**2 / np.repeat(samples_per_row, rows)))
     state = np.vstack([drive.state for drive in drives])
     distance = pdist(state / np.sqrt(state.shape[1]), "sqeuclidean")
     kernel = squareform(np.exp(distance / (-2.0 * CORRELATION_LENGTH**2)))
     np.fill_diagonal(kernel, 1.0)
-    return float(cast(float, estimator @ kernel @ estimator))
+    correlated = float(cast(float, estimator @ kernel @ estimator))
+    return float(np.sqrt(white + structure_m**2 * correlated))
