@@ -48,7 +48,7 @@ from piezoid.diagnosis.appearance import Appearance, unsigned
 from piezoid.diagnosis.effect import Effect, Tangent, Trial, without_part
 from piezoid.diagnosis.signals import filtered_change, with_extension
 from piezoid.identification.extensions.extension import Extension, free
-from piezoid.identification.extensions.loop_effect import LoopEffect
+from piezoid.identification.extensions.extension import LoopEffect
 from piezoid.operators.filters import relaxed
 from piezoid.operators.linear import ContinuousSystem
 

@@ -22,7 +22,7 @@ from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.effect import Effect, Parameters, Trial, delay_tangent, without_part
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import delay_trials, trial_times_s, with_extension
-from piezoid.identification.extensions.first_order_lag import FirstOrderLag
+from piezoid.identification.extensions.lags import FirstOrderLag
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import relaxed
 

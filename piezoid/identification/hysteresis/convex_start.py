@@ -74,7 +74,25 @@ def kuhnen_start(
         threshold=zones, weight=optimum.x[shape.plays + 1 : shape.plays + 1 + len(zones)]
     )
     constant = float(np.mean(optimum.x[shape.plays + 1 + len(zones) :]))
-    operator, offset = recentre(threshold, weight, inverse.inverse(), constant, lag_s)
+    # Rewrite Psi(h + c) as offset + Psi_c(h) with Psi_c(0) = 0 and central slope 1.
+    psi = inverse.inverse()
+    kinks = psi.threshold[psi.threshold != 0.0] - constant
+    slope = np.delete(psi.slope, psi.zero)
+    zero = int(np.searchsorted(kinks, 0.0))
+    below = -_spread(-kinks[:zero][::-1], 0.01)[::-1]
+    knot = np.concatenate([below, [0.0], _spread(kinks[zero:], 0.01)])
+    slope = np.concatenate([slope[: zero + 1], slope[zero:]])
+    centre = slope[zero]
+    operator = Scaled(
+        gap=np.diff(threshold),
+        threshold=threshold[1:],
+        weight=weight * centre,
+        knot=knot * centre,
+        slope=slope / centre,
+        zero=zero,
+        lag_s=lag_s,
+    )
+    offset = float(psi.run(np.array([constant]))[0])
     return Start(operator=operator, offset=offset, kkt_gap=optimum.kkt_gap)
 
 
@@ -159,31 +177,6 @@ def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array
     upper = np.full(len(rows), np.inf)
     upper[-1] = 1.0
     return rows, lower, upper
-
-
-def recentre(
-    threshold: Array, weight: Array, psi: DeadZones, constant: float, lag_s: float
-) -> tuple[Scaled, float]:
-    """Rewrite Psi(h + c) as offset + Psi_c(h) with Psi_c(0) = 0 and central slope 1."""
-    kinks = psi.threshold[psi.threshold != 0.0] - constant
-    slope = np.delete(psi.slope, psi.zero)
-    zero = int(np.searchsorted(kinks, 0.0))
-    kinks[:zero] = -_spread(-kinks[:zero][::-1], 0.01)[::-1]
-    kinks[zero:] = _spread(kinks[zero:], 0.01)
-    knot = np.concatenate([kinks[:zero], [0.0], kinks[zero:]])
-    slope = np.concatenate([slope[: zero + 1], slope[zero:]])
-    centre = slope[zero]
-    operator = Scaled(
-        gap=np.diff(threshold),
-        threshold=threshold[1:],
-        weight=weight * centre,
-        knot=knot * centre,
-        slope=slope / centre,
-        zero=zero,
-        lag_s=lag_s,
-    )
-    offset = float(psi.run(np.array([constant]))[0])
-    return operator, offset
 
 
 def _spread(positions: Array, distance: float) -> Array:
