@@ -29,6 +29,7 @@ from piezoid.records.recording import Recording
 PLAYS = 10
 THRESHOLDS = np.linspace(0.0, 0.9, PLAYS)  # of half the range
 POWERS = 3
+SEED = 0  # of the draw and of the drives on which slopes are limited
 MAX_ROWS = 40_000  # of a recording
 # Standard deviation of a weight over half the stroke, by `python -m benchmarks.discrepancy`: on a
 # spiral unlike all recordings, the size of d agrees with the model error within a factor of 2 on
@@ -43,13 +44,10 @@ _MIN_SLOPE = (
 )
 
 
-def with_discrepancy(
-    axis: AxisModel, recordings: Sequence[Recording], *, seed: int = 0
-) -> AxisModel:
+def with_discrepancy(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
     """Return the axis with the model discrepancy estimated on the recordings of its fit.
 
     recordings  of the fit; a recording that the model does not contain is ignored
-    seed        of the draw
 
     Without such recordings the discrepancy is None.
     """
@@ -72,7 +70,7 @@ def with_discrepancy(
     if not tables:
         return replace(axis, discrepancy=None)
     columns, residual_m = np.concatenate(tables), np.concatenate(residuals_m)
-    mean_m, draw_m = _draw(columns, residual_m, axis.quality, reach_V, seed)
+    mean_m, draw_m = _draw(columns, residual_m, axis.quality, reach_V)
     # Fit the residual itself to get its slope.
     gram = columns.T @ columns
     ridge = _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
@@ -105,7 +103,7 @@ def _states(drive_V: Array, reach_V: float) -> Array:
 
 
 def _draw(
-    columns: Array, residual_m: Array, quality: FitQuality, reach_V: float, seed: int
+    columns: Array, residual_m: Array, quality: FitQuality, reach_V: float
 ) -> tuple[Array, Array]:
     """Return the posterior mean of the weights, and a draw around it of average size on a spiral.
 
@@ -142,7 +140,7 @@ def _draw(
     states = _states(spiral_V, reach_V)
     states = states - states.mean(axis=0)
     mean_m = vectors @ mean
-    deviates = np.random.default_rng(seed).standard_normal(len(mean_m))
+    deviates = np.random.default_rng(SEED).standard_normal(len(mean_m))
     draw_m = vectors @ (np.sqrt(variance) * deviates)
     mean_path, draw_path = states @ mean_m, states @ draw_m
     share = float(draw_path @ mean_path) / max(float(mean_path @ mean_path), 1e-300)
@@ -159,7 +157,7 @@ def _slopes(
 
     Both are computed over the adversarial drives of the certificate.
     """
-    drive_V = adversarial_drives(reach_V, seed=0)
+    drive_V = adversarial_drives(reach_V, SEED)
     states, operator = _states(drive_V, reach_V), axis.operator
     centre_V = 0.5 * sum(axis.voltage_V)
     response_m, _ = operator.run(centre_V + drive_V, operator.virgin_memory())

@@ -45,13 +45,8 @@ class DisplacementBudget:
     zero_between_m: float | None
 
 
-def displacement_budget(
-    axis: AxisModel, lab: Lab | None = None, *, positions: int = 1000
-) -> DisplacementBudget:
-    """Compute the uncertainty of the predicted displacement for drives within the range.
-
-    positions  number of independent positions over which the largest error is estimated
-    """
+def displacement_budget(axis: AxisModel, lab: Lab | None = None) -> DisplacementBudget:
+    """Compute the uncertainty of the predicted displacement for drives within the range."""
     declared = Lab() if lab is None else lab
     certificates = declared.certificates
     names = ("sensor_gain_relative", "sensor_linearity_m", "tilt_rad", "temperature_range_K")
@@ -83,7 +78,7 @@ def displacement_budget(
         contributions.append(half_width("step of the converter", 0.5 * step_m, is_shared=False))
     return DisplacementBudget(
         axis=axis.axis,
-        budget=budget_of(contributions, positions=positions, seed=1),
+        budget=budget_of(contributions),
         unknown=tuple(unknown),
         zero_between_m=float(np.std(zeros_m, ddof=1)) if len(zeros_m) > 1 else None,
     )

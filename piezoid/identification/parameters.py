@@ -60,15 +60,13 @@ def parameters_of(axis: AxisModel) -> "DataFrame":
                 low = high = np.nan
             rows.append((f"{extension.kind}.{name}", value, low, high))
     names, numbers, lows, highs = zip(*rows, strict=True)
-    units = [in_counts(unit_of_name(name), axis.counted) for name in names]
+    units = []
+    for name in names:  # the unit is at the end of the name
+        stem = name.partition("[")[0]
+        unit = next((unit for ending, unit in _ENDINGS if stem.endswith(ending)), "1")
+        units.append(in_counts(unit, axis.counted))
     table = {"value": numbers, "unit": units, "low": lows, "high": highs}
     return DataFrame(table, index=list(names))
-
-
-def unit_of_name(name: str) -> str:
-    """Return the unit at the end of a name, or ``1``."""
-    stem = name.partition("[")[0]
-    return next((unit for ending, unit in _ENDINGS if stem.endswith(ending)), "1")
 
 
 def _numbers(extension: Extension) -> dict[str, float]:

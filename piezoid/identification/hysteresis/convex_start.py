@@ -205,22 +205,15 @@ def linear_start(pieces: Sequence[Piece], lag_s: float) -> Start:
 
 
 def clustered_thresholds(pieces: Sequence[Piece], shape: Shape, lag_s: float) -> Array:
-    """Return 0 and thresholds at the centres of clusters of the weights on a fine grid."""
+    """Return 0 and thresholds at the centres of clusters of the weights on a fine grid.
+
+        min sum_g sum_(i in g) w_i (r_i - c_g)^2
+
+    The optimal partition into groups of neighbours is exact, by dynamic programming over cuts.
+    """
     fine = Shape(plays=GRID, below=shape.below, above=shape.above, lag=shape.lag)
     operator = kuhnen_start(pieces, fine, lag_s).operator
-    centres = group_centres(operator.threshold, operator.weight[1:], shape.plays)
-    return np.concatenate([[0.0], _spread(centres, 2 * MIN_GAP)])
-
-
-def group_centres(position: Array, weight: Array, groups: int) -> Array:
-    """Return the centres of the optimal partition of weighted positions into groups of neighbours.
-
-    min sum_g sum_(i in g) w_i (p_i - c_g)^2, exactly, by dynamic programming over cuts
-
-    position  (positions,)  increasing
-    weight    (positions,)  >= 0
-    returned  (groups,)  increasing; groups <= positions
-    """
+    position, weight, groups = operator.threshold, operator.weight[1:], shape.plays
     tiny = weight + 1e-6 * (weight.sum() + 1e-300) / len(weight)
     sums = [np.concatenate([[0.0], np.cumsum(tiny * position**k)]) for k in range(3)]
     count = len(position)
@@ -240,7 +233,7 @@ def group_centres(position: Array, weight: Array, groups: int) -> Array:
         start = cut[g, end]
         centres[g - 1] = (sums[1][end] - sums[1][start]) / (sums[0][end] - sums[0][start])
         end = start
-    return centres
+    return np.concatenate([[0.0], _spread(centres, 2 * MIN_GAP)])
 
 
 def find_lag(pieces: Sequence[Piece], kind: str, longest_s: float) -> float:

@@ -242,7 +242,18 @@ def folds_of(pieces: Sequence[Piece]) -> Iterator[Fold]:
     for fold in range(folds):
         held_out = [p for p in pieces if p.recording % folds == fold]
         remaining = tuple(p for p in pieces if p.recording % folds != fold)
-        wide = tuple(p for p in held_out if count == 2 or not _is_covered(p, remaining))
+        ranges = [(float(p.fitted_drive.min()), float(p.fitted_drive.max())) for p in remaining]
+        wide: list[Piece] = []  # pieces whose range or swing the remaining pieces do not cover
+        for piece in held_out:
+            low, high = float(piece.fitted_drive.min()), float(piece.fitted_drive.max())
+            is_covered = (
+                bool(ranges)
+                and min(a for a, _ in ranges) <= low + MAX_EXTRAPOLATION
+                and max(b for _, b in ranges) >= high - MAX_EXTRAPOLATION
+                and max(b - a for a, b in ranges) >= high - low - MAX_EXTRAPOLATION
+            )
+            if count == 2 or not is_covered:
+                wide.append(piece)
         halves = tuple(replace(p, last=p.first + p.rows // 2) for p in wide)
         if held_out and (remaining or halves):
             yield Fold(
@@ -250,19 +261,6 @@ def folds_of(pieces: Sequence[Piece]) -> Iterator[Fold]:
                 testing=(*wide, *(p for p in held_out if p not in wide)),
                 halved=len(halves),
             )
-
-
-def _is_covered(piece: Piece, remaining: Sequence[Piece]) -> bool:
-    """Return whether the other pieces cover the range and the swing of this piece."""
-    if not remaining:
-        return False
-    drives = [p.fitted_drive for p in (piece, *remaining)]
-    (low, high), *ranges = [(float(drive.min()), float(drive.max())) for drive in drives]
-    return (
-        min(a for a, _ in ranges) <= low + MAX_EXTRAPOLATION
-        and max(b for _, b in ranges) >= high - MAX_EXTRAPOLATION
-        and max(b - a for a, b in ranges) >= high - low - MAX_EXTRAPOLATION
-    )
 
 
 def is_untested(pieces: Sequence[Piece]) -> bool:
