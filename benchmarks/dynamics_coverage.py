@@ -23,9 +23,9 @@ import numpy as np
 from piezoid.identification.dynamics.axis_dynamics import with_dynamics
 from piezoid.identification.dynamics.modal import NORMAL_95, LinearDynamics
 from piezoid.identification.hysteresis.estimate import estimate_axis
+from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.hysteresis.pieces import Rig as Declared
 from piezoid.identification.model import AxisModel
-from piezoid.identification.piece_start import PieceStart
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab import drives
 from piezoid_datasets.virtual_lab.effects.effect import Act, Place

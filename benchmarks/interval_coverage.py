@@ -11,11 +11,10 @@ import sys
 
 import numpy as np
 
-from piezoid.identification.hysteresis.coordinates import Shape, operator_of
+from piezoid.identification.hysteresis.coordinates import Shape, operator_of, to_si_units
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.identification.hysteresis.uncertainty import jackknife, loop_width_m
-from piezoid.identification.hysteresis.unit_scaling import to_si_units
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii

@@ -33,10 +33,9 @@ from piezoid.design.lateral import design_lateral, with_sector
 from piezoid.design.plant import Chain, family_from_chains, plant_from_chain
 from piezoid.export.export_stage import lateral_axis
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
-from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.coordinates import Shape, to_si_units
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
-from piezoid.identification.hysteresis.unit_scaling import to_si_units
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid.verification.plant import AxisPlant, CustomResponse

@@ -42,11 +42,10 @@ from piezoid.design.specification import Specification, slowest_Hz
 from piezoid.errors import DesignError
 from piezoid.export.export_stage import hysteresis_values, observer_values, reference_values
 from piezoid.export.parameter_file import AxisParameters
-from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.coordinates import Shape, to_si_units
 from piezoid.identification.hysteresis.estimate import longest_lag_s
 from piezoid.identification.hysteresis.pieces import pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
-from piezoid.identification.hysteresis.unit_scaling import to_si_units
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import polynomial_response, product, total, unit_circle

@@ -16,7 +16,7 @@ from piezoid.diagnosis.experiment import Plan
 from piezoid.errors import PictureError
 from piezoid.formatting import with_unit, words
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.interchange import linear_part
+from piezoid.identification.loop_model import linear_part
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import Comparison, compare
 from piezoid.numerics.arrays import Array

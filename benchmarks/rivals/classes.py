@@ -21,10 +21,9 @@ from typing import Protocol
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
-from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.coordinates import Shape, to_si_units
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
-from piezoid.identification.hysteresis.unit_scaling import to_si_units
 from piezoid.identification.minor_loops_fit import SHAPES, Lattice, fit_rises, operator_of
 from piezoid.numerics.arrays import Array
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii

@@ -16,7 +16,7 @@ from piezoid.design.specification import Specification
 from piezoid.digests import seal
 from piezoid.errors import DesignError
 from piezoid.formatting import significant, with_unit
-from piezoid.identification.interchange import control
+from piezoid.identification.loop_model import control
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.polynomial import product
 from piezoid.record_json import RecordLayout, fields_of, read_sealed, to_json

@@ -23,18 +23,15 @@ from piezoid.diagnosis.selection import Outcome
 from piezoid.formatting import words
 from piezoid.identification.dynamics.fit_dynamics import resolved_modes
 from piezoid.identification.extensions import in_order
-from piezoid.identification.extensions.converter_hold import ConverterHold
 from piezoid.identification.extensions.creep_ladder import CreepLadder
-from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.extensions.first_order_lag import FirstOrderLag
 from piezoid.identification.extensions.gain_change import GainChange
+from piezoid.identification.extensions.lags import ConverterHold, Delay, FirstOrderLag
 from piezoid.identification.extensions.linear_mode import LinearMode
-from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales
+from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales, drifting_zeros
 from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure, parts_of
 from piezoid.identification.model import AxisModel, Lag
-from piezoid.identification.piece_start import drifting_zeros
 from piezoid.numerics.arrays import Samples
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording

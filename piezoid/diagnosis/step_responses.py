@@ -23,8 +23,7 @@ from piezoid.diagnosis.refitted_view import SelectedEffect
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.segments import BLOCKS
-from piezoid.identification.extensions.linear_mode import LinearMode
-from piezoid.identification.step_rows import rows_after_steps
+from piezoid.identification.extensions.linear_mode import LinearMode, rows_after_steps
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 

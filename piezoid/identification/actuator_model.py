@@ -10,7 +10,7 @@ from piezoid.errors import IdentificationError
 from piezoid.formatting import significant, with_unit, words
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.identification.fit_statements import GOOD_SCORE, grade_of
-from piezoid.identification.interchange import to_control, to_scipy
+from piezoid.identification.loop_model import to_control, to_scipy
 from piezoid.identification.model import AxisModel
 from piezoid.identification.parameters import parameters_of
 from piezoid.identification.simulation import Comparison, compare, predict
@@ -77,12 +77,38 @@ class ActuatorModel(Summarised):
         Stage ...
         axis  held-out error ...
         """
-        headings = ("axis", "held-out error", "noise", "drive", "hysteresis", "modes", "grade")
+        rows, notes = [], []
+        for axis in self.axes.values():
+            quality, grade = axis.quality, grade_of(axis).value
+            modes_Hz = () if axis.dynamics is None else axis.dynamics.mode_frequency_Hz
+            low_V, high_V = axis.voltage_V
+            plays = len(axis.hysteresis.plays.weight)
+            zones = len(axis.hysteresis.dead_zones.weight) - 1
+            row = (
+                axis.axis,
+                f"{with_unit(quality.held_out_rms_m, 'm')} rms, "
+                f"{quality.held_out_rms_percent:.2f} %",
+                f"{quality.noise_bound}{with_unit(quality.noise_rms_m, 'm')} rms",
+                f"{significant(low_V)} to {significant(high_V)} V",
+                f"{plays} plays, {zones} dead zones",
+                ", ".join(with_unit(mode_Hz, "Hz") for mode_Hz in modes_Hz) or "none identified",
+                grade,
+            )
+            rows.append(row)
+            reasons = [limit.reason for limit in quality.limits if limit.most < GOOD_SCORE]
+            if not axis.verdict.applies:
+                reason = axis.verdict.reason
+                notes.append(f"axis {axis.axis}: the model class does not apply: {reason}")
+            elif reasons:
+                notes.append(f"axis {axis.axis}: {grade}, because {'; '.join(reasons)}")
+            if axis.extensions:
+                kinds = ", ".join(words(extension.kind) for extension in axis.extensions)
+                notes.append(f"axis {axis.axis}: extended by {kinds}")
         return Summary(
             title=f"Stage {self.stage}",
-            headings=headings,
-            rows=[_row(axis) for axis in self.axes.values()],
-            notes=tuple(note for axis in self.axes.values() for note in _notes(axis)),
+            headings=("axis", "held-out error", "noise", "drive", "hysteresis", "modes", "grade"),
+            rows=rows,
+            notes=tuple(notes),
             counted=self.counted,
         )
 
@@ -238,33 +264,3 @@ class ActuatorModel(Summarised):
         True
         """
         return to_control(self.one(axis), sampling_rate_Hz)
-
-
-def _row(axis: AxisModel) -> tuple[str, ...]:
-    quality, plays = axis.quality, len(axis.hysteresis.plays.weight)
-    modes_Hz = () if axis.dynamics is None else axis.dynamics.mode_frequency_Hz
-    low_V, high_V = axis.voltage_V
-    return (
-        axis.axis,
-        f"{with_unit(quality.held_out_rms_m, 'm')} rms, {quality.held_out_rms_percent:.2f} %",
-        f"{quality.noise_bound}{with_unit(quality.noise_rms_m, 'm')} rms",
-        f"{significant(low_V)} to {significant(high_V)} V",
-        f"{plays} plays, {len(axis.hysteresis.dead_zones.weight) - 1} dead zones",
-        ", ".join(with_unit(mode_Hz, "Hz") for mode_Hz in modes_Hz) or "none identified",
-        grade_of(axis).value,
-    )
-
-
-def _notes(axis: AxisModel) -> list[str]:
-    """Return notes on the verdict, the grade and the extensions of an axis."""
-    notes = []
-    if not axis.verdict.applies:
-        notes.append(f"axis {axis.axis}: the model class does not apply: {axis.verdict.reason}")
-    reasons = [limit.reason for limit in axis.quality.limits if limit.most < GOOD_SCORE]
-    if axis.verdict.applies and reasons:
-        grade = grade_of(axis).value
-        notes.append(f"axis {axis.axis}: {grade}, because {'; '.join(reasons)}")
-    if axis.extensions:
-        kinds = ", ".join(words(extension.kind) for extension in axis.extensions)
-        notes.append(f"axis {axis.axis}: extended by {kinds}")
-    return notes

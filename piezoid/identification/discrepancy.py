@@ -27,7 +27,9 @@ from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
 PLAYS = 10
+THRESHOLDS = np.linspace(0.0, 0.9, PLAYS)  # of half the range
 POWERS = 3
+SEED = 0  # of the draw and of the drives on which slopes are limited
 MAX_ROWS = 40_000  # of a recording
 # Standard deviation of a weight over half the stroke, by `python -m benchmarks.discrepancy`: on a
 # spiral unlike all recordings, the size of d agrees with the model error within a factor of 2 on
@@ -42,24 +44,33 @@ _MIN_SLOPE = (
 )
 
 
-def with_discrepancy(
-    axis: AxisModel, recordings: Sequence[Recording], *, seed: int = 0
-) -> AxisModel:
+def with_discrepancy(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
     """Return the axis with the model discrepancy estimated on the recordings of its fit.
 
     recordings  of the fit; a recording that the model does not contain is ignored
-    seed        of the draw
 
     Without such recordings the discrepancy is None.
     """
     low_V, high_V = axis.voltage_V
     reach_V = 0.5 * (high_V - low_V)
-    rows = [piece for recording in recordings for piece in _rows(axis, recording, reach_V)]
-    if not rows:
+    tables, residuals_m = [], []  # centred states and residual of every piece, thinned
+    for recording in recordings:
+        try:
+            simulated_m = simulate_recording(axis, recording)
+        except IdentificationError:
+            continue
+        drive_V = recording.voltage_V(axis.axis) - 0.5 * sum(axis.voltage_V)
+        error_m = axis.polarity * (recording.displacement_m(axis.axis) - simulated_m)
+        step = max(recording.samples // MAX_ROWS, 1)
+        for first, stop in runs_of(np.isfinite(error_m)):
+            states = _states(drive_V[first:stop], reach_V)[::step]
+            piece_m = error_m[first:stop:step]
+            tables.append(states - states.mean(axis=0))
+            residuals_m.append(piece_m - piece_m.mean())
+    if not tables:
         return replace(axis, discrepancy=None)
-    columns = np.concatenate([states for states, _ in rows])
-    residual_m = np.concatenate([residual_m for _, residual_m in rows])
-    mean_m, draw_m = _draw(columns, residual_m, axis.quality, reach_V, seed)
+    columns, residual_m = np.concatenate(tables), np.concatenate(residuals_m)
+    mean_m, draw_m = _draw(columns, residual_m, axis.quality, reach_V)
     # Fit the residual itself to get its slope.
     gram = columns.T @ columns
     ridge = _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
@@ -73,15 +84,11 @@ def with_discrepancy(
         discrepancy=Discrepancy(
             centre_V=0.5 * (low_V + high_V),
             reach_V=reach_V,
-            threshold_V=_threshold_V(reach_V),
+            threshold_V=reach_V * THRESHOLDS,
             weight_m=factor * (mean_m + draw_m).reshape(POWERS, PLAYS),
             steepest_m_per_V=optimism * max_slope_m_per_V,
         ),
     )
-
-
-def _threshold_V(reach_V: float) -> Array:
-    return reach_V * np.linspace(0.0, 0.9, PLAYS)
 
 
 def _states(drive_V: Array, reach_V: float) -> Array:
@@ -89,32 +96,14 @@ def _states(drive_V: Array, reach_V: float) -> Array:
 
     drive_V  (samples,)  relative to the middle of its range
     """
-    threshold_V = _threshold_V(reach_V)
+    threshold_V = reach_V * THRESHOLDS
     first_V = np.clip(np.zeros(PLAYS), drive_V[0] - threshold_V, drive_V[0] + threshold_V)
     z = play_columns(np.ascontiguousarray(drive_V), threshold_V, first_V)[0] / reach_V
     return np.hstack([z**n for n in range(1, POWERS + 1)])
 
 
-def _rows(axis: AxisModel, recording: Recording, reach_V: float) -> list[tuple[Array, Array]]:
-    """Return centred states and residual of every piece of a recording, thinned."""
-    try:
-        simulated_m = simulate_recording(axis, recording)
-    except IdentificationError:
-        return []
-    drive_V = recording.voltage_V(axis.axis) - 0.5 * sum(axis.voltage_V)
-    residual_m = axis.polarity * (recording.displacement_m(axis.axis) - simulated_m)
-    is_simulated = np.isfinite(residual_m)
-    step = max(recording.samples // MAX_ROWS, 1)
-    rows = []
-    for first, stop in runs_of(is_simulated):
-        states = _states(drive_V[first:stop], reach_V)[::step]
-        piece_m = residual_m[first:stop:step]
-        rows.append((states - states.mean(axis=0), piece_m - piece_m.mean()))
-    return rows
-
-
 def _draw(
-    columns: Array, residual_m: Array, quality: FitQuality, reach_V: float, seed: int
+    columns: Array, residual_m: Array, quality: FitQuality, reach_V: float
 ) -> tuple[Array, Array]:
     """Return the posterior mean of the weights, and a draw around it of average size on a spiral.
 
@@ -132,13 +121,26 @@ def _draw(
     remainder = max(power + float(curvature @ mean**2 - 2.0 * mean @ moment) / rows, 1e-9 * power)
     optimism = max(quality.held_out_rms_m**2 / max(power, 1e-300), 1.0)
     missing = max(remainder * optimism - quality.noise_rms_m**2, 0.0)
-    variance = _posterior_variance(curvature, prior, remainder, missing * rows)
+    upper, goal = float(curvature.sum()) * prior, missing * rows
+
+    def excess(logarithm: float) -> float:
+        residual = np.exp(logarithm)
+        return float(np.sum(curvature * residual / (curvature + residual / prior))) - goal
+
+    if goal >= upper:  # the prior is too small
+        variance = np.full(len(curvature), prior * goal / max(upper, 1e-300))
+    else:
+        low = high = float(np.log(max(remainder, 1e-300)))
+        while excess(high) < 0.0:
+            high += 1.0
+        residual = np.exp(brentq(excess, low, high) if high > low else low)
+        variance = residual / (curvature + residual / prior)
     turn = np.linspace(0.0, 1.0, _SAMPLES)
     spiral_V = _RADIUS * reach_V * turn * np.sin(2.0 * np.pi * _TURNS * turn)
     states = _states(spiral_V, reach_V)
     states = states - states.mean(axis=0)
     mean_m = vectors @ mean
-    deviates = np.random.default_rng(seed).standard_normal(len(mean_m))
+    deviates = np.random.default_rng(SEED).standard_normal(len(mean_m))
     draw_m = vectors @ (np.sqrt(variance) * deviates)
     mean_path, draw_path = states @ mean_m, states @ draw_m
     share = float(draw_path @ mean_path) / max(float(mean_path @ mean_path), 1e-300)
@@ -148,25 +150,6 @@ def _draw(
     return mean_m, draw_m * size
 
 
-def _posterior_variance(
-    curvature: Array, prior: float, min_residual: float, missing: float
-) -> Array:
-    """Return variances of the weights with the missing power as their effect on all rows."""
-    upper = float(curvature.sum()) * prior
-    if missing >= upper:  # the prior is too small
-        return np.full(len(curvature), prior * missing / max(upper, 1e-300))
-
-    def excess(logarithm: float) -> float:
-        residual = np.exp(logarithm)
-        return float(np.sum(curvature * residual / (curvature + residual / prior))) - missing
-
-    low = high = float(np.log(max(min_residual, 1e-300)))
-    while excess(high) < 0.0:
-        high += 1.0
-    residual = np.exp(brentq(excess, low, high) if high > low else low)
-    return np.asarray(residual / (curvature + residual / prior))
-
-
 def _slopes(
     axis: AxisModel, reach_V: float, weight_m: Array, residual_weight_m: Array
 ) -> tuple[float, float]:
@@ -174,7 +157,7 @@ def _slopes(
 
     Both are computed over the adversarial drives of the certificate.
     """
-    drive_V = adversarial_drives(reach_V, seed=0)
+    drive_V = adversarial_drives(reach_V, SEED)
     states, operator = _states(drive_V, reach_V), axis.operator
     centre_V = 0.5 * sum(axis.voltage_V)
     response_m, _ = operator.run(centre_V + drive_V, operator.virgin_memory())

@@ -45,13 +45,8 @@ class DisplacementBudget:
     zero_between_m: float | None
 
 
-def displacement_budget(
-    axis: AxisModel, lab: Lab | None = None, *, positions: int = 1000
-) -> DisplacementBudget:
-    """Compute the uncertainty of the predicted displacement for drives within the range.
-
-    positions  number of independent positions over which the largest error is estimated
-    """
+def displacement_budget(axis: AxisModel, lab: Lab | None = None) -> DisplacementBudget:
+    """Compute the uncertainty of the predicted displacement for drives within the range."""
     declared = Lab() if lab is None else lab
     certificates = declared.certificates
     names = ("sensor_gain_relative", "sensor_linearity_m", "tilt_rad", "temperature_range_K")
@@ -59,10 +54,31 @@ def displacement_budget(
     if certificates.temperature_range_K is not None and certificates.expansion_m_per_K is None:
         unknown.append("expansion_m_per_K")
     zeros_m = np.array([float(np.mean(start.zero_m)) for start in axis.starts])
-    contributions = (*_from_data(axis), *_from_certificates(axis, declared))
+    # Contributions of type B, at the end of the range.
+    position_m = 0.5 * axis.quality.range_m
+    contributions = _from_data(axis)
+    if certificates.sensor_gain_relative is not None:
+        standard_m = certificates.sensor_gain_relative * position_m
+        gain = Contribution(name="gain of the sensor", kind="B", standard=standard_m)
+        contributions.append(gain)
+    if certificates.sensor_linearity_m is not None:
+        half_m = certificates.sensor_linearity_m
+        contributions.append(half_width("linearity of the sensor", half_m))
+    if certificates.tilt_rad is not None:
+        half_m = position_m * (1.0 - math.cos(certificates.tilt_rad))
+        contributions.append(half_width("tilt, by its cosine", half_m))
+    range_K, expansion_m_per_K = certificates.temperature_range_K, certificates.expansion_m_per_K
+    if range_K is not None and expansion_m_per_K is not None:
+        half_m = 0.5 * range_K * expansion_m_per_K
+        contributions.append(half_width("temperature of the room", half_m))
+    range_V, bits = declared.acquisition.input_range_V, declared.acquisition.adc_bits
+    gain_V_per_m = declared.sensor_of(axis.axis).gain_V_per_m
+    if range_V is not None and bits is not None and gain_V_per_m is not None:
+        step_m = abs((range_V[1] - range_V[0]) / 2.0**bits / gain_V_per_m)
+        contributions.append(half_width("step of the converter", 0.5 * step_m, is_shared=False))
     return DisplacementBudget(
         axis=axis.axis,
-        budget=budget_of(contributions, positions=positions, seed=1),
+        budget=budget_of(contributions),
         unknown=tuple(unknown),
         zero_between_m=float(np.std(zeros_m, ddof=1)) if len(zeros_m) > 1 else None,
     )
@@ -111,31 +127,4 @@ def _from_data(axis: AxisModel) -> list[Contribution]:
             freedom=freedom,
         )
         contributions.append(lag)
-    return contributions
-
-
-def _from_certificates(axis: AxisModel, lab: Lab) -> list[Contribution]:
-    """Return the declared contributions, of type B, at the end of the range."""
-    certificates, acquisition = lab.certificates, lab.acquisition
-    position_m = 0.5 * axis.quality.range_m
-    contributions: list[Contribution] = []
-    if certificates.sensor_gain_relative is not None:
-        standard_m = certificates.sensor_gain_relative * position_m
-        gain = Contribution(name="gain of the sensor", kind="B", standard=standard_m)
-        contributions.append(gain)
-    if certificates.sensor_linearity_m is not None:
-        half_m = certificates.sensor_linearity_m
-        contributions.append(half_width("linearity of the sensor", half_m))
-    if certificates.tilt_rad is not None:
-        half_m = position_m * (1.0 - math.cos(certificates.tilt_rad))
-        contributions.append(half_width("tilt, by its cosine", half_m))
-    range_K, expansion_m_per_K = certificates.temperature_range_K, certificates.expansion_m_per_K
-    if range_K is not None and expansion_m_per_K is not None:
-        half_m = 0.5 * range_K * expansion_m_per_K
-        contributions.append(half_width("temperature of the room", half_m))
-    range_V, bits = acquisition.input_range_V, acquisition.adc_bits
-    gain_V_per_m = lab.sensor_of(axis.axis).gain_V_per_m
-    if range_V is not None and bits is not None and gain_V_per_m is not None:
-        step_m = abs((range_V[1] - range_V[0]) / 2.0**bits / gain_V_per_m)
-        contributions.append(half_width("step of the converter", 0.5 * step_m, is_shared=False))
     return contributions

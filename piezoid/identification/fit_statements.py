@@ -6,8 +6,8 @@ Report and terminal select and print these statements; they evaluate nothing the
 from enum import StrEnum
 
 from piezoid.formatting import significant, with_unit
+from piezoid.identification.hysteresis.pieces import drifting_zeros
 from piezoid.identification.model import AxisModel
-from piezoid.identification.piece_start import drifting_zeros
 from piezoid.statement import Kind, Level, Statement
 
 # Uncompensated hysteresis of 10 to 15 % of the range is an error of about 3 % rms.
@@ -86,7 +86,23 @@ def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
         level = Level.ACTION if limit.most <= ACTION_SCORE else Level.WARNING
         text = f"{sentence(limit.reason)} {REMEDIES.get(limit.lack, '')}".strip()
         statements.append(_limit(axis, level, limit.lack, text))
-    statements += [*_noise(axis), *_intervals(axis), *_zero_drift(axis)]
+    quality = axis.quality
+    if quality.noise_is_most:
+        text = (
+            f"The sensor noise is at most {with_unit(quality.noise_rms_m, 'm')}: it cannot be "
+            "separated from the residual. Repeat the drive: equal periods differ by the noise."
+        )
+        statements.append(_limit(axis, Level.WARNING, "noise", text, quality.noise_rms_m, "m"))
+    statements += _intervals(axis)
+    for start, drift_m in drifting_zeros(axis.starts, quality.rms_m, quality.range_m):
+        text = (
+            f"The zero drifts by {with_unit(drift_m, 'm')} "
+            f"({significant(100.0 * drift_m / quality.range_m, 2)} % of the range) during "
+            f"{start.recording}; the fit follows the drift."
+        )
+        statements.append(
+            _limit(axis, Level.NOTE, ZERO_DRIFT, text, drift_m, "m", start.recording)
+        )
     for remark in axis.verdict.remarks:
         quantity = DYNAMICS if remark in axis.dynamics_remarks else "fit"
         is_verdict = axis.bandwidth is not None and remark == axis.bandwidth.text
@@ -123,17 +139,6 @@ def sentence(clause: str) -> str:
     return f"{first_letter}{clause[1:].rstrip('.')}."
 
 
-def _noise(axis: AxisModel) -> list[Statement]:
-    quality = axis.quality
-    if quality.noise_is_most:
-        text = (
-            f"The sensor noise is at most {with_unit(quality.noise_rms_m, 'm')}: it cannot be "
-            "separated from the residual. Repeat the drive: equal periods differ by the noise."
-        )
-        return [_limit(axis, Level.WARNING, "noise", text, quality.noise_rms_m, "m")]
-    return []
-
-
 def _intervals(axis: AxisModel) -> list[Statement]:
     statements = []
     blocks = axis.uncertainty.blocks
@@ -168,21 +173,3 @@ def has_usable_intervals(axis: AxisModel) -> bool:
     width_m, half_m = axis.uncertainty.loop_width_m
     limit_m = max(LOOSE_WIDTH * abs(width_m), MAX_WIDTH_ERRORS * axis.quality.held_out_rms_m)
     return not axis.quality.is_tested or half_m <= limit_m
-
-
-def _zero_drift(axis: AxisModel) -> list[Statement]:
-    quality = axis.quality
-    return [
-        _limit(
-            axis,
-            Level.NOTE,
-            ZERO_DRIFT,
-            f"The zero drifts by {with_unit(drift_m, 'm')} "
-            f"({significant(100.0 * drift_m / quality.range_m, 2)} % of the range) during "
-            f"{start.recording}; the fit follows the drift.",
-            drift_m,
-            "m",
-            start.recording,
-        )
-        for start, drift_m in drifting_zeros(axis.starts, quality.rms_m, quality.range_m)
-    ]

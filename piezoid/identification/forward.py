@@ -59,15 +59,6 @@ class Forward:
             reached_V = extension.drive(reached_V, rate_Hz)
         return reached_V
 
-    def driven(self, drive: Array, rate_Hz: float) -> Array:
-        """Return the scaled drive that reaches the ceramic, (samples,), from a scaled drive."""
-        scales = self.scales
-        voltage_V = scales.voltage_offset_V + scales.voltage_V * drive
-        reached_V = self.driven_V(voltage_V, rate_Hz)
-        if reached_V is voltage_V:
-            return drive
-        return np.ascontiguousarray((reached_V - scales.voltage_offset_V) / scales.voltage_V)
-
     def inner(self, drive: Array) -> Array:
         """Return gamma(u), the input of the plays, (samples,)."""
         envelope = self.operator.envelope
@@ -116,11 +107,6 @@ class Forward:
     def filtered(self, signal: Array, rate_Hz: float) -> Array:
         """Filter a signal, or columns, by the lag of the model and the declared sensor."""
         return behind_pole(lagged(signal, self.lag, self.lag_s, rate_Hz), self.sensor_Hz, rate_Hz)
-
-    @property
-    def is_memoryless(self) -> bool:
-        """Whether only a delay acts behind the hysteresis."""
-        return self.lag != "first_order" and self.sensor_Hz is None and not self.extensions
 
     def group_delay_s(self, rate_Hz: float) -> float:
         """Return the delay of slow motion by lag, sensor and extensions."""
@@ -191,7 +177,12 @@ class Run:
     @Once
     def drive(self) -> Array:
         """Scaled drive at the ceramic, (samples,)."""
-        return self.forward.driven(self.command, self.where.rate_Hz)
+        scales = self.forward.scales
+        voltage_V = scales.voltage_offset_V + scales.voltage_V * self.command
+        reached_V = self.forward.driven_V(voltage_V, self.where.rate_Hz)
+        if reached_V is voltage_V:
+            return self.command
+        return np.ascontiguousarray((reached_V - scales.voltage_offset_V) / scales.voltage_V)
 
     @Once
     def static(self) -> Array:

@@ -1,27 +1,41 @@
-"""Linear model of an axis for control loops, common to design and verification.
+"""Linear model of an axis for control loops, scipy.signal and python-control.
 
     u -> clip, slew -> front -> hysteresis -> behind -> slow -> position, + motion -> sensor
 
-It contains the lag, the dynamics and all extensions of the axis model.
+Design and verification share it. It contains the lag, the dynamics and all extensions of the axis
+model.
 """
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piezoid.errors import IdentificationError
+from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.extensions.extension import LoopEffect
 from piezoid.identification.extensions.linear_mode import LinearMode, mode_spread
-from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.robust import NORMAL_95
-from piezoid.operators.linear import ContinuousSystem, cascade, first_order
+from piezoid.operators.linear import (
+    ContinuousSystem,
+    DiscreteSystem,
+    cascade,
+    first_order,
+    sample,
+)
+
+if TYPE_CHECKING:
+    from scipy.signal import StateSpace
 
 DECLARED_SPREAD = 0.1  # a data sheet states a round bandwidth of a typical specimen
 INSTANTANEOUS = 5.7  # sampling rates: exp(-2 pi f / fs) of such a pole is below float64's last bit
 MIN_MODE_SHARE = 0.5  # of the static gain: modes with less are not in series with the motion
 MAX_SLOW_LAG = 0.1  # of the lowest mode's frequency
 SAME_MODE = 0.1  # relative difference of frequencies below which two modes are the same
+_CONTINUOUS_RATE_Hz = 1e9  # for continuous time: much faster than any pole
 _MIN_LAG = 0.1  # of a lag whose interval contains zero: a pole needs a time constant
 
 
@@ -124,14 +138,35 @@ def at_corner(axis: AxisModel, slower: float, sharper: float) -> AxisModel:
         kind = "delay"
     elif kind == "first_order":
         min_lag_s = _MIN_LAG * axis.lag.time_s
+    dynamics = axis.dynamics
+    if dynamics is not None:
+        spreads = np.array(_mode_spreads(dynamics)).reshape(-1, 2)
+        lag_Hz = dynamics.lag_frequency_Hz
+        if len(lag_Hz):
+            high = dynamics.lag_frequency_interval_Hz()[:, 1] / lag_Hz
+            corner_Hz = lag_Hz / np.maximum(high, 1.0 + DECLARED_SPREAD) ** slower
+            # Of a slow lag, which ``loop_model`` omits, the interval may contain the modes.
+            is_slow = _is_slow_lag(dynamics, _middle_slope_m_per_V(axis))
+            lag_Hz = np.where(is_slow, lag_Hz, corner_Hz)
+        low_s, high_s = dynamics.delay_interval_s()
+        half_s = max(float(high_s - low_s) / 2.0, DECLARED_SPREAD * dynamics.delay_s)
+        dynamics = replace(
+            dynamics,
+            mode_frequency_Hz=dynamics.mode_frequency_Hz * (1.0 - slower * spreads[:, 0]),
+            mode_damping=dynamics.mode_damping / spreads[:, 1] ** sharper,
+            lag_frequency_Hz=lag_Hz,
+            delay_s=max(dynamics.delay_s + slower * half_s, 0.0),
+            declared=tuple(
+                replace(declared, frequency_Hz=declared.frequency_Hz / spread)
+                for declared in dynamics.declared
+            ),
+        )
     return replace(
         axis,
         rig=replace(axis.rig, amplifier_bandwidth_Hz=amplifier_Hz, sensor_bandwidth_Hz=sensor_Hz),
         lag=Lag(kind=kind, time_s=max(lag_s, min_lag_s)),
         extensions=tuple(e.at_corner(slower, sharper) for e in axis.extensions),
-        dynamics=None
-        if axis.dynamics is None
-        else _dynamics_at_corner(axis, axis.dynamics, slower, sharper),
+        dynamics=dynamics,
     )
 
 
@@ -243,31 +278,67 @@ def _mode_spreads(dynamics: LinearDynamics) -> list[tuple[float, float]]:
     ]
 
 
-def _dynamics_at_corner(
-    axis: AxisModel, dynamics: LinearDynamics, slower: float, sharper: float
-) -> LinearDynamics:
-    """Return dynamics at an end of their intervals.
+def linear_part(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSystem:
+    """Return the linear system between drive and reading, V to m, with its delay.
 
-    A slow lag, which ``loop_model`` omits, does not change: its interval may contain the modes.
+        G(s) = polarity (m + M) / 2 front(s) behind(s) slow(s) sensor(s) e^(-s delay)
+
+    m and M are the bounds of the slope of the hysteresis; their mean replaces the hysteresis.
     """
-    spreads = np.array(_mode_spreads(dynamics)).reshape(-1, 2)
-    lag_Hz = dynamics.lag_frequency_Hz
-    if len(lag_Hz):
-        high = dynamics.lag_frequency_interval_Hz()[:, 1] / lag_Hz
-        corner_Hz = lag_Hz / np.maximum(high, 1.0 + DECLARED_SPREAD) ** slower
-        is_slow = _is_slow_lag(dynamics, _middle_slope_m_per_V(axis))
-        lag_Hz = np.where(is_slow, lag_Hz, corner_Hz)
-    low_s, high_s = dynamics.delay_interval_s()
-    half_s = max(float(high_s - low_s) / 2.0, DECLARED_SPREAD * dynamics.delay_s)
-    spread = 1.0 + slower * DECLARED_SPREAD
-    return replace(
-        dynamics,
-        mode_frequency_Hz=dynamics.mode_frequency_Hz * (1.0 - slower * spreads[:, 0]),
-        mode_damping=dynamics.mode_damping / spreads[:, 1] ** sharper,
-        lag_frequency_Hz=lag_Hz,
-        delay_s=max(dynamics.delay_s + slower * half_s, 0.0),
-        declared=tuple(
-            replace(declared, frequency_Hz=declared.frequency_Hz / spread)
-            for declared in dynamics.declared
-        ),
+    loop = loop_model(axis, sampling_rate_Hz or _CONTINUOUS_RATE_Hz)
+    gain = axis.polarity * _middle_slope_m_per_V(axis) * loop.gain
+    chain = cascade(loop.front, loop.behind, loop.slow, loop.sensor)
+    return ContinuousSystem(
+        A=chain.A, B=chain.B, C=gain * chain.C, D=gain * chain.D, delay_s=loop.delay_s
     )
+
+
+def to_scipy(axis: AxisModel, sampling_rate_Hz: float | None) -> "StateSpace":
+    """Return the linear part as ``scipy.signal.StateSpace``, discrete if a rate is passed."""
+    from scipy.signal import StateSpace
+
+    system = _system(axis, sampling_rate_Hz)
+    matrices = (system.A, system.B, system.C, system.D)
+    if isinstance(system, DiscreteSystem):
+        return StateSpace(*map(np.array, matrices), dt=system.interval_s)
+    return StateSpace(*map(np.array, matrices))
+
+
+def to_control(axis: AxisModel, sampling_rate_Hz: float | None) -> Any:
+    """Return the linear part as ``control.StateSpace``."""
+    system = _system(axis, sampling_rate_Hz)
+    interval_s = system.interval_s if isinstance(system, DiscreteSystem) else 0
+    return control().ss(system.A, system.B, system.C, system.D, interval_s)
+
+
+def control() -> Any:
+    """Import python-control, or explain how to install it."""
+    try:
+        import control as package
+    except ImportError as error:
+        raise IdentificationError(
+            "python-control is not installed",
+            needed="the package control, which is optional",
+            remedy="Install it with: pip install control. Or use to_scipy().",
+        ) from error
+    return package
+
+
+def _system(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSystem | DiscreteSystem:
+    system = linear_part(axis, sampling_rate_Hz)
+    if sampling_rate_Hz is not None:
+        if not 0.0 < sampling_rate_Hz < np.inf:
+            raise IdentificationError(
+                f"axis {axis.axis}: a sampling rate of {sampling_rate_Hz} Hz",
+                needed="a rate above 0 Hz",
+                remedy="Pass the rate of the controller.",
+            )
+        return sample(system, sampling_rate_Hz)
+    if system.delay_s > 0.0:
+        raise IdentificationError(
+            f"axis {axis.axis}: its linear part has a delay of "
+            f"{with_unit(system.delay_s, 's', 4)}",
+            needed="a sampling rate: in continuous time a delay has no system of finite order",
+            remedy="Pass sampling_rate_Hz; states then represent the delay.",
+        )
+    return system

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.identification.piece_start import PieceStart
+from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.quality import FitQuality
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii

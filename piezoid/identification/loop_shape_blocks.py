@@ -14,8 +14,7 @@ from operator import add
 import numpy as np
 
 from piezoid.identification.loop_shape_columns import FOLDS, PieceRows
-from piezoid.identification.loop_shape_estimate import Estimate
-from piezoid.identification.loop_shape_regression import Regression
+from piezoid.identification.loop_shape_regression import Estimate, Regression
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import FamilyRidge, Moments

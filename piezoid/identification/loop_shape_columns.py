@@ -6,7 +6,7 @@ contributions of a thousand times the displacement, and the errors on left-out b
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 
@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.identification.extensions.extension import Where
+from piezoid.identification.extensions.linear_mode import rows_after_steps
 from piezoid.identification.forward import MAX_ENTRIES
+from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.loop_shape import (
     FitWithoutShape,
     LoopShape,
@@ -23,9 +25,7 @@ from piezoid.identification.loop_shape import (
     settling_samples,
 )
 from piezoid.identification.model import AxisModel
-from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import fitted_pieces, starts_of, where_of
-from piezoid.identification.step_rows import rows_after_steps
 from piezoid.numerics.arrays import Array, spread_rows
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
 from piezoid.operators.play import thinned_drive, turns_of
@@ -168,6 +168,15 @@ def piece_rows(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[PieceR
             excluded = np.concatenate([bridged - piece.start, after_steps])
             rows = start.first + spread_rows(start.last - start.first, max_rows)
             rows = np.setdiff1d(rows, excluded)
+            # Folds are blocks of whole cycles in turn, shifted for each piece.
+            span = np.maximum.accumulate(level) - np.minimum.accumulate(level)
+            middle = 0.5 * (level.max() + level.min())
+            rises = np.flatnonzero((level[:-1] < middle) & (level[1:] >= middle))
+            edges = np.linspace(0, len(level), BLOCKS_PER_PIECE + 1)[1:-1]
+            if len(rises) >= BLOCKS_PER_PIECE:
+                edges = np.unique(rises[np.abs(rises[:, None] - edges).argmin(axis=0)])
+            fold = (np.searchsorted(edges, rows, side="right") + len(pieces)) % FOLDS
+            is_settled = (span >= COVERED * span[-1])[rows]
             pieces.append(
                 PieceRows(
                     where=where,
@@ -176,31 +185,10 @@ def piece_rows(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[PieceR
                     drive_V=axis.forward.driven_V(voltage_V, where.rate_Hz),
                     start=start,
                     rows=rows,
-                    fold=_folds(level, rows, len(pieces)),
+                    fold=np.where(is_settled, fold, NEVER_OUT),
                 )
             )
     return tuple(piece for piece in pieces if len(piece.rows))
-
-
-def with_drive_of(axis: AxisModel, pieces: Sequence[PieceRows]) -> tuple[PieceRows, ...]:
-    """Return the pieces with the drive at the input of the hysteresis of a model."""
-    return tuple(
-        replace(piece, drive_V=axis.forward.driven_V(piece.voltage_V, piece.where.rate_Hz))
-        for piece in pieces
-    )
-
-
-def _folds(level: Array, rows: NDArray[np.intp], number: int) -> NDArray[np.intp]:
-    """Return the fold of every row: blocks of whole cycles in turn, shifted for each piece."""
-    span = np.maximum.accumulate(level) - np.minimum.accumulate(level)
-    middle = 0.5 * (level.max() + level.min())
-    rises = np.flatnonzero((level[:-1] < middle) & (level[1:] >= middle))
-    edges = np.linspace(0, len(level), BLOCKS_PER_PIECE + 1)[1:-1]
-    if len(rises) >= BLOCKS_PER_PIECE:
-        edges = np.unique(rises[np.abs(rises[:, None] - edges).argmin(axis=0)])
-    block = np.searchsorted(edges, rows, side="right")
-    is_settled = (span >= COVERED * span[-1])[rows]
-    return np.where(is_settled, (block + number) % FOLDS, NEVER_OUT)
 
 
 def columns_of(axis: AxisModel, pieces: Sequence[PieceRows]) -> Columns:
@@ -220,7 +208,10 @@ def columns_of(axis: AxisModel, pieces: Sequence[PieceRows]) -> Columns:
         tolerated_m = axis.quality.noise_rms_m
         if len(plays) * int(piece.rows[-1]) > MAX_ENTRIES:
             tolerated_m = max(tolerated_m, MAX_DELAY_ERROR * float(np.std(plays_m)))
-        is_pure_delay = forward.is_memoryless or bool(np.std(plays_m - delayed_m) < tolerated_m)
+        is_memoryless = (
+            forward.lag != "first_order" and forward.sensor_Hz is None and not forward.extensions
+        )
+        is_pure_delay = is_memoryless or bool(np.std(plays_m - delayed_m) < tolerated_m)
         if is_pure_delay:
             sample = np.maximum(piece.rows - delay, 0.0)
             table = _delayed_columns(shape.scaled(piece.drive_V), piece.rows, delay, history)

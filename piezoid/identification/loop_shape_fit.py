@@ -34,21 +34,20 @@ from piezoid.identification.loop_shape_columns import (
     PieceRows,
     columns_of,
     piece_rows,
-    with_drive_of,
     zero_loop_shape,
 )
-from piezoid.identification.loop_shape_estimate import (
+from piezoid.identification.loop_shape_regression import (
     Estimate,
+    Regression,
     first_estimate,
     half_range_m,
     interpolated,
+    regression_of,
     residual_of,
     with_numbers,
     with_sensor_numbers,
 )
-from piezoid.identification.loop_shape_regression import Regression, regression_of
 from piezoid.identification.model import AxisModel
-from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import BLOCKS, IN_SAMPLE, FitQuality, with_noise_bound
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import Moments
@@ -101,7 +100,36 @@ def with_loop_shape(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMod
     if axis.loop_shape is not None:
         raise ValueError(f"axis {axis.axis} has loop shape already")
     comparison = _compared(axis, recordings)
-    return axis if comparison is None else _accepted(axis, comparison)
+    if comparison is None:
+        return axis
+    errors, errors_before = comparison.errors, comparison.errors_before
+    if (
+        errors.held_out > MAX_RATIO * errors_before.held_out
+        or errors.explained > MAX_RATIO * errors_before.explained
+    ):
+        return axis
+    pieces, regression = comparison.pieces, comparison.regression
+    start = with_smaller_variance(comparison.estimate, comparison.divisor)
+    final = _converged(start, pieces, comparison.columns, regression)
+    shape, scale_m = final.model.loop_shape, abs(half_range_m(axis))
+    assert shape is not None
+    fit_without_shape = FitWithoutShape(
+        lag_s=axis.lag.time_s,
+        rms_m=scale_m * errors_before.explained,
+        held_out_rms_m=scale_m * errors_before.held_out,
+        quality=axis.quality,
+        starts=axis.starts,
+    )
+    fitted = {
+        id(piece.start): replace(piece.start, zero_m=zero_m, history_weight=weight)
+        for piece, zero_m, weight in zip(pieces, final.zeros, final.weights, strict=True)
+    }
+    return replace(
+        final.model,
+        loop_shape=replace(shape, plain=fit_without_shape),
+        quality=_quality(axis, final, regression, scale_m * errors.held_out),
+        starts=tuple(fitted.get(id(start), start) for start in final.model.starts),
+    )
 
 
 def errors_with_loop_shape_m(axis: AxisModel, recordings: Sequence[Recording]) -> Errors:
@@ -139,7 +167,11 @@ def _compared(axis: AxisModel, recordings: Sequence[Recording]) -> _Comparison |
         elif consistent.noise > MAX_INCREASE * best[0].noise:
             break
         if damped.shift > MAX_SHIFT:
-            pieces = with_drive_of(damped.model, pieces)
+            forward = damped.model.forward
+            pieces = tuple(
+                replace(piece, drive_V=forward.driven_V(piece.voltage_V, piece.where.rate_Hz))
+                for piece in pieces
+            )
             columns = columns_of(damped.model, pieces)
             estimate = with_sensor_numbers(damped, pieces, columns)
         else:
@@ -179,7 +211,12 @@ def _solved(
     axis, scale_m = estimate.model, half_range_m(estimate.model)
     total = total_of(regression.moments())
     ridge = ridge_of(estimate, regression, total)
-    violates = regression.violates_bound(regression.change @ ridge.mean(total))
+    # Numbers at a bound that would move beyond it stay there.
+    numbers, violates = regression.members("number"), np.zeros(len(regression.family), dtype=bool)
+    step = regression.step * (regression.change @ ridge.mean(total))[numbers]
+    violates[numbers] = ((regression.value <= regression.lower) & (step < 0.0)) | (
+        (regression.value >= regression.upper) & (step > 0.0)
+    )
     if violates.any():
         regression = regression.without(violates)
         total = total_of(regression.moments())
@@ -189,7 +226,6 @@ def _solved(
     coefficient = regression.change @ orthogonal
     residual = regression.target - regression.design @ coefficient
     wide = coefficient[: len(columns.scale)]
-    numbers = regression.members("number")
     change_m = regression.design[:, numbers] @ coefficient[numbers]
     if len(numbers):
         values = regression.value + regression.step * coefficient[numbers]
@@ -258,34 +294,6 @@ def _rms(values: Array, use: NDArray[np.bool_]) -> float:
     return float(np.sqrt(np.mean(values[use] ** 2)))
 
 
-def _accepted(axis: AxisModel, comparison: _Comparison) -> AxisModel:
-    """Return the axis with loop shape, or without it if its errors are not clearly smaller."""
-    errors, errors_before = comparison.errors, comparison.errors_before
-    if (
-        errors.held_out > MAX_RATIO * errors_before.held_out
-        or errors.explained > MAX_RATIO * errors_before.explained
-    ):
-        return replace(axis, loop_shape=None)
-    pieces, regression = comparison.pieces, comparison.regression
-    start = with_smaller_variance(comparison.estimate, comparison.divisor)
-    final = _converged(start, pieces, comparison.columns, regression)
-    shape, scale_m = final.model.loop_shape, abs(half_range_m(axis))
-    assert shape is not None
-    fit_without_shape = FitWithoutShape(
-        lag_s=axis.lag.time_s,
-        rms_m=scale_m * errors_before.explained,
-        held_out_rms_m=scale_m * errors_before.held_out,
-        quality=axis.quality,
-        starts=axis.starts,
-    )
-    return replace(
-        final.model,
-        loop_shape=replace(shape, plain=fit_without_shape),
-        quality=_quality(axis, final, regression, scale_m * errors.held_out),
-        starts=_starts(final, pieces),
-    )
-
-
 def _quality(
     axis: AxisModel, final: Estimate, regression: Regression, held_out_m: float
 ) -> FitQuality:
@@ -330,7 +338,19 @@ def _converged(
         joint = _solved(estimate, columns, regression, steps=0)
         candidates = [_damped(estimate, joint, pieces, columns, regression)]
         if candidates[0] is not joint:
-            class_only = _solved_class(estimate, joint, columns, regression)
+            weights, members = estimate.weights, regression.members("initial state")
+            fixed = regression.without(np.isin(regression.family, "initial state"))
+            of_histories = regression.design[:, members] @ np.concatenate(weights)
+            fixed = replace(fixed, target=fixed.target - of_histories)
+            class_only = _solved(estimate, columns, fixed, steps=0)
+            coefficient = class_only.coefficient.copy()
+            coefficient[members] = np.concatenate(weights)
+            class_only = replace(
+                class_only,
+                weights=weights,
+                coefficient=coefficient,
+                parameters=joint.parameters,  # the effective number of the joint solution
+            )
             candidates.append(_damped(estimate, class_only, pieces, columns, regression))
         complete = []
         for candidate in candidates:
@@ -342,29 +362,6 @@ def _converged(
 
 def _mean_square(estimate: Estimate) -> float:
     return float(np.mean(estimate.residual_m[estimate.use] ** 2))
-
-
-def _solved_class(
-    estimate: Estimate, joint: Estimate, columns: Columns, regression: Regression
-) -> Estimate:
-    """Solve a regression for the class with the estimate's weights of histories.
-
-    joint  the joint solution, whose effective number of parameters is kept
-    """
-    weights = np.concatenate(estimate.weights)
-    histories = regression.members("initial state")
-    fixed = regression.without(np.isin(regression.family, "initial state"))
-    history_response = regression.design[:, histories] @ weights
-    fixed = replace(fixed, target=fixed.target - history_response)
-    solution = _solved(estimate, columns, fixed, steps=0)
-    coefficient = solution.coefficient.copy()
-    coefficient[histories] = weights
-    return replace(
-        solution,
-        weights=estimate.weights,
-        coefficient=coefficient,
-        parameters=joint.parameters,
-    )
 
 
 def _solved_histories(estimate: Estimate, columns: Columns, regression: Regression) -> Estimate:
@@ -409,12 +406,3 @@ def _updated_regression(
     updated = regression_of(estimate, pieces, columns, has_numbers=False, has_class=has_class)
     step = regression.members("step")
     return with_step_column(updated, regression.design[:, step[0]]) if len(step) else updated
-
-
-def _starts(final: Estimate, pieces: Sequence[PieceRows]) -> tuple[PieceStart, ...]:
-    """Return the starts of all pieces with their fitted zeros and weights of histories."""
-    fitted = {
-        id(piece.start): replace(piece.start, zero_m=zero_m, history_weight=weight)
-        for piece, zero_m, weight in zip(pieces, final.zeros, final.weights, strict=True)
-    }
-    return tuple(fitted.get(id(start), start) for start in final.model.starts)

@@ -1,4 +1,4 @@
-"""One iteration of the fit of loop shape: a regression linearised at the present estimate.
+"""Regression for loop shape, linearised at the present estimate, and the readings it simulates.
 
     y - y_estimate + Z c = Z c' + sum_j t_j dy/dp_j + e
 
@@ -11,31 +11,222 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.optimize import least_squares
 
-from piezoid.identification.extensions.extension import Extension, free
+from piezoid.identification.extensions.extension import Extension, Free, free
+from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.loop_shape_columns import (
     FOLDS,
     NEVER_OUT,
     Columns,
     PieceRows,
-)
-from piezoid.identification.loop_shape_estimate import (
-    Estimate,
-    half_range_m,
-    is_sensor,
-    numbers_of,
-    reading_of,
-    static_response_of,
-    with_numbers,
+    zero_loop_shape,
 )
 from piezoid.identification.model import AxisModel
-from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import zero_of
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import Moments
 
+LAG_STEP_s = 1e-6  # for the derivative by the lag
 MIN_CHANGE = 1e-12  # half ranges: a number that changes the readings by less has no effect
 SENSOR_STEP = 1e-4  # half ranges, for the derivative of a reading by the position
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """Loop shape, initial states, zeros, lag and extensions at one iteration of the fit.
+
+    model       with loop shape, lag and extensions
+    weights     (histories,) of every piece
+    zeros       (knots,) of every piece, m
+    wide        (columns,)  coefficients of the wide class, of unscaled columns
+    coefficient (columns,)  of all columns of the last regression
+    shift       rms change of the reading by the last step of lag and extensions, over the residual
+    variance    prior variance by family; empty before the first regression
+    noise       noise variance, in squared half ranges
+    parameters  effective number of parameters
+    residual_m  (rows,)
+    use         (rows,)  False for outliers
+    rows        number of rows of every piece
+    """
+
+    model: AxisModel
+    weights: tuple[Array, ...]
+    zeros: tuple[Array, ...]
+    wide: Array
+    coefficient: Array
+    shift: float
+    variance: dict[str, float]
+    noise: float
+    parameters: float
+    residual_m: Array
+    use: NDArray[np.bool_]
+    rows: tuple[int, ...]
+
+
+def first_estimate(axis: AxisModel, pieces: Sequence[PieceRows], columns: Columns) -> Estimate:
+    """Return the estimate with zero loop shape."""
+    rows = len(columns.values)
+    return Estimate(
+        model=replace(axis, loop_shape=zero_loop_shape(axis)),
+        weights=tuple(np.zeros(path.plays_m.shape[1] - 1) for path in columns.paths),
+        zeros=tuple(np.array(piece.start.zero_m) for piece in pieces),
+        wide=np.zeros(len(columns.scale)),
+        coefficient=np.zeros(0),
+        shift=0.0,
+        variance={},
+        noise=0.0,
+        parameters=0.0,
+        residual_m=np.zeros(rows),
+        use=np.ones(rows, dtype=bool),
+        rows=tuple(len(piece.rows) for piece in pieces),
+    )
+
+
+def residual_of(estimate: Estimate, pieces: Sequence[PieceRows], columns: Columns) -> Array:
+    """Simulate an estimate and return its error at the rows of all pieces, (rows,) m."""
+    errors_m = []
+    for k, piece in enumerate(pieces):
+        static_m, _ = static_response_of(estimate, k, piece, columns)
+        start = replace(piece.start, zero_m=estimate.zeros[k])
+        errors_m.append(
+            piece.measured_m[piece.rows] - reading_of(estimate.model, piece, start, static_m)
+        )
+    return np.concatenate(errors_m)
+
+
+def interpolated(first: Estimate, second: Estimate, share: float) -> Estimate:
+    """Interpolate all parameters of two estimates; share 0 is the first, 1 the second."""
+
+    def mix(a: Array, b: Array) -> Array:
+        return np.asarray(a + share * (b - a))
+
+    first_shape, second_shape = first.model.loop_shape, second.model.loop_shape
+    assert first_shape is not None
+    assert second_shape is not None
+    first_weight, second_weight = first_shape.plays_weight, second_shape.plays_weight
+    shape = replace(
+        second_shape,
+        plays_weight=first_weight + share * (second_weight - first_weight),
+        density_m=mix(first_shape.density_m, second_shape.density_m),
+        smooth_m=mix(first_shape.smooth_m, second_shape.smooth_m),
+    )
+    numbers = mix(numbers_of(first.model).value, numbers_of(second.model).value)
+    return replace(
+        second,
+        model=with_numbers(replace(second.model, loop_shape=shape), numbers),
+        weights=tuple(map(mix, first.weights, second.weights)),
+        zeros=tuple(map(mix, first.zeros, second.zeros)),
+        wide=mix(first.wide, second.wide),
+    )
+
+
+def static_response_of(
+    estimate: Estimate, k: int, piece: PieceRows, columns: Columns
+) -> tuple[Array, Array]:
+    """Simulate the static response of piece k, and the share of its histories, (samples,) each."""
+    axis, weight, history_m = estimate.model, estimate.weights[k], np.zeros(piece.where.samples)
+    if axis.loop_shape is not None and np.any(weight):
+        path = columns.paths[k]
+        change_m = path.changes_m(axis.loop_shape) @ weight[:, None]
+        history_m = path.interpolated(change_m, piece.where.samples)[:, 0]
+    static_m = axis.static_m(piece.drive_V, piece.start.memory_V, piece.where.rate_Hz)
+    return history_m + static_m, history_m
+
+
+def reading_of(
+    axis: AxisModel, piece: PieceRows, start: PieceStart, static_m: Array, offset_m: float = 0.0
+) -> Array:
+    """Return the simulated reading at the rows of a piece, (rows,) m.
+
+    offset_m  added to every position
+    """
+    forward = axis.forward
+    zero_m = zero_of(start, piece.where.samples) + offset_m
+    return forward.read(forward.position(static_m, piece.where, zero_m), piece.where)[piece.rows]
+
+
+def with_sensor_numbers(
+    estimate: Estimate, pieces: Sequence[PieceRows], columns: Columns
+) -> Estimate:
+    """Fit the numbers of sensor errors to the readings at the simulated positions.
+
+    A reading is far from linear in the wavelength of a periodic error, so these numbers are not
+    among the columns of the regression.
+    """
+    axis = estimate.model
+    if not any(is_sensor(extension) for extension in axis.extensions):
+        return estimate
+    positions_m, readings_m, masks = [], [], np.split(estimate.use, np.cumsum(estimate.rows)[:-1])
+    for k, piece in enumerate(pieces):
+        zero_m = zero_of(replace(piece.start, zero_m=estimate.zeros[k]), piece.where.samples)
+        static_m, _ = static_response_of(estimate, k, piece, columns)
+        rows = piece.rows[masks[k]]
+        positions_m.append(axis.forward.position(static_m, piece.where, zero_m)[rows])
+        readings_m.append(piece.measured_m[rows])
+    locations, reading_m = [piece.where for piece in pieces], np.concatenate(readings_m)
+    scale_m = float(np.std(reading_m))
+
+    def error(steps: Array, sensor: Extension) -> Array:
+        changed = sensor.moved_to(steps * sensor.free().step)
+        simulated_m = np.concatenate(list(map(changed.reading, positions_m, locations)))
+        return np.asarray((simulated_m - reading_m) / scale_m)
+
+    extensions, shift = list(axis.extensions), estimate.shift
+    for number, extension in enumerate(axis.extensions):
+        if is_sensor(extension):
+            numbers = extension.free()
+            first = numbers.value / numbers.step
+            bounds = (numbers.lower / numbers.step, numbers.upper / numbers.step)
+            fit = least_squares(error, first, bounds=bounds, x_scale="jac", args=(extension,))
+            before = error(first, extension)
+            change = np.linalg.norm(error(fit.x, extension) - before) / np.linalg.norm(before)
+            sensor = replace(extension.moved_to(fit.x * numbers.step), std=extension.std)
+            positions_m = list(map(sensor.reading, positions_m, locations))
+            extensions[number], shift = sensor, max(shift, float(change))
+    return replace(estimate, model=replace(axis, extensions=tuple(extensions)), shift=shift)
+
+
+def numbers_of(axis: AxisModel) -> Free:
+    """Return the lag of a model, unless it has none, and the numbers of extensions.
+
+    Numbers of sensor errors are excluded: ``with_sensor_numbers`` fits them.
+    """
+    frees = []
+    if axis.lag.kind != "none":
+        frees.append(free(axis.lag.time_s, 0.0, np.inf, LAG_STEP_s))
+    frees += [extension.free() for extension in axis.extensions if not is_sensor(extension)]
+    value, lower, upper, step = (
+        np.concatenate([np.zeros(0), *(getattr(numbers, name) for numbers in frees)])
+        for name in ("value", "lower", "upper", "step")
+    )
+    return Free(value=value, lower=lower, upper=upper, step=step)
+
+
+def with_numbers(axis: AxisModel, values: Array) -> AxisModel:
+    """Return the model with other numbers of lag and extensions, as ``numbers_of`` orders them."""
+    lag, extensions = axis.lag, []
+    if lag.kind != "none":
+        lag, values = replace(lag, time_s=float(values[0])), values[1:]
+    for extension in axis.extensions:
+        if is_sensor(extension):
+            extensions.append(extension)
+            continue
+        count = len(extension.free().value)
+        extensions.append(replace(extension.moved_to(values[:count]), std=extension.std))
+        values = values[count:]
+    return replace(axis, lag=lag, extensions=tuple(extensions))
+
+
+def is_sensor(extension: Extension) -> bool:
+    """Return whether an extension is an error of the sensor."""
+    return type(extension).reading is not Extension.reading
+
+
+def half_range_m(axis: AxisModel) -> float:
+    """Return half the displacement range, negative if it falls as the drive rises."""
+    return axis.polarity * 0.5 * axis.quality.range_m
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,16 +259,6 @@ class Regression:
     step: Array
     knots: tuple[int, ...]
     prior: Moments | None = None
-
-    def violates_bound(self, coefficient: Array) -> NDArray[np.bool_]:
-        """Return for each column whether it would move a number at a bound beyond that bound."""
-        numbers = self.members("number")
-        step = self.step * coefficient[numbers]
-        violates = np.zeros(len(self.family), dtype=bool)
-        violates[numbers] = ((self.value <= self.lower) & (step < 0.0)) | (
-            (self.value >= self.upper) & (step > 0.0)
-        )
-        return violates
 
     def without(self, columns: NDArray[np.bool_]) -> "Regression":
         """Return the regression with some columns set to 0."""
@@ -120,54 +301,32 @@ def regression_of(
     has_class    whether the class may change together with the weights of histories: its columns
                  then contain the weighted histories
     """
-    axis = estimate.model
-    shape = axis.loop_shape
-    assert shape is not None
-    scale_m, is_first = half_range_m(axis), not estimate.variance
-    rows = np.cumsum([0, *estimate.rows])
-    knots = np.cumsum([0, *(len(zero_m) for zero_m in estimate.zeros)])
-    zeros = np.zeros((rows[-1], knots[-1]))
-    histories = [np.zeros((rows[-1], 0 if is_first else len(w))) for w in estimate.weights]
-    by_numbers, errors_m, sensor_slopes = [], [], []
-    has_histories = has_class and not (is_first or has_numbers)
-    x = columns.values.copy() if has_histories else columns.values
-    for k, piece in enumerate(pieces):
-        start = replace(piece.start, zero_m=estimate.zeros[k])
-        of_piece = slice(rows[k], rows[k + 1])
-        zeros[of_piece, knots[k] : knots[k + 1]] = _zero_columns(piece, start)
-        static_m, history_m = static_response_of(estimate, k, piece, columns)
-        if not is_first:
-            path = columns.paths[k]
-            changes_m = path.filtered(path.changes_m(shape), axis, piece)
-            histories[k][of_piece] = changes_m / abs(scale_m)
-            if has_histories:
-                x[of_piece] += _history_columns(estimate, k, piece, columns)
-        reading_m = reading_of(axis, piece, start, static_m)
-        errors_m.append(piece.measured_m[piece.rows] - reading_m)
-        sensor_slopes.append(_sensor_slope(axis, piece, start, static_m))
-        if has_numbers:
-            changes_m = _changes_by_numbers_m(axis, piece, start, reading_m, static_m, history_m)
-            by_numbers.append(changes_m / scale_m)
+    axis, is_first = estimate.model, not estimate.variance
+    scale_m, has_histories = half_range_m(axis), has_class and not (is_first or has_numbers)
+    tables = [
+        _tables_of_piece(estimate, k, piece, columns, has_numbers, has_histories)
+        for k, piece in enumerate(pieces)
+    ]
+    class_tables, histories, zeros, number_tables, errors_m, slopes = zip(*tables, strict=True)
     numbers = numbers_of(axis) if has_numbers else free([], [], [], [])
-    number_columns, size = _normalised(by_numbers, int(rows[-1]))
+    by_numbers = np.concatenate(number_tables)
+    size = np.sqrt((by_numbers**2).mean(axis=0))
+    size[size < MIN_CHANGE] = 1.0
     step = numbers.step / size
-    sensor_slope = np.concatenate(sensor_slopes)[:, None]
-    linear = np.hstack([sensor_slope * table for table in (x, *histories, zeros)])
-    present = np.concatenate(
-        [
-            estimate.wide * columns.scale,
-            *(() if is_first else estimate.weights),
-            np.concatenate(estimate.zeros) / scale_m,
-        ]
-    )
-    design = np.hstack([linear, number_columns])
+    slope = np.concatenate(slopes)[:, None]
+    blocks = (np.concatenate(class_tables), block_diag(*histories), block_diag(*zeros))
+    linear = np.hstack([slope * block for block in blocks])
+    weights = () if is_first else estimate.weights
+    zero = np.concatenate(estimate.zeros) / scale_m
+    present = np.concatenate([estimate.wide * columns.scale, *weights, zero])
     error_m = np.concatenate(errors_m)
-    counts = (sum(table.shape[1] for table in histories), zeros.shape[1], len(step))
+    counts = (blocks[1].shape[1], blocks[2].shape[1], len(step))
     names = np.repeat(["initial state", "zero", "number"], counts).tolist()
-    change = np.eye(design.shape[1])
+    count = linear.shape[1] + len(step)
+    change = np.eye(count)
     change[: len(columns.scale), : len(columns.scale)] = columns.change
     return Regression(
-        design=design,
+        design=np.hstack([linear, by_numbers / size]),
         target=error_m / scale_m + linear @ present,
         error_m=error_m,
         family=(*columns.family, *names),
@@ -179,40 +338,50 @@ def regression_of(
         upper=numbers.upper,
         step=step,
         knots=tuple(len(zero_m) for zero_m in estimate.zeros),
-        prior=_prior(axis, step, design.shape[1]) if has_numbers else None,
+        prior=_prior(axis, step, count) if has_numbers else None,
     )
 
 
-def _history_columns(estimate: Estimate, k: int, piece: PieceRows, columns: Columns) -> Array:
-    """Return the change of the class's columns by weighted histories, (rows, columns)."""
-    path, scale_m = columns.paths[k], abs(half_range_m(estimate.model))
-    change = path.column_changes(estimate.weights[k], columns.plays, scale_m)
-    return path.filtered(change, estimate.model, piece) / columns.scale
+def _tables_of_piece(
+    estimate: Estimate,
+    k: int,
+    piece: PieceRows,
+    columns: Columns,
+    has_numbers: bool,
+    has_histories: bool,
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Return the columns of one piece, its error and the slope of its sensor.
 
-
-def _zero_columns(piece: PieceRows, start: PieceStart) -> Array:
-    """Return the derivative of the zero by the value at each of its knots, (rows, knots)."""
+    returned  columns of the class, of histories, of the knots of the zero, and of the numbers,
+              (rows, columns) each; error, (rows,) m; d reading / d position, (rows,)
+    """
+    axis, rows, path = estimate.model, len(piece.rows), columns.paths[k]
+    scale_m, start = half_range_m(axis), replace(piece.start, zero_m=estimate.zeros[k])
+    static_m, history_m = static_response_of(estimate, k, piece, columns)
+    reading_m = reading_of(axis, piece, start, static_m)
+    first = sum(estimate.rows[:k])
+    of_class, histories = columns.values[first : first + rows], np.zeros((rows, 0))
+    if estimate.variance:  # not in the first regression
+        assert axis.loop_shape is not None
+        changes_m = path.filtered(path.changes_m(axis.loop_shape), axis, piece)
+        histories = changes_m / abs(scale_m)
+    if has_histories:
+        change = path.column_changes(estimate.weights[k], columns.plays, abs(scale_m))
+        of_class = of_class + path.filtered(change, axis, piece) / columns.scale
     hats = [replace(start, zero_m=knot) for knot in np.eye(len(start.zero_m))]
-    return np.stack([zero_of(hat, piece.where.samples)[piece.rows] for hat in hats], axis=1)
-
-
-def _normalised(tables: Sequence[Array], rows: int) -> tuple[Array, Array]:
-    """Scale columns to rms 1; return them and their divisors."""
-    columns = np.concatenate(tables) if tables else np.zeros((rows, 0))
-    size = np.sqrt((columns**2).mean(axis=0))
-    size[size < MIN_CHANGE] = 1.0
-    return columns / size, size
-
-
-def _sensor_slope(axis: AxisModel, piece: PieceRows, start: PieceStart, static_m: Array) -> Array:
-    """Return d reading / d position, (rows,)."""
-    if not any(is_sensor(extension) for extension in axis.extensions):
-        return np.ones(len(piece.rows))
-    step_m = SENSOR_STEP * abs(half_range_m(axis))
-    above_m, below_m = (
-        reading_of(axis, piece, start, static_m, offset_m) for offset_m in (step_m, -step_m)
-    )
-    return np.asarray((above_m - below_m) / (2.0 * step_m))
+    zeros = [zero_of(hat, piece.where.samples)[piece.rows] for hat in hats]
+    by_numbers = np.zeros((rows, 0))
+    if has_numbers:
+        changes_m = _changes_by_numbers_m(axis, piece, start, reading_m, static_m, history_m)
+        by_numbers = changes_m / scale_m
+    slope = np.ones(rows)
+    if any(is_sensor(extension) for extension in axis.extensions):
+        step_m = SENSOR_STEP * abs(scale_m)
+        above_m = reading_of(axis, piece, start, static_m, step_m)
+        below_m = reading_of(axis, piece, start, static_m, -step_m)
+        slope = np.asarray((above_m - below_m) / (2.0 * step_m))
+    error_m = piece.measured_m[piece.rows] - reading_m
+    return of_class, histories, np.stack(zeros, axis=1), by_numbers, error_m, slope
 
 
 def _changes_by_numbers_m(
@@ -233,8 +402,11 @@ def _changes_by_numbers_m(
     changes_hysteresis = [] if axis.lag.kind == "none" else [False]
     for extension in axis.extensions:
         if not is_sensor(extension):
-            count = len(extension.free().value)
-            changes_hysteresis += [not _is_behind_hysteresis(extension)] * count
+            is_inside = (
+                type(extension).drive is not Extension.drive
+                or type(extension).irreversible is not Extension.irreversible
+            )
+            changes_hysteresis += [is_inside] * len(extension.free().value)
     for k, (step, is_inside) in enumerate(zip(numbers.step, changes_hysteresis, strict=True)):
         sign = 1.0 if numbers.value[k] + step <= numbers.upper[k] else -1.0
         values = numbers.value.copy()
@@ -245,11 +417,6 @@ def _changes_by_numbers_m(
             changed_m = history_m + changed.static_m(drive_V, start.memory_V, piece.where.rate_Hz)
         changes[:, k] = sign * (reading_of(changed, piece, start, changed_m) - reading_m)
     return changes
-
-
-def _is_behind_hysteresis(extension: Extension) -> bool:
-    kind = type(extension)
-    return kind.drive is Extension.drive and kind.irreversible is Extension.irreversible
 
 
 def _prior(axis: AxisModel, steps: Array, count: int) -> Moments:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.identification.piece_start import PieceStart
+from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.quality import Certificate
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.robust import student_quantile

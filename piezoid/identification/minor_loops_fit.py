@@ -25,10 +25,10 @@ from scipy.optimize import least_squares
 from piezoid.errors import IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.rate_dependence import RateDependence
+from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.hysteresis.uncertainty import BLOCKS, DRAWS, SEED
 from piezoid.identification.minor_loops import FunctionOrder, MinorLoops, PlaysFit
 from piezoid.identification.model import AxisModel
-from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import OTHER_RECORDINGS, SECOND_HALF, WIDEST_HALVED
 from piezoid.identification.simulation import (
     fitted_pieces,
@@ -162,19 +162,20 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
     low_V, high_V = plays_axis.voltage_V
     half_V = 0.5 * (high_V - low_V)
 
-    def cross_validate(pieces: int) -> "_Trial":
-        lattice = Lattice(centre_V=low_V + half_V, reach_V=half_V, pieces=pieces)
-        rows = [piece for r in recordings for piece in _rows(plays_axis, r, lattice)]
-        return _cross_validated(rows, lattice, quality.range_m)
-
-    largest = cross_validate(SHAPES[-1])
+    lattices = [
+        Lattice(centre_V=low_V + half_V, reach_V=half_V, pieces=pieces) for pieces in SHAPES
+    ]
+    largest = _cross_validated(plays_axis, recordings, lattices[-1])
     if not len(largest.error_m):
         return plays_axis
     trials, best = [largest], None
-    if largest.is_better_than(quality.held_out_rms_m):
+    # If functions predict worse than plays fit the same rows, the prediction error of the plays
+    # has another cause than the shape of loops.
+    max_rms_m = min(quality.held_out_rms_m / MIN_GAIN, _rms(largest.plays_residual_m))
+    if largest.rms_m <= max_rms_m:
         best = largest
-        for pieces in SHAPES[:-1]:
-            trials.append(cross_validate(pieces))
+        for lattice in lattices[:-1]:
+            trials.append(_cross_validated(plays_axis, recordings, lattice))
             if trials[-1].rms_m <= SIMILAR * largest.rms_m:
                 best = trials[-1]
                 break
@@ -188,7 +189,18 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
         for trial in trials
     )
     axis = replace(plays_axis, function_orders=orders)
-    return axis if best is None else _with_initial_states(_with_functions(axis, best), recordings)
+    if best is None:
+        return axis
+    axis = _with_functions(axis, best)
+    recording_of = {recording.name: recording for recording in recordings}
+    pieces = {recording.name: iter(fitted_pieces(recording)) for recording in recordings}
+    starts = []
+    for start in axis.starts:
+        recording = recording_of.get(start.recording)
+        if recording is not None:
+            start = _fitted_start(axis, recording, next(pieces[start.recording]), start)
+        starts.append(start)
+    return replace(axis, starts=tuple(starts))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -210,24 +222,17 @@ class _Trial:
     def rms_m(self) -> float:
         return _rms(self.error_m)
 
-    def is_better_than(self, held_out_rms_m: float) -> bool:
-        """Return whether functions predict clearly better than plays with dead zones.
-
-        If functions predict worse than plays fit the same rows, the prediction error of the plays
-        has another cause than the shape of loops.
-        """
-        return self.rms_m <= min(held_out_rms_m / MIN_GAIN, _rms(self.plays_residual_m))
-
 
 def _rms(error_m: Array) -> float:
     return float(np.sqrt(np.mean(error_m**2)))
 
 
-def _cross_validated(rows: Sequence[Rows], lattice: Lattice, stroke_m: float) -> _Trial:
+def _cross_validated(axis: AxisModel, recordings: Sequence[Recording], lattice: Lattice) -> _Trial:
     """Predict each recording by a fit of the others.
 
     If a recording exceeds the drive range of all others, the fit includes its first half.
     """
+    rows = [piece for recording in recordings for piece in _rows(axis, recording, lattice)]
     names = list(dict.fromkeys(piece.recording for piece in rows))
     products = {name: sum(p.products()[0] for p in rows if p.recording == name) for name in names}
     counts = {name: sum(len(p.target) for p in rows if p.recording == name) for name in names}
@@ -249,7 +254,7 @@ def _cross_validated(rows: Sequence[Rows], lattice: Lattice, stroke_m: float) ->
             if first:
                 is_halved, count = True, count + first
                 product = product + piece.first_rows(first).products()[0]
-        rise_m = fit_rises(product, count, lattice, stroke_m)
+        rise_m = fit_rises(product, count, lattice, axis.quality.range_m)
         for piece, first in held_out:
             unseen = np.flatnonzero(piece.is_settled[first:]) + first
             if len(unseen):
@@ -325,19 +330,6 @@ def _with_functions(axis: AxisModel, trial: _Trial) -> AxisModel:
             found_m=bound_m,  # a drive through the states of the extremes attains it
         ),
     )
-
-
-def _with_initial_states(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
-    """Return the axis with the initial states of all pieces refitted to the functions."""
-    recording_of = {recording.name: recording for recording in recordings}
-    pieces = {recording.name: iter(fitted_pieces(recording)) for recording in recordings}
-    starts = []
-    for start in axis.starts:
-        recording = recording_of.get(start.recording)
-        if recording is not None:
-            start = _fitted_start(axis, recording, next(pieces[start.recording]), start)
-        starts.append(start)
-    return replace(axis, starts=tuple(starts))
 
 
 def _fitted_start(

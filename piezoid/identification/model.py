@@ -11,7 +11,7 @@ from piezoid.identification.dynamics.modal import JointFit, LinearDynamics, Resp
 from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.forward import Forward
-from piezoid.identification.hysteresis.pieces import Rig, Scales
+from piezoid.identification.hysteresis.pieces import PieceStart, Rig, Scales
 from piezoid.identification.loop_shape import (
     LoopShape,
     histories,
@@ -19,7 +19,6 @@ from piezoid.identification.loop_shape import (
     settling_samples,
 )
 from piezoid.identification.minor_loops import FunctionOrder, MinorLoops
-from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii

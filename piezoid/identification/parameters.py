@@ -36,55 +36,41 @@ def parameters_of(axis: AxisModel) -> "DataFrame":
         low, high = (value - spread, value + spread) if limit is None else (value, limit)
         rows.append((name, float(value), float(low), float(high)))
     if dynamics is not None:
-        for name, values, intervals in (
-            (
-                "mode_frequency_Hz",
-                dynamics.mode_frequency_Hz,
-                dynamics.mode_frequency_interval_Hz(),
-            ),
-            ("mode_damping", dynamics.mode_damping, dynamics.mode_damping_interval()),
-            ("lag_frequency_Hz", dynamics.lag_frequency_Hz, dynamics.lag_frequency_interval_Hz()),
-        ):
+        of_modes = (dynamics.mode_frequency_Hz, dynamics.mode_frequency_interval_Hz())
+        for name, (values, intervals) in {
+            "mode_frequency_Hz": of_modes,
+            "mode_damping": (dynamics.mode_damping, dynamics.mode_damping_interval()),
+            "lag_frequency_Hz": (dynamics.lag_frequency_Hz, dynamics.lag_frequency_interval_Hz()),
+        }.items():
             for k, (value, (low, high)) in enumerate(zip(values, intervals, strict=True)):
                 rows.append((f"{name}[{k}]", float(value), float(low), float(high)))
         low_s, high_s = dynamics.delay_interval_s().tolist()
         rows.append(("delay_s", dynamics.delay_s, low_s, high_s))
-    rows += [row for extension in axis.extensions for row in _extension(extension)]
+    for extension in axis.extensions:
+        # The ends of an interval are the fields of the extension at the ends of its free numbers.
+        free, half = extension.free(), NORMAL_95 * np.array(extension.std)
+        stated = _numbers(extension)
+        ends = [dict.fromkeys(stated, np.nan)] * 2
+        if len(half) == len(free.value) > 0:
+            moved = [np.clip(free.value + step, free.lower, free.upper) for step in (-half, half)]
+            ends = [_numbers(extension.moved_to(value)) for value in moved]
+        for name, value in stated.items():
+            low, high = sorted((ends[0][name], ends[1][name]))
+            if not low < high:  # not a free number
+                low = high = np.nan
+            rows.append((f"{extension.kind}.{name}", value, low, high))
     names, numbers, lows, highs = zip(*rows, strict=True)
-    units = [in_counts(unit_of_name(name), axis.counted) for name in names]
+    units = []
+    for name in names:  # the unit is at the end of the name
+        stem = name.partition("[")[0]
+        unit = next((unit for ending, unit in _ENDINGS if stem.endswith(ending)), "1")
+        units.append(in_counts(unit, axis.counted))
     table = {"value": numbers, "unit": units, "low": lows, "high": highs}
     return DataFrame(table, index=list(names))
 
 
-def unit_of_name(name: str) -> str:
-    """Return the unit at the end of a name, or ``1``."""
-    stem = name.partition("[")[0]
-    return next((unit for ending, unit in _ENDINGS if stem.endswith(ending)), "1")
-
-
-def _extension(extension: Extension) -> list[tuple[str, float, float, float]]:
-    """Return the rows of one extension, without numbers of single recordings.
-
-    The ends of an interval are the fields of the extension at the ends of its free numbers.
-    """
-    free, half = extension.free(), NORMAL_95 * np.array(extension.std)
-    values = _numbers(extension)
-    lows = highs = dict.fromkeys(values, np.nan)
-    if len(half) == len(free.value) > 0:
-        lows, highs = (
-            _numbers(extension.moved_to(np.clip(free.value + step, free.lower, free.upper)))
-            for step in (-half, half)
-        )
-    rows = []
-    for name, value in values.items():
-        low, high = sorted((lows[name], highs[name]))
-        if not low < high:  # not a free number
-            low = high = np.nan
-        rows.append((f"{extension.kind}.{name}", value, low, high))
-    return rows
-
-
 def _numbers(extension: Extension) -> dict[str, float]:
+    """Return the numbers of an extension by name, without those of single recordings."""
     numbers: dict[str, float] = {}
     for entry in fields(extension):
         value = getattr(extension, entry.name)

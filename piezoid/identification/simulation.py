@@ -13,9 +13,8 @@ from scipy.optimize import least_squares
 from piezoid.errors import IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.extension import Where
-from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
+from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, PieceStart
 from piezoid.identification.model import AxisModel
-from piezoid.identification.piece_start import PieceStart
 from piezoid.numerics.arrays import Array, freeze, same_length
 from piezoid.records.recording import Quantity, Recording
 from piezoid.summary import Summarised, Summary
@@ -210,7 +209,7 @@ def predict(model: AxisModel, recording: Recording) -> Array:
         if channel is None:
             piece_m = model.simulate(voltage_V[piece], where.rate_Hz, None, where)
         else:
-            piece_m = _predicted(model, voltage_V[piece], channel.values[piece], where)
+            piece_m = _predicted_piece(model, voltage_V[piece], channel.values[piece], where)
         predicted_m[piece] = piece_m
     return predicted_m
 
@@ -229,45 +228,38 @@ def compare(model: AxisModel, recording: Recording) -> Comparison:
     )
 
 
-def _predicted(model: AxisModel, voltage_V: Array, measured_m: Array, where: Where) -> Array:
-    """Predict a piece from the start with the smallest residual."""
-    candidates = [_predicted_from_refit(model, voltage_V, measured_m, where)]
+def _predicted_piece(model: AxisModel, voltage_V: Array, measured_m: Array, where: Where) -> Array:
+    """Predict a piece from the fitted or refitted start with the smallest residual.
+
+    The refit determines the memory of the plays first, with the loop shape of a de-poled state;
+    then the weights of histories, which are of order one, by ridge regression; and the zero.
+    """
+    plays_m, plays_only = measured_m, replace(model, loop_shape=None)
+    if model.loop_shape is not None:
+        depoled_V = model.virgin_memory_V
+        shape_m = model.motion_m(voltage_V, depoled_V, where)
+        plays_m = measured_m - (shape_m - plays_only.motion_m(voltage_V, depoled_V, where))
+    memory_V, zero_m = _fitted_start(plays_only, voltage_V, plays_m, where)
+    motion_m = model.motion_m(voltage_V, memory_V, where)
+    if model.loop_shape is not None:
+        driven_V = model.forward.driven_V(voltage_V, where.rate_Hz)
+        changes_m = model.history_changes_m(driven_V, memory_V, where.rate_Hz)
+        columns_m = model.polarity * model.forward.linear_response(changes_m, where)
+        residual_m = measured_m - model.forward.read(zero_m + motion_m, where)
+        # The weights a minimise |residual - columns a|^2 / error^2 + |a|^2, without the mean.
+        error_m = max(model.quality.held_out_rms_m, np.finfo(float).tiny)
+        columns = (columns_m - columns_m.mean(axis=0)) / error_m
+        normal = columns.T @ columns + np.eye(columns.shape[1])
+        weight = np.asarray(np.linalg.solve(normal, columns.T @ residual_m / error_m))
+        motion_m = model.motion_m(voltage_V, memory_V, where, weight)
+        zero_m += float(np.mean(measured_m - model.forward.read(zero_m + motion_m, where)))
+    candidates = [model.forward.read(zero_m + motion_m, where)]
     candidates += [
         _simulated_from(model, voltage_V, start, where)
         for start in model.starts
         if start.recording == where.recording and start.last <= len(voltage_V)
     ]
     return min(candidates, key=lambda candidate: float(np.sum((candidate - measured_m) ** 2)))
-
-
-def _predicted_from_refit(
-    model: AxisModel, voltage_V: Array, measured_m: Array, where: Where
-) -> Array:
-    """Predict a piece from the memory, the history and the zero that fit it best.
-
-    The memory of the plays is fitted first, with the loop shape of a de-poled state; then the
-    weights of histories, which are of order one, by ridge regression.
-    """
-    if model.loop_shape is None:
-        memory_V, zero_m = _fitted_start(model, voltage_V, measured_m, where)
-        return model.forward.read(zero_m + model.motion_m(voltage_V, memory_V, where), where)
-    plays_only, depoled_V = replace(model, loop_shape=None), model.virgin_memory_V
-    shape_m = model.motion_m(voltage_V, depoled_V, where)
-    shape_m = shape_m - plays_only.motion_m(voltage_V, depoled_V, where)
-    memory_V, zero_m = _fitted_start(plays_only, voltage_V, measured_m - shape_m, where)
-    driven_V = model.forward.driven_V(voltage_V, where.rate_Hz)
-    changes_m = model.history_changes_m(driven_V, memory_V, where.rate_Hz)
-    columns_m = model.polarity * model.forward.linear_response(changes_m, where)
-    motion_m = model.motion_m(voltage_V, memory_V, where)
-    residual_m = measured_m - model.forward.read(zero_m + motion_m, where)
-    # The weights a minimise |residual - columns a|^2 / error^2 + |a|^2, without the mean.
-    error_m = max(model.quality.held_out_rms_m, np.finfo(float).tiny)
-    columns = (columns_m - columns_m.mean(axis=0)) / error_m
-    normal = columns.T @ columns + np.eye(columns.shape[1])
-    weight = np.asarray(np.linalg.solve(normal, columns.T @ residual_m / error_m))
-    motion_m = model.motion_m(voltage_V, memory_V, where, weight)
-    zero_m += float(np.mean(measured_m - model.forward.read(zero_m + motion_m, where)))
-    return model.forward.read(zero_m + motion_m, where)
 
 
 def _fitted_start(
@@ -292,11 +284,11 @@ def _fitted_start(
         predicted_m = forward.read(numbers[-1] * scale_m + response(numbers[:-1]), where)
         return np.asarray((predicted_m - measured_m)[::every] / scale_m)
 
-    def start_at(slope: float) -> Array:
-        slopes = np.full(gaps, slope)
-        return np.append(slopes, float(np.mean(measured_m - response(slopes))) / scale_m)
-
-    starts = map(start_at, START_SLOPES)
+    slopes = [np.full(gaps, slope) for slope in START_SLOPES]
+    starts = [
+        np.append(slope, float(np.mean(measured_m - response(slope))) / scale_m)
+        for slope in slopes
+    ]
     best = min(starts, key=lambda numbers: float(np.sum(residual(numbers) ** 2)))
     limits = np.append(np.ones(gaps), np.inf)
     minimum = least_squares(

@@ -46,11 +46,6 @@ def _stage_entry(model: ActuatorModel) -> dict[str, Any]:
     }
 
 
-def _stage(entry: Mapping[str, Any]) -> ActuatorModel:
-    entries = {name: value for name, value in entry.items() if name != "gauge"}
-    return from_fields(ActuatorModel, entries, LAYOUTS)
-
-
 def _axis_entry(axis: AxisModel) -> dict[str, Any]:
     names = (
         "axis", "polarity", "hysteresis", "lag", "rig", "dynamics", "joint", "bandwidth",
@@ -86,7 +81,17 @@ def _hysteresis_entry(operator: ModifiedPrandtlIshlinskii) -> dict[str, Any]:
 
 
 def _hysteresis(entry: Mapping[str, Any]) -> ModifiedPrandtlIshlinskii:
-    _check_bounds(entry)
+    """Read a hysteresis; ``ParameterFileError`` for too many operators or too large numbers."""
+    for name, value in entry.items():
+        numbers = value if isinstance(value, list) else [value]
+        if len(numbers) > MAX_OPERATORS:
+            raise _out_of_bounds(f"{name} has {len(numbers)} entries", f"at most {MAX_OPERATORS}")
+        sizes = [abs(x) for x in numbers if isinstance(x, int | float)]
+        if max(sizes, default=0.0) > MAX_MAGNITUDE:
+            raise _out_of_bounds(f"{name} holds {max(sizes):.3g}", f"at most {MAX_MAGNITUDE:.0g}")
+    weights = entry["play_weight_m_per_V"]
+    if isinstance(weights, list) and weights and not any(weights):
+        raise _out_of_bounds("all play_weight_m_per_V are 0", "a weight above 0: the stage moves")
 
     def read(kind: type[Any], threshold: str, weight: str) -> Any:
         return from_fields(kind, {"threshold": entry[threshold], "weight": entry[weight]})
@@ -98,20 +103,6 @@ def _hysteresis(entry: Mapping[str, Any]) -> ModifiedPrandtlIshlinskii:
         voltage_offset_V=convert(entry["voltage_offset_V"], float),
         displacement_offset_m=convert(entry["displacement_offset_m"], float),
     )
-
-
-def _check_bounds(entry: Mapping[str, Any]) -> None:
-    """Raise ``ParameterFileError`` for too many operators or too large numbers."""
-    for name, value in entry.items():
-        numbers = value if isinstance(value, list) else [value]
-        if len(numbers) > MAX_OPERATORS:
-            raise _out_of_bounds(f"{name} has {len(numbers)} entries", f"at most {MAX_OPERATORS}")
-        sizes = [abs(x) for x in numbers if isinstance(x, int | float)]
-        if max(sizes, default=0.0) > MAX_MAGNITUDE:
-            raise _out_of_bounds(f"{name} holds {max(sizes):.3g}", f"at most {MAX_MAGNITUDE:.0g}")
-    weights = entry["play_weight_m_per_V"]
-    if isinstance(weights, list) and weights and not any(weights):
-        raise _out_of_bounds("all play_weight_m_per_V are 0", "a weight above 0: the stage moves")
 
 
 def _out_of_bounds(fault: str, needed: str) -> ParameterFileError:
@@ -129,8 +120,14 @@ def _quality_entry(quality: FitQuality) -> dict[str, Any]:
     return {**first, **{name: getattr(quality, name) for name in derived}, **entries}
 
 
-LAYOUTS = (
-    RecordLayout(kind=ActuatorModel, write=_stage_entry, read=_stage),
+LAYOUTS: tuple[RecordLayout, ...] = (
+    RecordLayout(
+        kind=ActuatorModel,
+        write=_stage_entry,
+        read=lambda entry: from_fields(
+            ActuatorModel, {k: v for k, v in entry.items() if k != "gauge"}, LAYOUTS
+        ),
+    ),
     RecordLayout(kind=AxisModel, write=_axis_entry, read=_axis),
     RecordLayout(kind=ModifiedPrandtlIshlinskii, write=_hysteresis_entry, read=_hysteresis),
     RecordLayout(kind=FitQuality, write=_quality_entry),

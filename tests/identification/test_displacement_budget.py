@@ -108,11 +108,3 @@ def test_a_heavier_remainder_makes_the_largest_error_larger_and_not_the_usual_on
     first, second = (displacement_budget(one).budget for one in (calm, wild))
     assert second.combined == first.combined
     assert second.largest[1] > first.largest[1]
-
-
-def test_more_positions_have_a_larger_largest_error() -> None:
-    few, many = (
-        displacement_budget(axis_model(), positions=count).budget for count in (10, 10_000)
-    )
-    assert many.largest[1] > few.largest[1]
-    assert many.propagated == few.propagated

@@ -20,9 +20,8 @@ from piezoid.identification.extensions import (
 )
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.forward import MAX_ENTRIES, Forward, Run
-from piezoid.identification.hysteresis.coordinates import Scaled
+from piezoid.identification.hysteresis.coordinates import Scaled, envelope_stretch, to_si_units
 from piezoid.identification.hysteresis.pieces import Scales
-from piezoid.identification.hysteresis.unit_scaling import envelope_stretch, to_si_units
 from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Following
 from piezoid.operators.dead_zone import from_slopes
@@ -385,7 +384,7 @@ def test_too_many_numbers_for_one_array_are_taken_for_delayed() -> None:
 def test_without_scales_a_number_is_a_volt_or_a_metre() -> None:
     forward = Forward(operator=OPERATOR, extensions=(AmplifierLimits(high_V=0.5),))
     np.testing.assert_array_equal(
-        forward.driven(np.array([0.1, 0.6, 0.3]), RATE_Hz), [0.1, 0.5, 0.3]
+        forward.driven_V(np.array([0.1, 0.6, 0.3]), RATE_Hz), [0.1, 0.5, 0.3]
     )
     here = where(3)
     np.testing.assert_array_equal(

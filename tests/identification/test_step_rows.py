@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from piezoid.identification.extensions.linear_mode import LinearMode
-from piezoid.identification.step_rows import rows_after_steps
+from piezoid.identification.extensions.linear_mode import LinearMode, rows_after_steps
 
 STAIRS = np.repeat([0.0, 0.8, -0.4, -0.4, 0.5], 100)  # steps in front of 100, 200 and 400
 

@@ -54,7 +54,7 @@ from piezoid.diagnosis.effect import (
 )
 from piezoid.diagnosis.signals import filtered_change, with_extension
 from piezoid.identification.extensions.extension import Extension, free
-from piezoid.identification.extensions.loop_effect import LoopEffect
+from piezoid.identification.extensions.extension import LoopEffect
 from piezoid.operators.filters import relaxed
 from piezoid.operators.linear import ContinuousSystem
 

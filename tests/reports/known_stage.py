@@ -3,9 +3,8 @@
 import numpy as np
 
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.hysteresis.pieces import PieceStart, Rig
 from piezoid.identification.model import AxisModel, Lag
-from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import Certificate, FitQuality, Order, Uncertainty, Verdict
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones

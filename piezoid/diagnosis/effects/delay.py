@@ -25,8 +25,8 @@ from piezoid.diagnosis.effect import (
 )
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import delay_trials, trial_times_s, with_extension
-from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.extensions.lags import Delay
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import later
 

@@ -26,7 +26,7 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.signals import delay_trials, trial_times_s, with_extension
-from piezoid.identification.extensions.first_order_lag import FirstOrderLag
+from piezoid.identification.extensions.lags import FirstOrderLag
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import relaxed
 

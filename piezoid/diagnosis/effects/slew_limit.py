@@ -26,7 +26,7 @@ from piezoid.diagnosis.effect import (
 )
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
-from piezoid.identification.extensions.slew_limit import SlewLimit
+from piezoid.identification.extensions.amplifier_limits import SlewLimit
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import slewed
 from piezoid.records.recording import Recording

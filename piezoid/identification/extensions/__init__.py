@@ -8,19 +8,16 @@ defined in the file of that effect instead, and acts behind all others.
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from piezoid.identification.extensions.amplifier_limits import AmplifierLimits
-from piezoid.identification.extensions.converter_hold import ConverterHold
+from piezoid.identification.extensions.amplifier_limits import AmplifierLimits, SlewLimit
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.cross_axis import CrossAxis
-from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.extensions.first_order_lag import FirstOrderLag
 from piezoid.identification.extensions.gain_change import GainChange
+from piezoid.identification.extensions.lags import ConverterHold, Delay, FirstOrderLag
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.extensions.mains_lines import MainsLines
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.extensions.rate_dependence import RateDependence
-from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
 from piezoid.record_json import RecordLayout, fields_of, from_fields
 
@@ -47,10 +44,6 @@ def in_order(extensions: Iterable[Extension]) -> tuple[Extension, ...]:
     return tuple(sorted(extensions, key=lambda extension: order.get(extension.kind, len(order))))
 
 
-def _entry(extension: Extension) -> dict[str, Any]:
-    return {"kind": extension.kind, **fields_of(extension)}
-
-
 def _extension(entry: Mapping[str, Any]) -> Extension:
     """Read one extension back by its kind; ``ValueError`` for an unknown kind."""
     kind = entry["kind"]
@@ -60,4 +53,8 @@ def _extension(entry: Mapping[str, Any]) -> Extension:
     raise ValueError(f"extension kind {kind!r}")
 
 
-LAYOUT_OF_EXTENSIONS = RecordLayout(kind=Extension, write=_entry, read=_extension)
+LAYOUT_OF_EXTENSIONS = RecordLayout(
+    kind=Extension,
+    write=lambda extension: {"kind": extension.kind, **fields_of(extension)},
+    read=_extension,
+)

@@ -5,8 +5,14 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
-from piezoid.identification.extensions.loop_effect import LoopEffect
+from piezoid.identification.extensions.extension import (
+    Extension,
+    Free,
+    LoopEffect,
+    Where,
+    free,
+    within,
+)
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import first_order, ladder
 from piezoid.operators.linear import ContinuousSystem

@@ -7,13 +7,13 @@ An extension acts in one or more of these stages. All numbers are in SI units.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array, freeze
+from piezoid.operators.linear import ContinuousSystem
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,6 +68,43 @@ def free(value: Any, lower: Any, upper: Any, step: Any) -> Free:
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopEffect:
+    """Effect of one extension on a closed loop around the axis; by default none.
+
+    system         linear system in series behind the hysteresis, or None
+    is_slow        whether the system relaxes over seconds: within the bandwidth of a loop it is a
+                   gain between 1, at high frequency, and its static gain
+    dead_time_s    pure delay
+    gain           factor of the displacement after the recordings
+    low_V, high_V  range of the drive that reaches the ceramic
+    slew_V_per_s   fastest change of the drive that reaches the ceramic
+    activation_s   time constant of the irreversible part; 0: no delay
+    activation_m   lag of the irreversible part beyond which it relaxes faster; 0: at no lag
+    motion_m       half the range of motion that the drive does not cause
+    motion_m_per_s fastest change of that motion
+    reading_m      largest error of the reading, which a loop converts to motion
+    reading_Hz     frequency of that error; 0 if it is a function of position
+    """
+
+    system: ContinuousSystem | None = None
+    is_slow: bool = False
+    dead_time_s: float = 0.0
+    gain: float = 1.0
+    low_V: float = -np.inf
+    high_V: float = np.inf
+    slew_V_per_s: float = np.inf
+    activation_s: float = 0.0
+    activation_m: float = 0.0
+    motion_m: float = 0.0
+    motion_m_per_s: float = 0.0
+    reading_m: float = 0.0
+    reading_Hz: float = 0.0
+
+
+NOTHING = LoopEffect()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Extension:
     """Effect that a diagnosis adds to an axis model; this base class adds nothing.
@@ -77,14 +114,22 @@ class Extension:
     kind     name in model.json
     is_fast  whether ``response`` acts within samples: derivatives are then filtered by it as well
     is_prior_in_metres  whether the relations of ``prior`` are in metres
+    fitted   names of the fields that hold the numbers of ``free``, each one number
+    limits   name in messages, lowest and highest value of fields, which are checked
     std      standard errors of the numbers of ``free`` from the fit; empty: not fitted
     """
 
     kind: ClassVar[str] = ""
     is_fast: ClassVar[bool] = False
     is_prior_in_metres: ClassVar[bool] = False
+    fitted: ClassVar[tuple[str, ...]] = ()
+    limits: ClassVar[Mapping[str, tuple[str, float, float]]] = {}
 
     std: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for field_name, (name, low, high) in self.limits.items():
+            within(name, getattr(self, field_name), low, high)
 
     def drive(self, voltage_V: Array, rate_Hz: float) -> Array:  # noqa: ARG002
         """Return the voltage that reaches the ceramic."""
@@ -145,8 +190,9 @@ class Extension:
         raise NotImplementedError(self.kind)
 
     def moved_to(self, value: Array) -> Self:
-        """Return the extension with other numbers."""
-        raise NotImplementedError(self.kind)
+        """Return the extension with other numbers and no standard errors."""
+        numbers = zip(self.fitted, value.tolist(), strict=True)
+        return replace(self, **dict(numbers), std=())
 
     def prior(self) -> Array:
         """Return the rows R of a prior R numbers = 0, (rows, numbers), each with weight 1.

@@ -1,12 +1,18 @@
 """Gain change: sudden or gradual change of the sensitivity."""
 
-from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
-from piezoid.identification.extensions.loop_effect import LoopEffect
+from piezoid.identification.extensions.extension import (
+    Extension,
+    Free,
+    LoopEffect,
+    Where,
+    free,
+)
 from piezoid.numerics.arrays import Array
 
 
@@ -32,6 +38,13 @@ class GainChange(Extension):
     """
 
     kind: ClassVar[str] = "gain_change"
+    fitted: ClassVar[tuple[str, ...]] = ("ratio", "offset_m")
+    limits: ClassVar[Mapping[str, tuple[str, float, float]]] = {
+        "instant_s": ("instant_s", 0.0, 1e9),
+        "lasts_s": ("lasts_s", 0.0, 1e9),
+        "ratio": ("gain ratio", 0.1, 10.0),
+        "offset_m": ("gain offset_m", -1.0, 1.0),
+    }
 
     recording: str
     instant_s: float
@@ -40,21 +53,13 @@ class GainChange(Extension):
     later: tuple[str, ...] = ()
     lasts_s: float = 0.0
 
-    def __post_init__(self) -> None:
-        within("instant_s", self.instant_s, 0.0, 1e9)
-        within("lasts_s", self.lasts_s, 0.0, 1e9)
-        within("gain ratio", self.ratio, 0.1, 10.0)
-        within("gain offset_m", self.offset_m, -1.0, 1.0)
-
-    def _share_after(self, where: Where) -> Array | None:
-        if where.recording == self.recording:
-            return ramp(where.time_s, self.instant_s, self.lasts_s)
-        return np.ones(where.samples) if where.recording in self.later else None
-
     def gain(self, where: Where) -> Array | float:
         """Return 1 before and the ratio after the change."""
-        share = self._share_after(where)
-        if share is None:
+        if where.recording == self.recording:
+            share = ramp(where.time_s, self.instant_s, self.lasts_s)
+        elif where.recording in self.later:
+            share = np.ones(where.samples)
+        else:
             return 1.0
         return np.asarray(1.0 + (self.ratio - 1.0) * share, dtype=np.float64)
 
@@ -78,7 +83,3 @@ class GainChange(Extension):
     def free(self) -> Free:
         """Return ratio and offset; the instant is fixed."""
         return free((self.ratio, self.offset_m), (0.1, -1.0), (10.0, 1.0), (1e-4, 1e-10))
-
-    def moved_to(self, value: Array) -> Self:
-        """Return another ratio and offset."""
-        return replace(self, ratio=float(value[0]), offset_m=float(value[1]))

@@ -1,15 +1,21 @@
-"""One mechanical mode behind the hysteresis."""
+"""One mechanical mode behind the hysteresis, and the rows in which its ringing is unresolved."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import pi
+from math import ceil, pi
 from typing import ClassVar, Self
 
 import numpy as np
 
-from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
-from piezoid.identification.extensions.loop_effect import LoopEffect
-from piezoid.numerics.arrays import Array
+from piezoid.identification.extensions.extension import (
+    Extension,
+    Free,
+    LoopEffect,
+    Where,
+    free,
+)
+from piezoid.numerics.arrays import Array, Samples
 from piezoid.numerics.robust import NORMAL_95
 from piezoid.operators.linear import ContinuousSystem, recursive_filter
 
@@ -18,6 +24,11 @@ MAX_PARTICIPATION = 3.0
 DEFAULT_HALF, DEFAULT_FACTOR = 0.05, 2.0  # of a mode without standard errors
 MIN_HALF, MIN_FACTOR = 0.01, 1.2  # a mode changes with load, temperature and amplitude
 MAX_HALF, MAX_FACTOR = 0.5, 3.0
+# Isolated steps of the drive, whose instants between samples are unknown.
+MIN_STEP = 0.03  # half ranges in one sample
+ISOLATION = 4.0  # step over its neighbours
+RESOLVED = 0.1  # of the sampling rate: within a sample the phase of the ringing turns 36 degrees
+DECAY_TIMES = 8.0  # time constants of the ringing, after which 3e-4 remain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,15 +44,16 @@ class LinearMode(Extension):
 
     kind: ClassVar[str] = "linear_mode"
     is_fast: ClassVar[bool] = True
+    fitted: ClassVar[tuple[str, ...]] = ("frequency_Hz", "quality", "participation")
+    limits: ClassVar[Mapping[str, tuple[str, float, float]]] = {
+        "frequency_Hz": ("mode frequency_Hz", 1e-3, 1e7),
+        "quality": ("mode quality", MIN_QUALITY, MAX_QUALITY),
+        "participation": ("mode participation", 0.0, MAX_PARTICIPATION),
+    }
 
     frequency_Hz: float
     quality: float
     participation: float = 1.0
-
-    def __post_init__(self) -> None:
-        within("mode frequency_Hz", self.frequency_Hz, 1e-3, 1e7)
-        within("mode quality", self.quality, MIN_QUALITY, MAX_QUALITY)
-        within("mode participation", self.participation, 0.0, MAX_PARTICIPATION)
 
     def group_delay_s(self, rate_Hz: float) -> float:  # noqa: ARG002
         """Return the group delay of the mode at low frequency."""
@@ -49,8 +61,12 @@ class LinearMode(Extension):
 
     def response(self, displacement: Array, where: Where) -> Array:
         """Filter the displacement by the mode, with its participation."""
-        filtered = mode_filtered(displacement, self.frequency_Hz, self.quality, where.rate_Hz)
-        return np.asarray(displacement + self.participation * (filtered - displacement))
+        fraction = _transfer_function(self.frequency_Hz, self.quality, where.rate_Hz)
+        start = displacement[:1]
+        changes = np.atleast_2d((displacement - start).T)
+        filtered = np.stack([recursive_filter(*fraction, change) for change in changes]).T
+        shaped = filtered.reshape(displacement.shape) + start
+        return np.asarray(displacement + self.participation * (shaped - displacement))
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the mode in parallel to the instantaneous response."""
@@ -79,22 +95,6 @@ class LinearMode(Extension):
         lower = (0.7 * self.frequency_Hz, MIN_QUALITY, 0.0)
         upper = (1.4 * self.frequency_Hz, MAX_QUALITY, MAX_PARTICIPATION)
         return free(value, lower, upper, value * 1e-4 + 1e-9)
-
-    def moved_to(self, value: Array) -> Self:
-        """Return another mode."""
-        f, quality, participation = value.tolist()
-        return type(self)(frequency_Hz=f, quality=quality, participation=participation)
-
-
-def mode_filtered(signal: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> Array:
-    """Filter by one mode, x'' + (w / Q) x' + w^2 x = w^2 u, with u linear between samples.
-
-    signal  (samples,) or (samples, columns)
-    """
-    fraction, start = _transfer_function(frequency_Hz, quality, rate_Hz), signal[:1]
-    changes = np.atleast_2d((signal - start).T)
-    filtered = [recursive_filter(*fraction, change) for change in changes]
-    return np.asarray(np.stack(filtered).T.reshape(signal.shape) + start)
 
 
 @lru_cache(maxsize=256)
@@ -133,3 +133,27 @@ class StruckMode(LinearMode):
         """Return the numbers with equal lower and upper bounds."""
         value = np.array([self.frequency_Hz, self.quality, self.participation])
         return free(value, value, value, value * 1e-4 + 1e-9)
+
+
+def rows_after_steps(
+    level: Array, rate_Hz: float, extensions: Sequence[Extension] = (), *, min_rows: int = 0
+) -> Samples:
+    """Return the rows that depend on the instant of an isolated step within its sample.
+
+        n = max(min_rows, 8 Q rate / (pi f))    rows after a step, for a mode with f > rate / 10
+
+    level     (samples,)  drive, scaled to -1 .. 1
+    min_rows  minimum number of rows after every step
+    returned  (rows,)     in order
+    """
+    step = np.abs(np.diff(level))
+    padded = np.pad(step, 3)
+    neighbour = np.maximum(padded[:-6], padded[6:])
+    steps = np.flatnonzero((step > MIN_STEP) & (step > ISOLATION * neighbour))
+    count = min_rows
+    for mode in extensions:
+        if isinstance(mode, LinearMode) and mode.frequency_Hz > RESOLVED * rate_Hz:
+            decay_s = DECAY_TIMES * mode.quality / (pi * mode.frequency_Hz)
+            count = max(count, ceil(decay_s * rate_Hz))
+    rows = np.unique(steps[:, None] + 1 + np.arange(count))
+    return np.asarray(rows[rows < len(level)], dtype=np.intp)

@@ -6,8 +6,14 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
-from piezoid.identification.extensions.loop_effect import LoopEffect
+from piezoid.identification.extensions.extension import (
+    Extension,
+    Free,
+    LoopEffect,
+    Where,
+    free,
+    within,
+)
 from piezoid.numerics.arrays import Array
 
 HARMONICS = (1, 2, 3, 5)  # odd harmonics of rectifiers, the second of transformers
@@ -76,13 +82,6 @@ class Hum:
         for amplitude_m in (*self.cosine_m, *self.sine_m):
             within("hum amplitude", amplitude_m, -MAX_AMPLITUDE_m, MAX_AMPLITUDE_m)
 
-    @property
-    def amplitude_m(self) -> float:
-        """Amplitude of the first line, rms over the knots."""
-        knots = len(self.cosine_m) // len(self.harmonic)
-        first = np.hypot(self.cosine_m[:knots], self.sine_m[:knots])
-        return float(np.sqrt(np.mean(first**2)))
-
 
 @dataclass(frozen=True, kw_only=True)
 class MainsLines(Extension):
@@ -128,17 +127,14 @@ class MainsLines(Extension):
         first = 0
         for hum in self.hums:
             if (hum.recording, hum.first) == (where.recording, where.first):
-                return first, self._waves(hum, where)
+                knots = len(hum.cosine_m) // len(hum.harmonic)
+                envelopes = hats(np.linspace(0.0, knots - 1.0, where.samples), knots)
+                phase = 2.0 * np.pi * self.frequency_Hz * where.time_s[:, None]
+                cosines = [np.cos(n * phase) * envelopes for n in hum.harmonic]
+                sines = [np.sin(n * phase) * envelopes for n in hum.harmonic]
+                return first, np.hstack(cosines + sines)
             first += 2 * len(hum.cosine_m)
         return None
-
-    def _waves(self, hum: Hum, where: Where) -> Array:
-        knots = len(hum.cosine_m) // len(hum.harmonic)
-        position = np.linspace(0.0, knots - 1.0, where.samples)
-        envelopes = hats(position, knots)
-        phase = 2.0 * np.pi * self.frequency_Hz * where.time_s[:, None]
-        cosines = [np.cos(n * phase) * envelopes for n in hum.harmonic]
-        return np.hstack(cosines + [np.sin(n * phase) * envelopes for n in hum.harmonic])
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the largest hum: a loop converts the error of the reading to motion."""

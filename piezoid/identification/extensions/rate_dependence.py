@@ -5,8 +5,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from piezoid.identification.extensions.extension import Extension, Free, free, within
-from piezoid.identification.extensions.loop_effect import LoopEffect
+from piezoid.identification.extensions.extension import Extension, Free, LoopEffect, free, within
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import NORMAL_95
 from piezoid.operators.filters import activated, relaxed

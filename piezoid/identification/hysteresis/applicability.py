@@ -77,7 +77,20 @@ def fit_lag(pieces: Sequence[Piece], longest_lag_s: float, *, parameters: int) -
 
     parameters  2: frequency and damping; 3: and a delay; 0: the cubic alone, without lag
     """
-    thinned = tuple(map(_thin, pieces))
+    thinned = []
+    for piece in pieces:  # a lag that causes a visible loop spans many samples
+        stride = max(1, len(piece.drive) // MAX_SAMPLES)
+        thinned.append(
+            replace(
+                piece,
+                sampling_rate_Hz=piece.sampling_rate_Hz / stride,
+                drive=piece.drive[::stride],
+                response=piece.response[::stride],
+                first=-(-piece.first // stride),
+                last=-(-piece.last // stride),
+                invalid=piece.invalid[piece.invalid % stride == 0] // stride,
+            )
+        )
     squares, rows, x, is_monotone = 0.0, 0, NO_LAG, True
     for fold in folds_of(thinned):
         training = fold.training
@@ -107,20 +120,6 @@ def fit_lag(pieces: Sequence[Piece], longest_lag_s: float, *, parameters: int) -
     )
 
 
-def _thin(piece: Piece) -> Piece:
-    """Return a piece at a lower rate: a lag that causes a visible loop spans many samples."""
-    stride = max(1, len(piece.drive) // MAX_SAMPLES)
-    return replace(
-        piece,
-        sampling_rate_Hz=piece.sampling_rate_Hz / stride,
-        drive=piece.drive[::stride],
-        response=piece.response[::stride],
-        first=-(-piece.first // stride),
-        last=-(-piece.last // stride),
-        invalid=piece.invalid[piece.invalid % stride == 0] // stride,
-    )
-
-
 def _frequency_damping_delay(x: Array, longest_lag_s: float) -> tuple[float, float, float]:
     """Return frequency (Hz), damping and delay (s).
 
@@ -131,11 +130,10 @@ def _frequency_damping_delay(x: Array, longest_lag_s: float) -> tuple[float, flo
 
 
 def _search_lag(pieces: Sequence[Piece], longest_lag_s: float, count: int) -> Array:
-    def padded(x: Array) -> Array:
-        return np.concatenate([x, np.zeros(3 - count)])
+    """Return logarithms of lag and damping, and the delay, of which ``count`` are fitted."""
 
     def error(x: Array) -> float:
-        columns = [_columns(piece, padded(x), longest_lag_s) for piece in pieces]
+        columns = [_columns(piece, np.pad(x, (0, 3 - count)), longest_lag_s) for piece in pieces]
         return _regression(pieces, columns)[1]
 
     lower = np.array([np.log(1e-3), np.log(0.05), 0.0][:count])
@@ -150,7 +148,7 @@ def _search_lag(pieces: Sequence[Piece], longest_lag_s: float, count: int) -> Ar
         )
         for share in (0.03, 0.3)
     ]
-    return padded(min(minima, key=lambda pair: pair[1])[0])
+    return np.pad(min(minima, key=lambda pair: pair[1])[0], (0, 3 - count))
 
 
 def _columns(piece: Piece, x: Array, longest_lag_s: float) -> Array:
@@ -442,8 +440,23 @@ def reason_of_no_response(pieces: Sequence[Piece], choice: Choice, scales: Scale
     responses = [piece.fitted_response for piece in pieces]
     motion_rms = float(np.sqrt(np.mean(np.concatenate([(y - y.mean()) ** 2 for y in responses]))))
     residual_rms = choice.best.held_out_rms
-    if residual_rms <= MAX_UNEXPLAINED * motion_rms or any(map(_follows_drive, pieces)):
+    if residual_rms <= MAX_UNEXPLAINED * motion_rms:
         return ""
+    for piece in pieces:
+        response = piece.fitted_response
+        if is_mostly_driven(piece.fitted_drive, response):
+            return ""
+        # Rising and falling drive together, at equal levels: a servo raises its drive where the
+        # sensor reads too little.
+        half = len(response) // 2
+        bins, later_bins = np.split(_bins(piece.fitted_drive), [half])
+        count = np.bincount(bins, minlength=BINS)
+        level = np.bincount(bins, response[:half], BINS) / np.maximum(count, 1)
+        is_filled = count[later_bins] > 0
+        measured, predicted = response[half:][is_filled], level[later_bins][is_filled]
+        error_rms = float(np.std(measured - predicted)) if len(measured) else 0.0
+        if not len(measured) or error_rms < MAX_UNEXPLAINED * float(np.std(measured)):
+            return ""
     stroke_m = abs(scales.displacement_m)
     low, high = widest_swing(pieces)
     return (
@@ -453,21 +466,3 @@ def reason_of_no_response(pieces: Sequence[Piece], choice: Choice, scales: Scale
         f"{with_unit((high - low) * scales.voltage_V, 'V')}. Possible causes: a feedback that "
         "holds the sensor, a stage that is not connected, the column of another axis"
     )
-
-
-def _follows_drive(piece: Piece) -> bool:
-    """Return whether the response follows its drive, at once or at equal drive levels."""
-    response = piece.fitted_response
-    if is_mostly_driven(piece.fitted_drive, response):
-        return True
-    # Rising and falling drive together: a servo raises its drive where the sensor reads too
-    # little.
-    half = len(response) // 2
-    bins, later_bins = np.split(_bins(piece.fitted_drive), [half])
-    count = np.bincount(bins, minlength=BINS)
-    level = np.bincount(bins, response[:half], BINS) / np.maximum(count, 1)
-    is_filled = count[later_bins] > 0
-    measured, predicted = response[half:][is_filled], level[later_bins][is_filled]
-    if not len(measured):
-        return True
-    return float(np.std(measured - predicted)) < MAX_UNEXPLAINED * float(np.std(measured))

@@ -75,7 +75,25 @@ def kuhnen_start(
         threshold=zones, weight=optimum.x[shape.plays + 1 : shape.plays + 1 + len(zones)]
     )
     constant = float(np.mean(optimum.x[shape.plays + 1 + len(zones) :]))
-    operator, offset = recentre(threshold, weight, inverse.inverse(), constant, lag_s)
+    # Rewrite Psi(h + c) as offset + Psi_c(h) with Psi_c(0) = 0 and central slope 1.
+    psi = inverse.inverse()
+    kinks = psi.threshold[psi.threshold != 0.0] - constant
+    slope = np.delete(psi.slope, psi.zero)
+    zero = int(np.searchsorted(kinks, 0.0))
+    below = -_spread(-kinks[:zero][::-1], 0.01)[::-1]
+    knot = np.concatenate([below, [0.0], _spread(kinks[zero:], 0.01)])
+    slope = np.concatenate([slope[: zero + 1], slope[zero:]])
+    centre = slope[zero]
+    operator = Scaled(
+        gap=np.diff(threshold),
+        threshold=threshold[1:],
+        weight=weight * centre,
+        knot=knot * centre,
+        slope=slope / centre,
+        zero=zero,
+        lag_s=lag_s,
+    )
+    offset = float(psi.run(np.array([constant]))[0])
     return Start(operator=operator, offset=offset, kkt_gap=optimum.kkt_gap)
 
 
@@ -162,31 +180,6 @@ def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array
     return rows, lower, upper
 
 
-def recentre(
-    threshold: Array, weight: Array, psi: DeadZones, constant: float, lag_s: float
-) -> tuple[Scaled, float]:
-    """Rewrite Psi(h + c) as offset + Psi_c(h) with Psi_c(0) = 0 and central slope 1."""
-    kinks = psi.threshold[psi.threshold != 0.0] - constant
-    slope = np.delete(psi.slope, psi.zero)
-    zero = int(np.searchsorted(kinks, 0.0))
-    kinks[:zero] = -_spread(-kinks[:zero][::-1], 0.01)[::-1]
-    kinks[zero:] = _spread(kinks[zero:], 0.01)
-    knot = np.concatenate([kinks[:zero], [0.0], kinks[zero:]])
-    slope = np.concatenate([slope[: zero + 1], slope[zero:]])
-    centre = slope[zero]
-    operator = Scaled(
-        gap=np.diff(threshold),
-        threshold=threshold[1:],
-        weight=weight * centre,
-        knot=knot * centre,
-        slope=slope / centre,
-        zero=zero,
-        lag_s=lag_s,
-    )
-    offset = float(psi.run(np.array([constant]))[0])
-    return operator, offset
-
-
 def _spread(positions: Array, distance: float) -> Array:
     """Return increasing positions at a minimum distance from the origin and from each other."""
     ladder = distance * np.arange(1, len(positions) + 1)
@@ -213,22 +206,15 @@ def linear_start(pieces: Sequence[Piece], lag_s: float) -> Start:
 
 
 def clustered_thresholds(pieces: Sequence[Piece], shape: Shape, lag_s: float) -> Array:
-    """Return 0 and thresholds at the centres of clusters of the weights on a fine grid."""
+    """Return 0 and thresholds at the centres of clusters of the weights on a fine grid.
+
+        min sum_g sum_(i in g) w_i (r_i - c_g)^2
+
+    The optimal partition into groups of neighbours is exact, by dynamic programming over cuts.
+    """
     fine = Shape(plays=GRID, below=shape.below, above=shape.above, lag=shape.lag)
     operator = kuhnen_start(pieces, fine, lag_s).operator
-    centres = group_centres(operator.threshold, operator.weight[1:], shape.plays)
-    return np.concatenate([[0.0], _spread(centres, 2 * MIN_GAP)])
-
-
-def group_centres(position: Array, weight: Array, groups: int) -> Array:
-    """Return the centres of the optimal partition of weighted positions into groups of neighbours.
-
-    min sum_g sum_(i in g) w_i (p_i - c_g)^2, exactly, by dynamic programming over cuts
-
-    position  (positions,)  increasing
-    weight    (positions,)  >= 0
-    returned  (groups,)  increasing; groups <= positions
-    """
+    position, weight, groups = operator.threshold, operator.weight[1:], shape.plays
     tiny = weight + 1e-6 * (weight.sum() + 1e-300) / len(weight)
     sums = [np.concatenate([[0.0], np.cumsum(tiny * position**k)]) for k in range(3)]
     count = len(position)
@@ -248,7 +234,7 @@ def group_centres(position: Array, weight: Array, groups: int) -> Array:
         start = cut[g, end]
         centres[g - 1] = (sums[1][end] - sums[1][start]) / (sums[0][end] - sums[0][start])
         end = start
-    return centres
+    return np.concatenate([[0.0], _spread(centres, 2 * MIN_GAP)])
 
 
 def find_lag(pieces: Sequence[Piece], kind: str, longest_s: float) -> float:

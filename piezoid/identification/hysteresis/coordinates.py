@@ -1,4 +1,4 @@
-"""Parameter vector of the hysteresis fit: layout, bounds, and conversion to an operator.
+"""Parameter vector of the hysteresis fit: layout, bounds, conversion to an operator and to SI.
 
 Everything is in scaled units, drive and displacement divided by half their range, so that all
 numbers are of order one. The parametrisation makes every constraint a bound on one number:
@@ -19,9 +19,11 @@ from functools import cached_property
 
 import numpy as np
 
+from piezoid.identification.hysteresis.pieces import Piece, PieceStart, Scales
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 from piezoid.operators.dead_zone import LINEAR, DeadZones, from_slopes
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 MIN_GAP, MAX_GAP = 2e-3, 0.5
@@ -127,29 +129,6 @@ class Coordinates:
         for piece in range(len(self.offsets)):
             lower[self.memory_slice(piece)], upper[self.memory_slice(piece)] = -1.0, 1.0
         return lower, upper
-
-    def kinks(self) -> tuple[Array, Array]:
-        """Return M and c such that M theta + c is the change of slope at every kink.
-
-        For the loading curve these are the play weights; for Psi and gamma the differences of
-        neighbouring slopes, outwards from the two middle ones, which are 1.
-
-        returned  (kinks, total) and (kinks,)
-        """
-        rows, constant = [], []
-        for name, group in self.slices.items():
-            is_slope = name.endswith(("slope", "envelope"))
-            if not is_slope and name != "weight":
-                continue
-            for index in range(group.start if is_slope else group.start + 1, group.stop):
-                row = np.zeros(self.total)
-                row[index] = 1.0
-                is_middle_neighbour = is_slope and index == group.start
-                if is_slope and not is_middle_neighbour:
-                    row[index - 1] = -1.0
-                rows.append(row)
-                constant.append(-1.0 if is_middle_neighbour else 0.0)
-        return np.reshape(rows, (-1, self.total)), np.array(constant)
 
     def within_reach(self, theta: Array, swing: tuple[float, float]) -> Array:
         """Scale the thresholds so that the largest stays below half the swing of the drive.
@@ -263,3 +242,85 @@ def vector_of(operator: Scaled, coordinates: Coordinates) -> Array:
 def with_flat_envelope(operator: Scaled, bends: int) -> Scaled:
     """Return the operator with an identity envelope of ``bends`` kinks on each side."""
     return replace(operator, envelope=_envelope(np.ones(bends), np.ones(bends)))
+
+
+def to_si_units(
+    operator: Scaled, scales: Scales, offset_m: float = 0.0
+) -> ModifiedPrandtlIshlinskii:
+    """Return the operator in SI units, rising with the drive for either polarity of the sensor.
+
+    The envelope is normalised to the range of the drive: gamma(R) - gamma(-R) = 2 R.
+    """
+    stroke_m = abs(scales.displacement_m)
+    stretch = envelope_stretch(operator)
+    return ModifiedPrandtlIshlinskii(
+        plays=PrandtlIshlinskii(
+            threshold=np.concatenate([[0.0], operator.threshold]) * (stretch * scales.voltage_V),
+            weight=operator.weight * (stroke_m / (stretch * scales.voltage_V)),
+        ),
+        dead_zones=from_slopes(operator.knot * stroke_m, operator.slope),
+        voltage_offset_V=scales.voltage_offset_V,
+        displacement_offset_m=offset_m,
+        envelope=from_slopes(
+            operator.envelope.threshold * scales.voltage_V, operator.envelope.slope * stretch
+        ),
+    )
+
+
+def piece_start(
+    piece: Piece, index: int, theta: Array, coordinates: Coordinates, scales: Scales, first: float
+) -> PieceStart:
+    """Return the initial state of a piece: its memory before the first sample, and its zero.
+
+    index  of the piece in the parameter vector
+    first  scaled drive behind the amplifier at the first sample
+    """
+    operator = operator_of(theta, coordinates)
+    inner = np.array([first])
+    if operator.envelope is not LINEAR:
+        inner = operator.envelope.run(inner)
+    slope = theta[coordinates.memory_slice(index)]
+    memory = np.concatenate([inner, inner + np.cumsum(operator.gap * slope)])
+    zero = theta[coordinates.offset_slice(index)]
+    return PieceStart(
+        recording=piece.name,
+        memory_V=memory * (envelope_stretch(operator) * scales.voltage_V),
+        zero_m=piece.centre_m + scales.displacement_m * zero,
+        first=piece.first,
+        last=piece.last,
+    )
+
+
+def envelope_stretch(operator: Scaled) -> float:
+    """Return the factor that normalises the envelope to the range of the drive."""
+    low, high = operator.envelope.run(np.array([-1.0, 1.0]))
+    return float(2.0 / (high - low))
+
+
+def parameter_names(operator: Scaled) -> tuple[str, ...]:
+    """Return the names of ``parameter_values``, in their order."""
+    plays, zones = len(operator.gap), len(operator.knot)
+    return (
+        *(f"play_threshold_V[{i}]" for i in range(1, plays + 1)),
+        *(f"play_weight_m_per_V[{i}]" for i in range(plays + 1)),
+        *(f"dead_zone_threshold_m[{j}]" for j in range(zones)),
+        *(f"dead_zone_weight[{j}]" for j in range(zones)),
+        *(f"envelope_weight[{j}]" for j in range(len(operator.envelope.weight))),
+        "lag_s",
+    )
+
+
+def parameter_values(theta: Array, coordinates: Coordinates, scales: Scales) -> Array:
+    """Return the shared parameters of a vector in SI units, (parameters,)."""
+    operator = operator_of(theta, coordinates)
+    model = to_si_units(operator, scales)
+    return np.concatenate(
+        [
+            model.plays.threshold[1:],
+            model.plays.weight,
+            model.dead_zones.threshold,
+            model.dead_zones.weight,
+            model.envelope.weight,
+            [operator.lag_s],
+        ]
+    )

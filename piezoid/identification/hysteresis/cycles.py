@@ -54,18 +54,15 @@ class Cycles:
         """Number of cycles."""
         return len(self.drive)
 
-    @property
-    def _compared(self) -> slice:
-        return slice(None, None, max(1, self.count // MAX_CYCLES))
-
     def trend(self, values: Array) -> Trend | None:
         """Return the trend per cycle of values with one entry per cycle, (cycles,)."""
-        cycle = np.arange(self.count, dtype=np.float64)
-        return trend_of(cycle[self._compared], values[self._compared])
+        every = max(1, self.count // MAX_CYCLES)
+        return trend_of(np.arange(self.count, dtype=np.float64)[::every], values[::every])
 
     def scatter(self, values: Array, trend: Trend) -> float:
         """Return the standard deviation of values, (cycles,), about their trend."""
-        return spread_of((values - trend.slope * np.arange(self.count))[self._compared]).sigma
+        every = max(1, self.count // MAX_CYCLES)
+        return spread_of((values - trend.slope * np.arange(self.count))[::every]).sigma
 
     @cached_property
     def gain(self) -> Trend | None:

@@ -1,7 +1,7 @@
 """Estimate the hysteresis of one axis: from its recordings to an AxisModel."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,9 +13,8 @@ from piezoid.identification.hysteresis.applicability import (
     reason_of_lag,
     reason_of_no_response,
 )
-from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.coordinates import Shape, piece_start, to_si_units
 from piezoid.identification.hysteresis.cycles import (
-    Cycles,
     cycles_of,
     limits_of_cycles,
     trends_over_cycles,
@@ -47,7 +46,6 @@ from piezoid.identification.hysteresis.search import (
 )
 from piezoid.identification.hysteresis.sensor_noise import noise_is_most, sensor_noise
 from piezoid.identification.hysteresis.uncertainty import certify, jackknife, summarise
-from piezoid.identification.hysteresis.unit_scaling import piece_start, to_si_units
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.quality import (
     IN_SAMPLE,
@@ -56,6 +54,7 @@ from piezoid.identification.quality import (
     Order,
     Verdict,
 )
+from piezoid.numerics.arrays import Array
 from piezoid.operators.play import forgetting_sample
 from piezoid.records.recording import Recording
 from piezoid.records.reversals import noise_of, reversals_of
@@ -67,17 +66,6 @@ MAX_KKT_GAP = 1e-6  # of the quadratic program that the search starts from
 POLISHING_ITERATIONS = 4  # over every row, after the search over thinned rows
 Progress = Callable[[str], None]
 Orders = Sequence[tuple[int, int]]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FitSetup:
-    """Pieces and settings of a fit, and remarks on excluded outliers and transients."""
-
-    scales: Scales
-    pieces: tuple[Piece, ...]
-    settings: Settings
-    outliers: tuple[str, ...]
-    transients: tuple[str, ...]
 
 
 def estimate_axis(
@@ -101,63 +89,61 @@ def estimate_axis(
     """
     # The folds depend on the order of the recordings, and so do the last digits of sums over rows.
     ordered = tuple(sorted(recordings, key=lambda recording: recording.name))
-    setup = _prepare(ordered, axis, rig, progress)
-    loop_reason = reason_in_loops(setup.pieces)
+    progress("first fit")
+    scales = scales_of(ordered, axis)
+    pieces = pieces_of(ordered, axis, scales, rig)
+    coarse = Settings(
+        longest_lag_s=longest_lag_s(pieces),
+        sensor_pole_Hz=rig.sensor_bandwidth_Hz,
+        rows=CHOOSING_ROWS,
+        iterations=12,
+    )
+    fit = search(pieces, FIRST_SHAPE, coarse)
+    pieces, outliers = without_outliers(fit)
+    if outliers:
+        fit = search(pieces, FIRST_SHAPE, coarse)
+    pieces, transients = without_transients(fit)
+    coarse = replace(coarse, lag_s=fit.operator.lag_s)
+    loop_reason = reason_in_loops(pieces)
     if loop_reason:  # one small fit is enough to show how wrong the class is
         orders = orders[:1]
-    settings = replace(setup.settings, rows=CHOOSING_ROWS, iterations=12)
-    choice = choose_shape(setup.pieces, settings, orders=orders, progress=progress)
-    cycles = [c for c in map(cycles_of, setup.pieces) if c is not None]
+    choice = choose_shape(pieces, coarse, orders=orders, progress=progress)
+    cycles = [c for c in map(cycles_of, pieces) if c is not None]
     slides = limits_of_cycles(cycles)
     # A lag or gain that changes from cycle to cycle dominates the residual and hides the
     # difference between plays and a lag.
     has_trend = bool(slides) or any(c.gain is not None for c in cycles)
     lag_reason = ""
     if not loop_reason and not has_trend:
-        lag_reason = reason_of_lag(setup.pieces, choice, settings, progress)
-    longest_s = setup.settings.longest_lag_s
-    limits, second_order_reason = limits_of_lag(setup.pieces, choice, longest_s, progress)
+        lag_reason = reason_of_lag(pieces, choice, coarse, progress)
+    limits, second_order_reason = limits_of_lag(pieces, choice, coarse.longest_lag_s, progress)
     if has_trend:
         second_order_reason = ""
     if second_order_reason:
         choice = without_bends(choice)
     rejection = (
-        reason_of_no_response(setup.pieces, choice, setup.scales)
+        reason_of_no_response(pieces, choice, scales)
         or lag_reason
         or second_order_reason
         or loop_reason
-        or reason_of_error(setup.pieces, choice)
+        or reason_of_error(pieces, choice)
     )
     progress("final fit")
-    fit = _final_fit(setup, choice)
-    model = _axis_model(ordered, axis, rig, setup, choice, fit, rejection, cycles)
+    fit = _final_fit(pieces, choice, replace(coarse, rows=FINAL_ROWS, iterations=30))
     limits = (*limits, *limits_as_recorded(ordered, axis), *slides)
-    limits = tuple(sorted(limits, key=lambda limit: limit.most))
+    stroke_m = abs(scales.displacement_m)
+    quality = replace(
+        _quality(fit, choice, pieces, stroke_m),
+        limits=tuple(sorted(limits, key=lambda limit: limit.most)),
+    )
+    noise = quality.noise_rms_m / stroke_m
+    trends = [text for c in cycles for text in trends_over_cycles(c, stroke_m, noise)]
+    remarks = (*outliers, *trends, *transients, *remarks_on(fit, choice.kind, rig))
+    verdict = Verdict(applies=not rejection, reason=rejection, remarks=remarks)
+    model = _axis_model(ordered, axis, rig, scales, fit, choice.best.residual, verdict, quality)
     names = [recording.name for recording in recordings]
     starts = tuple(sorted(model.starts, key=lambda start: names.index(start.recording)))
-    return replace(model, starts=starts, quality=replace(model.quality, limits=limits))
-
-
-def _prepare(recordings: Sequence[Recording], axis: str, rig: Rig, progress: Progress) -> FitSetup:
-    progress("first fit")
-    scales = scales_of(recordings, axis)
-    pieces = pieces_of(recordings, axis, scales, rig)
-    settings = Settings(
-        longest_lag_s=longest_lag_s(pieces), sensor_pole_Hz=rig.sensor_bandwidth_Hz
-    )
-    coarse = replace(settings, rows=CHOOSING_ROWS, iterations=12)
-    fit = search(pieces, FIRST_SHAPE, coarse)
-    pieces, outliers = without_outliers(fit)
-    if outliers:
-        fit = search(pieces, FIRST_SHAPE, coarse)
-    pieces, transients = without_transients(fit)
-    return FitSetup(
-        scales=scales,
-        pieces=pieces,
-        settings=replace(settings, lag_s=fit.operator.lag_s),
-        outliers=outliers,
-        transients=transients,
-    )
+    return replace(model, starts=starts)
 
 
 def longest_lag_s(pieces: Sequence[Piece]) -> float:
@@ -171,18 +157,17 @@ def longest_lag_s(pieces: Sequence[Piece]) -> float:
     return max(ten_samples_s, 0.25 * float(np.quantile(branches, 0.9)))
 
 
-def _final_fit(setup: FitSetup, choice: Choice) -> HysteresisFit:
+def _final_fit(pieces: Sequence[Piece], choice: Choice, settings: Settings) -> HysteresisFit:
     """Fit the chosen shape to all rows.
 
     An error in sample above the held-out error of the folds shows that a better minimum exists:
     the search is then repeated from the operators of the folds.
     """
-    settings, best = replace(setup.settings, rows=FINAL_ROWS), choice.best
-    fit = search(setup.pieces, best.shape, settings)
+    best = choice.best
+    fit = search(pieces, best.shape, settings)
     if fit.minimum.rms > best.held_out_rms:
         repeated = (
-            search_from(setup.pieces, operator, best.shape.lag, settings)
-            for operator in best.operators
+            search_from(pieces, operator, best.shape.lag, settings) for operator in best.operators
         )
         closest = min((fit, *repeated), key=lambda candidate: candidate.minimum.rms)
         fit = replace(closest, kkt_gap=fit.kkt_gap)
@@ -199,31 +184,30 @@ def _axis_model(
     recordings: Sequence[Recording],
     axis: str,
     rig: Rig,
-    setup: FitSetup,
-    choice: Choice,
+    scales: Scales,
     fit: HysteresisFit,
-    rejection: str,
-    cycles: Sequence[Cycles],
+    held_out: Array,
+    verdict: Verdict,
+    quality: FitQuality,
 ) -> AxisModel:
-    scales, theta = setup.scales, fit.minimum.theta
-    stroke_m = abs(scales.displacement_m)
+    """Return the model of a fit in SI units with its uncertainty.
+
+    held_out  (rows,)  held-out residual, scaled units
+    """
+    theta, coordinates = fit.minimum.theta, fit.task.coordinates
     refits = jackknife(theta, fit.task)
     starts = tuple(
-        piece_start(piece, index, theta, fit.task.coordinates, scales, float(piece.drive[0]))
+        piece_start(piece, index, theta, coordinates, scales, float(piece.drive[0]))
         for index, piece in enumerate(fit.task.pieces)
     )
-    zero_m = float(np.mean([start.zero_m.mean() for start in starts]))
     drives = [recording.voltage_V(axis) for recording in recordings]
-    slew = max(
+    slew_V_per_s = max(
         float(np.abs(np.diff(u)).max()) * r.sampling_rate_Hz
         for u, r in zip(drives, recordings, strict=True)
     )
-    quality = _quality(fit, choice, setup.pieces, stroke_m)
-    trends = [
-        remark
-        for cycles_of_piece in cycles
-        for remark in trends_over_cycles(cycles_of_piece, stroke_m, quality.noise_rms_m / stroke_m)
-    ]
+    zero_m = float(np.mean([start.zero_m.mean() for start in starts]))
+    residual_m = held_out * abs(scales.displacement_m)
+    longest_s = fit.task.longest_lag_s
     return AxisModel(
         axis=axis,
         hysteresis=to_si_units(fit.operator, scales, zero_m),
@@ -232,26 +216,10 @@ def _axis_model(
         rig=rig,
         starts=starts,
         voltage_V=(min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)),
-        verdict=Verdict(
-            applies=not rejection,
-            reason=rejection,
-            remarks=(
-                *setup.outliers,
-                *trends,
-                *setup.transients,
-                *remarks_on(fit, choice.kind, rig),
-            ),
-        ),
+        verdict=verdict,
         quality=quality,
-        uncertainty=summarise(refits, fit.task.coordinates, scales),
-        certificate=certify(
-            refits,
-            fit.task.coordinates,
-            scales,
-            choice.best.residual * stroke_m,
-            slew,
-            fit.task.longest_lag_s,
-        ),
+        uncertainty=summarise(refits, coordinates, scales),
+        certificate=certify(refits, coordinates, scales, residual_m, slew_V_per_s, longest_s),
     )
 
 

@@ -116,6 +116,12 @@ def outlying_samples(error: Array, drive: Array, response: Array) -> Samples:
 
 
 def _outliers(error: Array, lag: Samples, motion: Array) -> Samples:
+    """Return one pass of outliers: far from the median and, unlike corners, from neighbours.
+
+    At a corner of the residual (the start of a branch that the fit does not follow), the distance
+    of a sample from its neighbours is half of that from the median of nine samples; of a pair up
+    to three quarters of it.
+    """
     padded = np.pad(error, WIDTH // 2, mode="reflect", reflect_type="odd")
     windows = np.lib.stride_tricks.sliding_window_view(padded, WIDTH)
     distance = np.abs(error - np.median(windows, axis=1))
@@ -132,21 +138,14 @@ def _outliers(error: Array, lag: Samples, motion: Array) -> Samples:
             repeated[rows] = np.quantile(distance[rows], RINGING_QUANTILE)
     limit = FACTOR * np.maximum(local, repeated[candidates])
     candidates = candidates[distance[candidates] > limit]
-    return np.asarray(candidates[_steepness(error, candidates) > STEEP * distance[candidates]])
-
-
-def _steepness(error: Array, sample: Samples) -> Array:
-    """Return the distance of samples, single or in pairs, from their neighbours.
-
-    At a corner of the residual (the start of a branch that the fit does not follow), this distance
-    is half of that from the median of nine samples, and up to three quarters of it for a pair.
-    """
+    # Distance of the candidates, single or in pairs, from their neighbours.
     padded = np.pad(error, 2, mode="edge")
-    k, pairs = sample + 2, []
-    single = np.abs(padded[k] - 0.5 * (padded[k - 1] + padded[k + 1]))
+    k = candidates + 2
+    steepness = np.abs(padded[k] - 0.5 * (padded[k - 1] + padded[k + 1]))
     for side in (-1, 1):
         level = 0.5 * (padded[k - side] + padded[k + 2 * side])
         pair = padded[k] - level, padded[k + side] - level
         smaller = np.minimum(np.abs(pair[0]), np.abs(pair[1]))
-        pairs.append(np.where(pair[0] * pair[1] > 0.0, smaller, 0.0) * PAIR_SHARE)
-    return np.asarray(np.max([single, *pairs], axis=0))
+        of_pair = np.where(pair[0] * pair[1] > 0.0, smaller, 0.0) * PAIR_SHARE
+        steepness = np.maximum(steepness, of_pair)
+    return np.asarray(candidates[steepness > STEEP * distance[candidates]])

@@ -62,10 +62,27 @@ class Task:
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
-        """M and c of the prior rows M theta + c."""
-        kinks, constant = self.coordinates.kinks()
+        """M and c of the prior rows M theta + c, the weighted change of slope at every kink.
+
+        For the loading curve these are the play weights; for Psi and gamma the differences of
+        neighbouring slopes, outwards from the two middle ones, which are 1.
+        """
+        kinks, constant = [], []
+        for name, group in self.coordinates.slices.items():
+            is_slope = name.endswith(("slope", "envelope"))
+            if not is_slope and name != "weight":
+                continue
+            for index in range(group.start if is_slope else group.start + 1, group.stop):
+                row = np.zeros(self.coordinates.total)
+                row[index] = 1.0
+                is_middle_neighbour = is_slope and index == group.start
+                if is_slope and not is_middle_neighbour:
+                    row[index - 1] = -1.0
+                kinks.append(row)
+                constant.append(-1.0 if is_middle_neighbour else 0.0)
         share = np.sqrt(self.ridge * self.rows)
-        return share * kinks, share * constant
+        matrix = np.reshape(kinks, (-1, self.coordinates.total))
+        return share * matrix, share * np.array(constant)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,16 +110,12 @@ def minimise(theta: Array, task: Task, *, iterations: int = 30) -> Minimum:
         group = task.coordinates.slices[name]
         lower[group] = upper[group] = theta[group]
     swing = widest_swing(task.pieces)
-
-    def within(theta: Array) -> Array:
-        return theta if "gap" in task.fixed else task.coordinates.within_reach(theta, swing)
-
     minimum = levenberg_marquardt.minimise(
         lambda x: _Point(task, x, upper > lower, rms_of(x, task)),
         theta,
         (lower, upper),
         rule=Rule(crawl=MIN_PROGRESS, iterations=iterations, easier=5.0, harder=6.0),
-        within=within,
+        within=lambda x: x if "gap" in task.fixed else task.coordinates.within_reach(x, swing),
     )
     return Minimum(
         theta=minimum.x,
@@ -130,18 +143,32 @@ class _Point:
         """Return the triangular factor of the columns of the free parameters.
 
         The parameters of a piece are eliminated in that piece, so that each piece contributes only
-        a triangle of the shared parameters.
+        a triangle of the shared parameters. Once every play has moved, rows do not depend on the
+        initial memory any more, and only the other columns are gathered.
         """
         task, is_free = self.task, self.is_free
         shared = np.flatnonzero(is_free[: task.coordinates.shared])
         common = empty_triangle(len(shared) + 1)
         local_rows, indices = [], []
         for index in range(len(task.pieces)):
-            triangle, columns = _piece_triangle(self.theta, task, index, is_free)
-            count = len(triangle) - len(common)
-            local_rows.append(triangle[:count])
-            indices.append(columns[:count])
-            common = gather(common, triangle[count:, count:])
+            of_piece = column_indices(task.coordinates, index)
+            is_used = np.append(is_free[of_piece], True)
+            memory = int(np.count_nonzero(is_used[: task.coordinates.shape.plays]))
+            columns = int(np.count_nonzero(is_used))
+            early, later = empty_triangle(columns), empty_triangle(columns - memory)
+            end = memory  # rows of the block that depend on the memory; 0 once it is forgotten
+            for _, rows in rows_of(self.theta, task, index):
+                block = rows if is_used.all() else rows.T[is_used].T
+                if end:
+                    with_memory = np.flatnonzero(block[:, :memory].any(axis=1))
+                    end = int(with_memory[-1]) + 1 if len(with_memory) else 0
+                    early = gather(early, block[:end], spend=True)
+                later = gather(later, block[end:, memory:], spend=True)
+            early[memory:, memory:] = gather(later, early[memory:, memory:])
+            count = len(early) - len(common)
+            local_rows.append(early[:count])
+            indices.append(of_piece[is_used[:-1]][:count])
+            common = gather(common, early[count:, count:])
         kinks, constant = task.prior
         prior = np.column_stack([kinks[:, shared], kinks @ self.theta + constant])
         common = gather(common, prior, spend=True)
@@ -149,39 +176,14 @@ class _Point:
         local = sum(map(len, local_rows))
         factor = np.zeros((local + len(common), local + len(common)), order="F")
         first = 0
-        for rows in local_rows:
-            stop = first + len(rows)
-            factor[first:stop, first:stop] = rows[:, : len(rows)]
-            factor[first:stop, local:] = rows[:, len(rows) :]
+        for triangle in local_rows:
+            stop = first + len(triangle)
+            factor[first:stop, first:stop] = triangle[:, : len(triangle)]
+            factor[first:stop, local:] = triangle[:, len(triangle) :]
             first = stop
         factor[local:, local:] = common
         free_indices = np.concatenate([*indices, shared])
         return Rows(factor=factor[:, :-1], residual=factor[:, -1], numbers=free_indices)
-
-
-def _piece_triangle(
-    theta: Array, task: Task, index: int, is_free: NDArray[np.bool_]
-) -> tuple[Array, Samples]:
-    """Return the triangular factor of one piece and the parameter indices of its columns.
-
-    Once every play has moved, rows do not depend on the initial memory any more, and only the
-    other columns are gathered.
-    """
-    indices = column_indices(task.coordinates, index)
-    is_used = np.append(is_free[indices], True)
-    memory = int(np.count_nonzero(is_used[: task.coordinates.shape.plays]))
-    columns = int(np.count_nonzero(is_used))
-    early, later = empty_triangle(columns), empty_triangle(columns - memory)
-    end = memory  # rows of the block that depend on the memory; 0 once it is forgotten
-    for _, rows in rows_of(theta, task, index):
-        block = rows if is_used.all() else rows.T[is_used].T
-        if end:
-            with_memory = np.flatnonzero(block[:, :memory].any(axis=1))
-            end = int(with_memory[-1]) + 1 if len(with_memory) else 0
-            early = gather(early, block[:end], spend=True)
-        later = gather(later, block[end:, memory:], spend=True)
-    early[memory:, memory:] = gather(later, early[memory:, memory:])
-    return early, indices[is_used[:-1]]
 
 
 def rms_of(theta: Array, task: Task) -> float:
@@ -211,7 +213,8 @@ def simulate(
     if forward.lag == "delay" and forward.sensor_Hz is None and is_sparse:
         whole_samples = int(np.floor(forward.lag_s * rate_Hz))
         fraction = forward.lag_s * rate_Hz - whole_samples
-        drive, nearest = _thinned_drive(piece, np.maximum(sample - whole_samples, 0))
+        source = np.maximum(sample - whole_samples, 0)
+        drive, nearest = thinned_drive(piece.drive, source, with_previous=True, turns=piece.turns)
         output, _ = forward.static(drive, memory, rate_Hz)
         previous = output[np.maximum(nearest - 1, 0)]
         output = (1.0 - fraction) * output[nearest] + fraction * previous
@@ -237,7 +240,7 @@ def rows_of(theta: Array, task: Task, index: int) -> Iterator[tuple[Samples, Arr
     sample = piece.fitted_samples(task.stride)
     drive, source = piece.drive, np.maximum(sample - delay, 0)
     if chain.lag is None and chain.sensor is None and SPARSE * len(sample) < len(drive):
-        drive, source = _thinned_drive(piece, source)
+        drive, source = thinned_drive(drive, source, with_previous=True, turns=piece.turns)
     zero = theta[coordinates.offset_slice(index)]
     knots = np.arange(len(zero))
     zero_columns = slice(chain.plays, chain.plays + len(knots))
@@ -280,11 +283,6 @@ def forward_of(theta: Array, task: Task, rate_Hz: float) -> Forward:
     if time_s * rate_Hz < FAST_POLE:
         return replace(forward, lag_s=operator.lag_s + time_s, sensor_Hz=None)
     return forward
-
-
-def _thinned_drive(piece: Piece, samples: Samples) -> tuple[Array, Samples]:
-    """Return the drive thinned to reversals, samples and predecessors, and the rows of samples."""
-    return thinned_drive(piece.drive, samples, with_previous=True, turns=piece.turns)
 
 
 def _knot_position(sample: Samples, piece: Piece, knots: int) -> Array:

@@ -16,7 +16,6 @@ from piezoid.identification.hysteresis.coordinates import Scaled, Shape
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.hysteresis.search import (
-    HysteresisFit,
     Settings,
     refit_initial_state,
     search,
@@ -193,7 +192,9 @@ def fit_trial(
 ) -> Trial | None:
     """Fit a shape to every fold; None if its held-out error is above ``max_rms``.
 
-    Further folds are skipped once the error exceeds the limit whatever they contribute.
+    Further folds are skipped once the error exceeds the limit whatever they contribute. Zero and
+    memory of whole held-out recordings are fitted. The second half of a recording keeps the memory
+    of the first; its zero is fitted unless it is the only recording.
     """
     folds = list(folds_of(pieces))
     rows = sum(len(fold.held_out_samples(k)) for fold in folds for k in range(len(fold.testing)))
@@ -201,10 +202,21 @@ def fit_trial(
     residuals, operators = [], []
     for fold in folds:
         fit = search(fold.training, shape, settings)
-        residual = _held_out_residual(fit, fold)
-        residuals.append(residual)
         operators.append(fit.operator)
-        max_squares -= float(residual @ residual)
+        whole_pieces = fold.testing[fold.halved :]
+        refitted = refit_initial_state(fit, whole_pieces) if whole_pieces else fit
+        is_only_recording = _count_recordings((*fold.training, *fold.testing)) == 1
+        errors = []
+        for number, piece in enumerate(fold.testing):
+            if number < fold.halved:  # keep the zero of the training half
+                output = simulate_piece(fit, number, fold.training[number])
+            else:
+                output = simulate_piece(refitted, number - fold.halved, piece)
+            error = (output - piece.response)[fold.held_out_samples(number)]
+            is_offset_free = number < fold.halved and not is_only_recording
+            errors.append(error - error.mean() if is_offset_free else error)
+        residuals.append(np.concatenate(errors))
+        max_squares -= float(residuals[-1] @ residuals[-1])
         if max_squares < 0.0:
             return None
     trial = Trial(shape=shape, residual=np.concatenate(residuals), operators=tuple(operators))
@@ -230,7 +242,18 @@ def folds_of(pieces: Sequence[Piece]) -> Iterator[Fold]:
     for fold in range(folds):
         held_out = [p for p in pieces if p.recording % folds == fold]
         remaining = tuple(p for p in pieces if p.recording % folds != fold)
-        wide = tuple(p for p in held_out if count == 2 or not _is_covered(p, remaining))
+        ranges = [(float(p.fitted_drive.min()), float(p.fitted_drive.max())) for p in remaining]
+        wide: list[Piece] = []  # pieces whose range or swing the remaining pieces do not cover
+        for piece in held_out:
+            low, high = float(piece.fitted_drive.min()), float(piece.fitted_drive.max())
+            is_covered = (
+                bool(ranges)
+                and min(a for a, _ in ranges) <= low + MAX_EXTRAPOLATION
+                and max(b for _, b in ranges) >= high - MAX_EXTRAPOLATION
+                and max(b - a for a, b in ranges) >= high - low - MAX_EXTRAPOLATION
+            )
+            if count == 2 or not is_covered:
+                wide.append(piece)
         halves = tuple(replace(p, last=p.first + p.rows // 2) for p in wide)
         if held_out and (remaining or halves):
             yield Fold(
@@ -238,19 +261,6 @@ def folds_of(pieces: Sequence[Piece]) -> Iterator[Fold]:
                 testing=(*wide, *(p for p in held_out if p not in wide)),
                 halved=len(halves),
             )
-
-
-def _is_covered(piece: Piece, remaining: Sequence[Piece]) -> bool:
-    """Return whether the other pieces cover the range and the swing of this piece."""
-    if not remaining:
-        return False
-    drives = [p.fitted_drive for p in (piece, *remaining)]
-    (low, high), *ranges = [(float(drive.min()), float(drive.max())) for drive in drives]
-    return (
-        min(a for a, _ in ranges) <= low + MAX_EXTRAPOLATION
-        and max(b for _, b in ranges) >= high - MAX_EXTRAPOLATION
-        and max(b - a for a, b in ranges) >= high - low - MAX_EXTRAPOLATION
-    )
 
 
 def is_untested(pieces: Sequence[Piece]) -> bool:
@@ -266,24 +276,3 @@ def is_untested(pieces: Sequence[Piece]) -> bool:
         is_low = np.signbit(drive - 0.5 * (drive.max() + drive.min()))
         crossings += int(np.count_nonzero(np.diff(is_low)))
     return crossings <= MAX_CROSSINGS and scope_of(pieces).is_untested
-
-
-def _held_out_residual(fit: HysteresisFit, fold: Fold) -> Array:
-    """Return the residual of a fit on the held-out rows of its fold.
-
-    Zero and memory of whole held-out recordings are fitted. The second half of a recording keeps
-    the memory of the first; its zero is fitted unless it is the only recording.
-    """
-    whole_pieces = fold.testing[fold.halved :]
-    refitted = refit_initial_state(fit, whole_pieces) if whole_pieces else fit
-    is_only_recording = _count_recordings((*fold.training, *fold.testing)) == 1
-    residuals = []
-    for number, piece in enumerate(fold.testing):
-        if number < fold.halved:  # keep the zero of the training half
-            output = simulate_piece(fit, number, fold.training[number])
-        else:
-            output = simulate_piece(refitted, number - fold.halved, piece)
-        error = (output - piece.response)[fold.held_out_samples(number)]
-        is_offset_free = number < fold.halved and not is_only_recording
-        residuals.append(error - error.mean() if is_offset_free else error)
-    return np.concatenate(residuals)

@@ -35,20 +35,6 @@ MAX_SCORE_AS_RECORDED = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Branch:
-    """One monotone run of the drive, in scaled units.
-
-    span         signed
-    speed_per_s  magnitude
-    is_whole     whether it extends from reversal to reversal, unlike the first and last branch
-    """
-
-    span: float
-    speed_per_s: float
-    is_whole: bool
-
-
-@dataclass(frozen=True, kw_only=True)
 class Scope:
     """Properties of the recordings that limit what a fit can identify.
 
@@ -132,50 +118,39 @@ def limits_as_recorded(recordings: Sequence[Recording], axis: str) -> tuple[Limi
 
 
 def scope_of(pieces: Sequence[Piece]) -> Scope:
-    """Return the scope of pieces."""
-    branches = [branch for piece in pieces for branch in branches_of(piece)]
-    largest = max((abs(branch.span) for branch in branches), default=0.0)
-    large_branches = [branch for branch in branches if abs(branch.span) > LARGE * largest]
-    complete = [branch for branch in branches if branch.is_whole] or branches
-    spans = [abs(branch.span) for branch in complete if abs(branch.span) > SMALL * largest]
+    """Return the scope of pieces: properties of the monotone runs of their scaled drives."""
+    spans, speeds, is_whole = [], [], []  # of each run: signed; per s; from reversal to reversal
+    for piece in pieces:
+        drive = piece.fitted_drive
+        reversals = reversals_of(drive, max(noise_of(drive), 0.02))
+        for first, stop in zip((0, *reversals), (*reversals, len(drive) - 1), strict=True):
+            run = drive[first : stop + 1]
+            span = float(run[-1] - run[0])
+            if abs(span) <= 0.02 or len(run) < 3:
+                continue
+            # The middle 80 % of the span, without rests before or after the run.
+            is_middle = np.abs(run - 0.5 * (run[0] + run[-1])) < 0.4 * abs(span)
+            moving_s = max(int(np.count_nonzero(is_middle)), 1) / piece.sampling_rate_Hz
+            spans.append(span)
+            speeds.append(0.8 * abs(span) / moving_s)
+            is_whole.append(first > 0 and stop < len(drive) - 1)
+    size, speed = np.abs(spans), np.array(speeds)
+    is_large = size > LARGE * size.max(initial=0.0)
+    speed_ratio = 1.0  # of two large branches of one direction and similar span
+    for sign in (1.0, -1.0):
+        branch = np.flatnonzero(is_large & (sign * np.array(spans) > 0.0))
+        branch = branch[np.argsort(size[branch], kind="stable")]
+        first = 0
+        for stop in range(len(branch)):
+            while size[branch[stop]] > SIMILAR_SPANS * size[branch[first]]:
+                first += 1
+            similar = speed[branch[first : stop + 1]]
+            speed_ratio = max(speed_ratio, float(similar.max() / similar.min()))
+    complete = size[is_whole] if any(is_whole) else size
+    complete = complete[complete > SMALL * size.max(initial=0.0)]
     return Scope(
-        branches=len(large_branches),
+        branches=int(is_large.sum()),
         recordings=len({piece.recording for piece in pieces}),
-        speeds=max(_speed_ratio(large_branches, direction) for direction in (1.0, -1.0)),
-        amplitudes=max(spans, default=1.0) / min(spans, default=1.0),
+        speeds=speed_ratio,
+        amplitudes=float(complete.max() / complete.min()) if len(complete) else 1.0,
     )
-
-
-def branches_of(piece: Piece) -> list[Branch]:
-    """Return the monotone runs of the drive of a piece, in their order."""
-    drive = piece.fitted_drive
-    reversals = reversals_of(drive, max(noise_of(drive), 0.02))
-    branches = []
-    for first, stop in zip((0, *reversals), (*reversals, len(drive) - 1), strict=True):
-        run = drive[first : stop + 1]
-        span = float(run[-1] - run[0])
-        if abs(span) <= 0.02 or len(run) < 3:
-            continue
-        # The middle 80 % of the span, without rests before or after the run.
-        is_middle = np.abs(run - 0.5 * (run[0] + run[-1])) < 0.4 * abs(span)
-        moving_s = max(int(np.count_nonzero(is_middle)), 1) / piece.sampling_rate_Hz
-        branches.append(
-            Branch(
-                span=span,
-                speed_per_s=0.8 * abs(span) / moving_s,
-                is_whole=first > 0 and stop < len(drive) - 1,
-            )
-        )
-    return branches
-
-
-def _speed_ratio(branches: Sequence[Branch], direction: float) -> float:
-    """Return the largest speed ratio of two branches of one direction and similar span."""
-    ordered = sorted((b for b in branches if b.span * direction > 0.0), key=lambda b: abs(b.span))
-    largest, first = 1.0, 0
-    for stop, branch in enumerate(ordered):
-        while abs(branch.span) > SIMILAR_SPANS * abs(ordered[first].span):
-            first += 1
-        speeds = [similar.speed_per_s for similar in ordered[first : stop + 1]]
-        largest = max(largest, max(speeds) / min(speeds))
-    return largest

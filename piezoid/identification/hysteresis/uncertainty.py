@@ -24,15 +24,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.hysteresis.coordinates import Coordinates, operator_of
-from piezoid.identification.hysteresis.gauss_newton import Task, column_indices, rows_of
-from piezoid.identification.hysteresis.pieces import Piece, Scales
-from piezoid.identification.hysteresis.unit_scaling import (
+from piezoid.identification.hysteresis.coordinates import (
+    Coordinates,
     envelope_stretch,
+    operator_of,
     parameter_names,
     parameter_values,
     to_si_units,
 )
+from piezoid.identification.hysteresis.gauss_newton import Task, column_indices, rows_of
+from piezoid.identification.hysteresis.pieces import Piece, Scales
 from piezoid.identification.quality import Certificate, Uncertainty
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import student_quantile
@@ -106,9 +107,23 @@ class Jackknife:
 
 def jackknife(theta: Array, task: Task) -> Jackknife:
     """Return refits without each block of whole cycles in turn."""
-    normals, gradients = block_normals(theta, task)
+    coordinates = task.coordinates
+    edges = block_edges(task.pieces)
+    blocks = sum(len(edge) - 1 for edge in edges)
+    normals = np.zeros((blocks, coordinates.total, coordinates.total))  # J_c'J_c
+    gradients = np.zeros((blocks, coordinates.total))  # J_c'e_c
+    first = 0
+    for index in range(len(task.pieces)):
+        columns = column_indices(coordinates, index)
+        for sample, rows in rows_of(theta, task, index):
+            block = first + np.searchsorted(edges[index][1:-1], sample, side="right")
+            for c in np.unique(block):
+                tangent, residual = rows[block == c, :-1], rows[block == c, -1]
+                normals[c][np.ix_(columns, columns)] += tangent.T @ tangent
+                gradients[c][columns] += tangent.T @ residual
+        first += len(edges[index]) - 1
     kinks, _ = task.prior
-    bounds = task.coordinates.bounds(task.longest_lag_s)
+    bounds = coordinates.bounds(task.longest_lag_s)
     return leave_blocks_out(theta, bounds, normals, gradients, kinks.T @ kinks)
 
 
@@ -146,26 +161,6 @@ def leave_blocks_out(
     )
 
 
-def block_normals(theta: Array, task: Task) -> tuple[Array, Array]:
-    """Return J_c'J_c, (blocks, total, total), and J_c'e_c, (blocks, total), of every block."""
-    coordinates = task.coordinates
-    edges = block_edges(task.pieces)
-    blocks = sum(len(edge) - 1 for edge in edges)
-    normals = np.zeros((blocks, coordinates.total, coordinates.total))
-    gradients = np.zeros((blocks, coordinates.total))
-    first = 0
-    for index in range(len(task.pieces)):
-        columns = column_indices(coordinates, index)
-        for sample, rows in rows_of(theta, task, index):
-            block = first + np.searchsorted(edges[index][1:-1], sample, side="right")
-            for c in np.unique(block):
-                tangent, residual = rows[block == c, :-1], rows[block == c, -1]
-                normals[c][np.ix_(columns, columns)] += tangent.T @ tangent
-                gradients[c][columns] += tangent.T @ residual
-        first += len(edges[index]) - 1
-    return normals, gradients
-
-
 def block_edges(pieces: Sequence[Piece]) -> list[NDArray[np.int_]]:
     """Return the edges of blocks of each piece, where the drive rises through its median.
 
@@ -196,9 +191,6 @@ def summarise(refits: Jackknife, coordinates: Coordinates, scales: Scales) -> Un
     """
     reach_V = np.linspace(0.0, scales.voltage_V, POINTS)
 
-    def parameters(theta: Array) -> Array:
-        return parameter_values(theta, coordinates, scales)
-
     def loading(theta: Array) -> Array:
         model = to_si_units(operator_of(theta, coordinates), scales)
         return model.run(model.voltage_offset_V + reach_V, model.virgin_memory())[0]
@@ -212,8 +204,8 @@ def summarise(refits: Jackknife, coordinates: Coordinates, scales: Scales) -> Un
     return Uncertainty(
         blocks=refits.blocks,
         names=parameter_names(operator),
-        values=parameters(refits.theta),
-        covariance=refits.spread(parameters),
+        values=parameter_values(refits.theta, coordinates, scales),
+        covariance=refits.spread(lambda x: parameter_values(x, coordinates, scales)),
         upper_limit={
             f"play_weight_m_per_V[{i}]": refits.upper_limit(first + i) * unit
             for i in range(1, coordinates.shape.plays + 1)

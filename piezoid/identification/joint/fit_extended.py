@@ -12,8 +12,8 @@ import numpy as np
 
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.forward import Run
+from piezoid.identification.hysteresis.coordinates import piece_start, to_si_units
 from piezoid.identification.hysteresis.estimate import longest_lag_s
-from piezoid.identification.hysteresis.unit_scaling import piece_start, to_si_units
 from piezoid.identification.joint.vector import (
     FOLDS,
     NEVER_OUT,
@@ -163,7 +163,7 @@ def _model(
                 rms_m=end.rms_m,
                 held_out_rms_m=held_rms_m if is_tested else end.rms_m,
                 held_out_kind=BLOCKS if is_tested else IN_SAMPLE,
-                rows=end.rows,
+                rows=sum(map(len, end.errors)),
                 effective_parameters=float(len(state.vector)),
                 converged=converged,
             )
@@ -174,86 +174,111 @@ def _model(
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Point:
-    """Runs, errors and derivatives of every part at one point of the search."""
+    """Runs and errors of every part at one point of the search; derivatives when needed.
+
+    squares  sum of squared errors at all rows
+    priors   relations, numbers and slice of each extension with a prior
+    """
 
     state: State
     parts: Sequence[Part]
-
-    @Once
-    def runs(self) -> list[Run]:
-        return [self.state.run(k, part) for k, part in enumerate(self.parts)]
-
-    @Once
-    def errors(self) -> list[Array]:
-        pairs = zip(self.runs, self.parts, strict=True)
-        return [np.asarray(run.reading - part.piece.response)[part.samples] for run, part in pairs]
-
-    @Once
-    def tangents(self) -> list[Array]:
-        pairs = enumerate(zip(self.parts, self.runs, strict=True))
-        return [_tangents(self.state, k, part, run) for k, (part, run) in pairs]
-
-    @Once
-    def squares(self) -> float:
-        """Sum of squared errors at all rows."""
-        return sum(float(error @ error) for error in self.errors)
-
-    @property
-    def rows(self) -> int:
-        return sum(len(error) for error in self.errors)
-
-    @property
-    def rms(self) -> float:
-        return float(np.sqrt(self.squares / self.rows))
+    runs: Sequence[Run]
+    errors: Sequence[Array]
+    squares: float
+    priors: Sequence[tuple[Array, Array, slice]]
 
     @property
     def rms_m(self) -> float:
-        return self.rms * abs(self.state.scales.displacement_m)
+        rms = float(np.sqrt(self.squares / sum(map(len, self.errors))))
+        return rms * abs(self.state.scales.displacement_m)
+
+    @property
+    def cost(self) -> float:
+        return self.squares + self.prior_cost
+
+    @property
+    def prior_cost(self) -> float:
+        return sum(float(np.sum((rows @ value) ** 2)) for rows, value, _ in self.priors)
+
+    @Once
+    def tangents(self) -> list[Array]:
+        """d reading / d vector of every part, (rows, numbers)."""
+        coordinates = self.state.coordinates
+        plays, lag = coordinates.shape.plays, coordinates.slices["lag"]
+        tables = []
+        for index, (part, run) in enumerate(zip(self.parts, self.runs, strict=True)):
+            sample = part.samples
+            rows = np.zeros((len(sample), len(self.state.vector)), order="F")
+            columns = run.by_hysteresis(sample)
+            rows[:, : lag.start] = columns[:, plays:]
+            rows[:, coordinates.memory_slice(index)] = columns[:, :plays]
+            rows[:, coordinates.offset_slice(index)] = 1.0
+            if lag.stop > lag.start:
+                rows[:, lag] = run.by_lag(sample)[:, None]
+            for number, columns_of_extension in enumerate(self.state.slices):
+                rows[:, columns_of_extension] = run.by_extension(number, sample)
+            tables.append(rows)
+        return tables
 
     @Once
     def gram(self) -> Array:
         """Gram matrix of the tangents at all rows."""
         return sum((part.T @ part for part in self.tangents), np.zeros((1, 1)))
 
-    @Once
-    def cost(self) -> float:
-        return self.squares + _prior_cost(self.state)
-
     def linearised(self) -> NormalEquations:
-        pairs = zip(self.tangents, self.errors, strict=True)
+        return self.normal_equations(self.gram, self.tangents, self.errors, self.cost)
+
+    def normal_equations(
+        self, gram: Array, tangents: Sequence[Array], errors: Sequence[Array], cost: float
+    ) -> NormalEquations:
+        """Return normal equations with the prior of each extension, with the weight of one row."""
+        pairs = zip(tangents, errors, strict=True)
         slope = sum((part.T @ error for part, error in pairs), np.zeros(1))
-        return _with_prior(self.state, self.gram, slope, self.cost)
+        gram, slope = gram.copy(), slope.copy()
+        for rows, value, numbers in self.priors:
+            gram[numbers, numbers] += rows.T @ rows
+            slope[numbers] += rows.T @ (rows @ value)
+        return NormalEquations(gram=gram, slope=slope, cost=cost)
 
 
 def _point_at(state: State, parts: Sequence[Part], vector: Array) -> _Point:
-    return _Point(state.at(vector), parts)
+    """Simulate all parts at a point of the search."""
+    state = state.at(vector)
+    runs = [state.run(k, part) for k, part in enumerate(parts)]
+    errors = [
+        np.asarray(run.reading - part.piece.response)[part.samples]
+        for run, part in zip(runs, parts, strict=True)
+    ]
+    priors = []
+    for extension, numbers in zip(state.extensions, state.slices, strict=True):
+        scale = abs(state.scales.displacement_m) if extension.is_prior_in_metres else 1.0
+        rows = extension.prior()
+        if len(rows):
+            priors.append((rows / scale, extension.free().value, numbers))
+    squares = sum(float(error @ error) for error in errors)
+    return _Point(
+        state=state, parts=parts, runs=runs, errors=errors, squares=squares, priors=priors
+    )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _FoldPoint:
-    """A point on the training rows of a fold, with the tangents at the end of the search."""
+    """A point on the training rows of a fold, with the tangents at the end of the search.
+
+    errors  0 at held-out rows: a selection would copy megabytes of columns
+    gram    of the tangents at the training rows
+    """
 
     point: _Point
-    training: Sequence[Array]
-    columns: Sequence[Array]
+    errors: Sequence[Array]
+    tangents: Sequence[Array]
     gram: Array
-
-    @Once
-    def errors(self) -> list[Array]:
-        """Errors, 0 at held-out rows: a selection would copy megabytes of columns."""
-        pairs = zip(self.point.errors, self.training, strict=True)
-        return [np.where(is_training, error, 0.0) for error, is_training in pairs]
-
-    @Once
-    def cost(self) -> float:
-        return sum(float(e @ e) for e in self.errors) + _prior_cost(self.point.state)
+    cost: float
 
     def linearised(self) -> NormalEquations:
-        pairs = zip(self.columns, self.errors, strict=True)
-        slope = sum((part.T @ error for part, error in pairs), np.zeros(1))
-        return _with_prior(self.point.state, self.gram, slope, self.cost)
+        return self.point.normal_equations(self.gram, self.tangents, self.errors, self.cost)
 
 
 def _refit_without(
@@ -269,47 +294,16 @@ def _refit_without(
     def point_at(vector: Array) -> _FoldPoint:
         is_start = np.array_equal(vector, start)  # saves one simulation
         point = end if is_start else _point_at(end.state, end.parts, vector)
-        return _FoldPoint(point, is_training, end.tangents, gram)
+        pairs = zip(point.errors, is_training, strict=True)
+        errors = [np.where(is_used, error, 0.0) for error, is_used in pairs]
+        return _FoldPoint(
+            point=point,
+            errors=errors,
+            tangents=end.tangents,
+            gram=gram,
+            cost=sum(float(e @ e) for e in errors) + point.prior_cost,
+        )
 
     fold_minimum = minimise(point_at, start, bounds, rule=CHORDS)
     errors = fold_minimum.point.point.errors
     return fold_minimum.x, [error[~k] for error, k in zip(errors, is_training, strict=True)]
-
-
-def _with_prior(state: State, gram: Array, slope: Array, cost: float) -> NormalEquations:
-    """Add the prior of each extension, with the weight of one row."""
-    gram, slope = gram.copy(), slope.copy()
-    for rows, value, numbers in _priors(state):
-        gram[numbers, numbers] += rows.T @ rows
-        slope[numbers] += rows.T @ (rows @ value)
-    return NormalEquations(gram=gram, slope=slope, cost=cost)
-
-
-def _priors(state: State) -> list[tuple[Array, Array, slice]]:
-    priors = []
-    for extension, numbers in zip(state.extensions, state.slices, strict=True):
-        scale = abs(state.scales.displacement_m) if extension.is_prior_in_metres else 1.0
-        rows = extension.prior()
-        if len(rows):
-            priors.append((rows / scale, extension.free().value, numbers))
-    return priors
-
-
-def _prior_cost(state: State) -> float:
-    return sum(float(np.sum((rows @ value) ** 2)) for rows, value, _ in _priors(state))
-
-
-def _tangents(state: State, index: int, part: Part, run: Run) -> Array:
-    """Return d reading / d vector, (rows, numbers)."""
-    coordinates, sample = state.coordinates, part.samples
-    rows = np.zeros((len(sample), len(state.vector)), order="F")
-    plays, lag = coordinates.shape.plays, coordinates.slices["lag"]
-    columns = run.by_hysteresis(sample)
-    rows[:, : lag.start] = columns[:, plays:]
-    rows[:, coordinates.memory_slice(index)] = columns[:, :plays]
-    rows[:, coordinates.offset_slice(index)] = 1.0
-    if lag.stop > lag.start:
-        rows[:, lag] = run.by_lag(sample)[:, None]
-    for number, columns_of_extension in enumerate(state.slices):
-        rows[:, columns_of_extension] = run.by_extension(number, sample)
-    return rows

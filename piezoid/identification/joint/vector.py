@@ -15,20 +15,19 @@ import numpy as np
 
 from piezoid.identification.extensions import in_order
 from piezoid.identification.extensions.extension import Extension, Where
+from piezoid.identification.extensions.linear_mode import rows_after_steps
 from piezoid.identification.forward import Forward, Run
 from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
     Scaled,
+    envelope_stretch,
     operator_of,
     vector_of,
     with_flat_envelope,
 )
-from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of
-from piezoid.identification.hysteresis.unit_scaling import envelope_stretch
+from piezoid.identification.hysteresis.pieces import Piece, PieceStart, Rig, Scales, pieces_of
 from piezoid.identification.model import AxisModel
-from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import where_of
-from piezoid.identification.step_rows import rows_after_steps
 from piezoid.numerics.arrays import Array, Samples, spread_rows
 from piezoid.operators.dead_zone import LINEAR, from_slopes
 from piezoid.operators.play import play_columns

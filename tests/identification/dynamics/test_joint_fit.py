@@ -8,8 +8,8 @@ import pytest
 from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
 from piezoid.identification.dynamics.joint_fit import fit_jointly
 from piezoid.identification.dynamics.modal import JointFit, LinearDynamics
+from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.model import AxisModel
-from piezoid.identification.piece_start import PieceStart
 from tests.identification.dynamics.test_axis_dynamics import (
     DAMPING,
     MODE_Hz,

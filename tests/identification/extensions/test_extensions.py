@@ -20,7 +20,7 @@ ids = {"ids": lambda extension: extension.kind}
 def test_every_file_of_the_folder_is_registered() -> None:
     folder = Path(family.__file__).parent
     files = {path.stem for path in folder.glob("*.py")}
-    assert files - {"__init__", "extension", "loop_effect", "signals"} == {
+    assert files - {"__init__", "extension"} == {
         known.__module__.rpartition(".")[2] for known in EXTENSIONS
     }
     assert len({known.kind for known in EXTENSIONS}) == len(EXTENSIONS)

@@ -92,7 +92,7 @@ def test_mains_lines_are_folded_and_left_out_where_two_would_be_one() -> None:
     spectrum = np.abs(np.fft.rfft(heard_m))
     found_Hz = np.fft.rfftfreq(4000, 1e-3)[np.argsort(spectrum)[-2:]]
     assert sorted(found_Hz.tolist()) == pytest.approx([50.0, 150.0])
-    assert loud.hums[1].amplitude_m == pytest.approx(np.sqrt(2.0) * 1e-8)
+    assert spectrum.max() / 2000 == pytest.approx(np.sqrt(2.0) * 1e-8)
     american = MainsLines.of([slow], 60.0, harmonics=(1,))
     heard_m = np.asarray(american.moved_to(np.full(len(american.free().value), 1e-8)).added(slow))
     assert np.argmax(np.abs(np.fft.rfft(heard_m))) * 100.0 / 400 == pytest.approx(40.0)

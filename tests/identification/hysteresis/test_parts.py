@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from piezoid.identification.hysteresis.coordinates import Shape, operator_of
+from piezoid.identification.hysteresis.coordinates import Shape, operator_of, to_si_units
 from piezoid.identification.hysteresis.gauss_newton import rms_of
 from piezoid.identification.hysteresis.pieces import Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import HysteresisFit, Settings, prune, search
@@ -17,7 +17,6 @@ from piezoid.identification.hysteresis.uncertainty import (
     loop_width_m,
     max_difference_m,
 )
-from piezoid.identification.hysteresis.unit_scaling import to_si_units
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR
 from tests.identification.hysteresis.stages import decaying, play_sum, recording

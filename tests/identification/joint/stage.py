@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
+from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, PieceStart
 from piezoid.identification.model import AxisModel
-from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Channel, Quantity, Recording

@@ -20,9 +20,9 @@ from piezoid.identification.extensions import (
     ThermalDrift,
 )
 from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.joint.fit_extended import fit_extended
 from piezoid.identification.joint.vector import FOLDS, NEVER_OUT, Structure, parts_of
-from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import simulate_recording
 from tests.identification.joint.stage import (
     MEMORY_V,
