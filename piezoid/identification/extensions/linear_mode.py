@@ -9,6 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.extension import (
+    NOTHING,
     Extension,
     Free,
     LoopEffect,
@@ -69,8 +70,10 @@ class LinearMode(Extension):
         return np.asarray(displacement + self.participation * (shaped - displacement))
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
-        """Return the mode in parallel to the instantaneous response."""
+        """Return the mode in parallel to the instantaneous response, if it takes part in it."""
         w, participation = 2.0 * pi * self.frequency_Hz, self.participation
+        if participation == 0.0:  # a fit may end at this bound; a loop cannot observe the mode
+            return NOTHING
         return LoopEffect(
             system=ContinuousSystem(
                 A=np.array([[0.0, w], [-w, -w / self.quality]]),

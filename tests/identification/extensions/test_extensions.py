@@ -9,7 +9,8 @@ import pytest
 
 import piezoid.identification.extensions as family
 from piezoid.identification.extensions import EXTENSIONS, LAYOUT_OF_EXTENSIONS
-from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.extensions.extension import NOTHING, Extension
+from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.record_json import from_json, to_json
 from tests.identification.extensions.samples import RATE_Hz, one_of_each, where
 
@@ -100,3 +101,8 @@ def test_the_end_of_however_wide_an_interval_is_an_extension(
         there = extension.moved_to(np.clip(value, free.lower, free.upper))
         wide = replace(there, std=tuple(10.0 * np.abs(free.value) + 1.0))
         assert wide.at_corner(way, way).kind == extension.kind
+
+
+def test_a_mode_in_which_nothing_takes_part_is_no_state_of_a_loop() -> None:
+    mode = LinearMode(frequency_Hz=240.0, quality=4.0, participation=0.0)
+    assert mode.loop_effect(RATE_Hz) is NOTHING
