@@ -239,15 +239,15 @@ def design_vertical(
     ``TemplateError`` if neither controller meets the specification.
     """
 
-    def attempt(tried: Specification) -> tuple[Violation, ...]:
+    def attempt(candidate: Specification) -> tuple[Violation, ...]:
         """Return the violations by band-stops or by a few convex steps, whichever are smaller."""
-        start = shape(family, tried).controller
-        violations = unmet(family.members, start.R, start.S, tried)
+        start = shape(family, candidate).controller
+        violations = unmet(family.members, start.R, start.S, candidate)
         if not violations:
             return ()
-        convex = optimise(family, tried, start, taps=taps, max_iterations=_TRIAL_ITERATIONS)
+        convex = optimise(family, candidate, start, taps=taps, max_iterations=_TRIAL_ITERATIONS)
         R, S = convex.controller.R, convex.controller.S
-        return min(violations, unmet(family.members, R, S, tried), key=severity)
+        return min(violations, unmet(family.members, R, S, candidate), key=severity)
 
     shaped = shape(family, specification)
     convex = optimise(family, specification, shaped.controller, taps=taps)

@@ -131,11 +131,11 @@ def _design_loop(
     """Design the loop of one axis in one form by every method, and choose the smallest error."""
     tune = partial(tune_observer, family, model=model, form=form)
 
-    def smallest_violations(tried: Specification) -> tuple[Violation, ...]:
+    def smallest_violations(candidate: Specification) -> tuple[Violation, ...]:
         """Return the violations by the best tuning; empty as soon as a tuning has none."""
         violations = []
-        for method in reversed(_methods(family, tried)):
-            violations.append(tune(tried, method=method, until_met=True).violations)
+        for method in reversed(_methods(family, candidate)):
+            violations.append(tune(candidate, method=method, until_met=True).violations)
             if not violations[-1]:
                 break
         return min(violations, key=severity)

@@ -247,9 +247,9 @@ def _jump(time_s: Array, y: Array, drifts: Sequence[Array]) -> tuple[Array, floa
     coarse = min(errors, key=lambda pair: pair[0])[1] * size
     # refine the instant among the rows near the coarse one
     low, high = max(coarse - 4 * size, 0), min(coarse + 4 * size, len(y))
-    near = y[low:high]
-    sums, count_before = np.cumsum(near - near.mean())[:-1], np.arange(1, len(near))
-    scores = np.abs(sums) / np.sqrt(count_before * (len(near) - count_before))
+    window = y[low:high]
+    sums, count_before = np.cumsum(window - window.mean())[:-1], np.arange(1, len(window))
+    scores = np.abs(sums) / np.sqrt(count_before * (len(window) - count_before))
     row = low + 1 + int(np.argmax(scores))
     return (np.arange(len(y)) >= row).astype(np.float64)[:, None], float(time_s[row] - time_s[0])
 

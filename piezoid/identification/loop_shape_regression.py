@@ -180,8 +180,8 @@ def with_sensor_numbers(
             first = numbers.value / numbers.step
             bounds = (numbers.lower / numbers.step, numbers.upper / numbers.step)
             fit = least_squares(error, first, bounds=bounds, x_scale="jac", args=(extension,))
-            before = error(first, extension)
-            change = np.linalg.norm(error(fit.x, extension) - before) / np.linalg.norm(before)
+            start = error(first, extension)
+            change = np.linalg.norm(error(fit.x, extension) - start) / np.linalg.norm(start)
             sensor = replace(extension.moved_to(fit.x * numbers.step), std=extension.std)
             positions_m = list(map(sensor.reading, positions_m, locations))
             extensions[number], shift = sensor, max(shift, float(change))

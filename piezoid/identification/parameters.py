@@ -50,12 +50,12 @@ def parameters_of(axis: AxisModel) -> "DataFrame":
         # The ends of an interval are the fields of the extension at the ends of its free numbers.
         free, half = extension.free(), NORMAL_95 * np.array(extension.std)
         stated = _numbers(extension)
-        ends = [dict.fromkeys(stated, np.nan)] * 2
+        limits = [dict.fromkeys(stated, np.nan)] * 2
         if len(half) == len(free.value) > 0:
-            moved = [np.clip(free.value + step, free.lower, free.upper) for step in (-half, half)]
-            ends = [_numbers(extension.moved_to(value)) for value in moved]
+            values = [np.clip(free.value + step, free.lower, free.upper) for step in (-half, half)]
+            limits = [_numbers(extension.moved_to(value)) for value in values]
         for name, value in stated.items():
-            low, high = sorted((ends[0][name], ends[1][name]))
+            low, high = sorted((limits[0][name], limits[1][name]))
             if not low < high:  # not a free number
                 low = high = np.nan
             rows.append((f"{extension.kind}.{name}", value, low, high))

@@ -171,18 +171,18 @@ def _errors(
     tail = min(tails, default=math.inf)
     top = rng.uniform(size=len(shared)) ** (1.0 / positions)
     low = top * -np.expm1(np.log(rng.uniform(size=len(shared))) / (positions - 1))
-    ends = []
+    extremes = []
     for probability in (top, low):
         score = normal_quantile(np.clip(probability, 1e-15, 1.0 - 1e-15))
         if math.isinf(tail):
-            ends.append(np.abs(shared + standard * score))
+            extremes.append(np.abs(shared + standard * score))
             continue
         # Quantiles of t are a smooth function of the normal score.
         knots = np.linspace(score.min(), score.max(), QUANTILE_KNOTS)
         quantile = np.interp(score, knots, student_quantile(ndtr(knots), tail))
         quantile = quantile * math.sqrt((tail - 2.0) / tail)
-        ends.append(np.abs(shared + standard * quantile))
-    return single, np.maximum(*ends)
+        extremes.append(np.abs(shared + standard * quantile))
+    return single, np.maximum(*extremes)
 
 
 def _draw(contribution: Contribution, draws: int, rng: np.random.Generator) -> Array:

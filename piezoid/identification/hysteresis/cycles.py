@@ -118,8 +118,8 @@ def trends_over_cycles(cycles: Cycles, stroke_m: float, noise: float) -> tuple[s
     order = np.argsort(mean_drive, kind="stable")
     sentences = []
     if cycles.gain is not None:
-        ends = (cycles.gain.slope, *cycles.gain.ci95)
-        change, low, high = (100 * end * (cycles.count - 1) for end in ends)
+        slopes = (cycles.gain.slope, *cycles.gain.ci95)
+        change, low, high = (100 * slope * (cycles.count - 1) for slope in slopes)
         sentences.append(
             f"{cycles.name}: cycle by cycle the sensitivity changes by {change:+.3g} % over "
             f"{cycles.count} equal cycles (95 %: {low:.3g} to {high:.3g} %)."

@@ -63,8 +63,8 @@ def find_table(lines: list[str], name: str, declared: TextFormat) -> TableStart:
     """
     # At most MAX_TRIED_TEXT characters in possible rows.
     sizes = accumulate(len(line) if len(line) <= MAX_LINE else 0 for line in lines)
-    tried = max(sum(size <= MAX_TRIED_TEXT for size in sizes), 1)
-    lines, count = lines[:tried], len(lines)
+    line_count = max(sum(size <= MAX_TRIED_TEXT for size in sizes), 1)
+    lines, count = lines[:line_count], len(lines)
     if declared.heading_row is not None and declared.heading_row >= len(lines):
         raise LabFileError(
             f"lab.toml: heading_row of {name} is {declared.heading_row}, the headings of this "
