@@ -52,8 +52,8 @@ def parameters_of(axis: AxisModel) -> "DataFrame":
         stated = _numbers(extension)
         limits = [dict.fromkeys(stated, np.nan)] * 2
         if len(half) == len(free.value) > 0:
-            values = [np.clip(free.value + step, free.lower, free.upper) for step in (-half, half)]
-            limits = [_numbers(extension.moved_to(value)) for value in values]
+            bounds = [np.clip(free.value + step, free.lower, free.upper) for step in (-half, half)]
+            limits = [_numbers(extension.moved_to(value)) for value in bounds]
         for name, value in stated.items():
             low, high = sorted((limits[0][name], limits[1][name]))
             if not low < high:  # not a free number
