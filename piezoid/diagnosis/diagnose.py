@@ -223,7 +223,8 @@ def _drop_doubtful_causes(
     """Drop causes of weak evidence, and those that the final model does not need.
 
     Without the latter loop shape leaves the same errors, held out and in sample: the cause
-    represents hysteresis that only loop shape follows. Structural effects stay: the healthy stages
+    represents hysteresis that only loop shape follows. A model without loop shape needs a cause
+    without which its own error is clearly larger. Structural effects stay: the healthy stages
     contain no evidence for an initial state, and non-congruence has a test of its own.
 
     The final model decides whether the causes are named, because the class of the refits may be
@@ -232,14 +233,16 @@ def _drop_doubtful_causes(
 
     complete  (selection) -> its final model
     """
-    final, outcome = complete(selection), selection.result.outcome
+    final, outcome, errors = complete(selection), selection.result.outcome, selection.errors
     quality, model = final.quality, final.without_loop_shape()
     causes = [cause for cause in outcome.causes if cause.effect.structural is None]
     doubtful = [cause for cause in causes if is_weak_evidence(cause.strength)]
     driven = driven_recordings(selection.repaired(recordings), model.axis)
     for cause in causes:
         remaining = cause.effect.without(model, driven[0])
-        if cause in doubtful or remaining is None:
+        error_ratio = errors.without_m[cause.effect.name] / errors.final_m
+        is_needed_by_plays = model is final and error_ratio > CLEARLY_WORSE
+        if cause in doubtful or remaining is None or is_needed_by_plays:
             continue
         executor.report(f"fitting loop shape without {words(cause.effect.name)}")
         errors_m = errors_with_loop_shape_m(remaining, driven)
