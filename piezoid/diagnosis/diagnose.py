@@ -238,16 +238,28 @@ def _drop_doubtful_causes(
     causes = [cause for cause in outcome.causes if cause.effect.structural is None]
     doubtful = [cause for cause in causes if is_weak_evidence(cause.strength)]
     driven = driven_recordings(selection.repaired(recordings), model.axis)
-    for cause in causes:
+    held_out_m, explained_m = quality.held_out_rms_m, quality.explained_rms_m
+    tested = [
+        cause
+        for cause in causes
+        if cause not in doubtful
+        and (
+            model is not final
+            or errors.without_m[cause.effect.name] <= CLEARLY_WORSE * errors.final_m
+        )
+    ]
+    if tested and model is final:  # compare loop shape without a cause with loop shape with it
+        with_all_m = errors_with_loop_shape_m(model, driven)
+        held_out_m = min(held_out_m, with_all_m.held_out)
+        explained_m = min(explained_m, with_all_m.explained)
+    for cause in tested:
         remaining = cause.effect.without(model, driven[0])
-        error_ratio = errors.without_m[cause.effect.name] / errors.final_m
-        is_needed_by_plays = model is final and error_ratio > CLEARLY_WORSE
-        if cause in doubtful or remaining is None or is_needed_by_plays:
+        if remaining is None:
             continue
         executor.report(f"fitting loop shape without {words(cause.effect.name)}")
         errors_m = errors_with_loop_shape_m(remaining, driven)
-        is_no_worse = errors_m.held_out <= MIN_INCREASE * quality.held_out_rms_m
-        if is_no_worse and errors_m.explained <= MIN_INCREASE * quality.explained_rms_m:
+        is_no_worse = errors_m.held_out <= MIN_INCREASE * held_out_m
+        if is_no_worse and errors_m.explained <= MIN_INCREASE * explained_m:
             doubtful.append(cause)
     if doubtful:
         result = replace(selection.result, outcome=without_causes(outcome, doubtful))
