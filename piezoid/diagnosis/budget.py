@@ -40,11 +40,11 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
+from piezoid.diagnosis.effects.quantisation import NAME as QUANTISATION
 from piezoid.diagnosis.null_distribution import ALPHA
 from piezoid.formatting import with_unit, words
 from piezoid.numerics.arrays import Array
 
-QUANTISATION = "quantisation"
 RESONANCE = "resonance"  # an unresolved mode widens loops as another loop shape does
 # Along one loop a wide class can follow all of these effects: for plays with a lag of 20 ms it
 # explained 46 of 59 nm, and beside a drift of plays 61 nm of loop shape that the stage has not.

@@ -12,7 +12,7 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.budget import QUANTISATION, RemainingErrors, with_budget
+from piezoid.diagnosis.budget import RemainingErrors, with_budget
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
 from piezoid.diagnosis.constant_drive import diagnose_at_rest
 from piezoid.diagnosis.diagnosis import (
@@ -31,7 +31,6 @@ from piezoid.diagnosis.refit import (
     ModelErrors,
     attribute_errors,
     repair_recordings,
-    repaired_faults,
 )
 from piezoid.diagnosis.residual_structure import (
     SearchResult,
@@ -239,19 +238,14 @@ def _drop_doubtful_causes(
     doubtful = [cause for cause in causes if is_weak_evidence(cause.strength)]
     driven = driven_recordings(selection.repaired(recordings), model.axis)
     held_out_m, explained_m = quality.held_out_rms_m, quality.explained_rms_m
-    tested = [
-        cause
-        for cause in causes
-        if cause not in doubtful
-        and (
-            model is not final
-            or errors.without_m[cause.effect.name] <= CLEARLY_WORSE * errors.final_m
-        )
-    ]
-    if tested and model is final:  # compare loop shape without a cause with loop shape with it
-        with_all_m = errors_with_loop_shape_m(model, driven)
-        held_out_m = min(held_out_m, with_all_m.held_out)
-        explained_m = min(explained_m, with_all_m.explained)
+    tested = [cause for cause in causes if cause not in doubtful]
+    if model is final:  # without loop shape
+        max_error_m = CLEARLY_WORSE * errors.final_m
+        tested = [c for c in tested if errors.without_m[c.effect.name] <= max_error_m]
+        if tested:  # compare loop shape without a cause with loop shape beside all
+            with_all_m = errors_with_loop_shape_m(model, driven)
+            held_out_m = min(held_out_m, with_all_m.held_out)
+            explained_m = min(explained_m, with_all_m.explained)
     for cause in tested:
         remaining = cause.effect.without(model, driven[0])
         if remaining is None:
@@ -415,9 +409,7 @@ def _remaining_errors(
     correction = sqrt(rows / max(rows - columns, 0.5 * rows))  # for the number of parameters
     has_wide_class = final.without_loop_shape() is not final
     with_structure_m = errors.without_m.get(SOMETHING_ELSE, errors.final_m)
-    converter_m, converter = 0.0, outcome.faults.get(QUANTISATION)
-    if converter is not None and QUANTISATION not in repaired_faults(outcome):
-        converter_m = 1e-9 * converter.value / sqrt(12.0)  # steps of a drive are repaired
+    converter = outcome.converter
     return RemainingErrors(
         explained_m=quality.explained_rms_m,
         wide_m=outcome.final.rms * outcome.first.half_stroke_m * correction,
@@ -426,5 +418,5 @@ def _remaining_errors(
         structure_m=sqrt(max(with_structure_m**2 - errors.final_m**2, 0.0)),
         is_compared=not outcome.rejection,
         recordings_m=recordings_m,
-        converter_m=converter_m,
+        converter_m=0.0 if converter is None else 1e-9 * converter.value / sqrt(12.0),
     )

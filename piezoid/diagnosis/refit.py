@@ -19,7 +19,6 @@ from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.identified_modes import NAME as RESONANCE
 from piezoid.diagnosis.residual_structure import SearchResult, add_structure
 from piezoid.diagnosis.segments import Track
-from piezoid.diagnosis.selection import Outcome
 from piezoid.formatting import words
 from piezoid.identification.dynamics.fit_dynamics import resolved_modes
 from piezoid.identification.extensions import in_order
@@ -80,7 +79,7 @@ def attribute_errors(
     scales      of the search
     """
     outcome, structure = result.outcome, result.structure
-    raw, tracks, faults = result.raw.tracks, outcome.clean.tracks, repaired_faults(outcome)
+    raw, tracks, faults = result.raw.tracks, outcome.clean.tracks, outcome.repaired_faults
     structured = tracks if structure is None else add_structure(outcome.clean, structure)
     rows_differ = any(len(a.rows) > len(b.rows) for a, b in zip(structured, tracks, strict=True))
     has_rows = bool(faults) or rows_differ
@@ -368,16 +367,6 @@ def _shipped_model(model: AxisModel, final: Extended, fit: Fit, structure: Struc
         extensions=tuple(e for e in extensions if e is not lag),
         uncertainty=final.model.uncertainty.updated("lag_s", model_lag.time_s, std_s),
     )
-
-
-def repaired_faults(outcome: Outcome) -> tuple[str, ...]:
-    """Return the names of the faults that were repaired; other faults need a new measurement."""
-    tracks, names = outcome.first.tracks, []
-    for name, fault in outcome.faults.items():
-        if any(a is not b for a, b in zip(tracks, fault.tracks, strict=True)):
-            names.append(name)
-        tracks = fault.tracks
-    return tuple(names)
 
 
 def repair_recordings(

@@ -22,6 +22,7 @@ from piezoid.diagnosis.coordinate_tests import (
     score_coordinates,
 )
 from piezoid.diagnosis.diagnosis import Unexplained
+from piezoid.diagnosis.effects.quantisation import NAME as QUANTISATION
 from piezoid.diagnosis.null_distribution import (
     rank_p_value,
     structure_p_value,
@@ -39,12 +40,15 @@ MIN_EXCESS = 8.0  # noise standard deviations of the predicted displacement beyo
 MIN_DRIVE_RANGE = 20.0  # of noise, in half ranges; at a turning point it is 2 * PLATEAU_WIDTH
 MAX_SHARE = 0.4  # of the rows
 MAINS, AMPLIFIER_LIMIT = "mains_interference", "amplifier_saturation"
-QUANTISATION, READING = "quantisation", "reading"
+READING = "reading"
 MAINS_COORDINATES = ("frequency", "line_phase")
 MIN_NOISE_RATIO = 1.1  # residual/noise; below it a limit of the amplifier explains a plateau
 MAX_P_VALUE = 0.02  # of one coordinate, by surrogates: the second of 99
 MAX_HEALTHY_P_VALUE = 0.05  # of a residual as systematic in a healthy stage
 MAX_CURVE_RATIO = 0.9  # largest error with a curve instead of an effect, over that with the effect
+# Relative difference of a period of the reading and the step of a converter, if one causes the
+# other: on one stage they were 443.9 and 443.3 nm
+STEP_ERROR = 0.05
 MAX_SECOND_RATIO = 0.97  # largest error after the second search, over that after the first
 
 
@@ -202,6 +206,9 @@ def search_all(view: View, executor: Executor) -> SearchResult:
             response = track.response - error
             tracks.append(replace(track, response=response, rows=rows, block=block))
         second = search(with_tracks(view, tracks), executor)
+        if first.converter is not None:  # readings without the curve have no equal steps
+            converter = replace(first.converter, tracks=second.clean.tracks)
+            second = replace(second, faults={**second.faults, QUANTISATION: converter})
         if second.final.rms < best_rms:
             best_rms = second.final.rms
             best = replace(
@@ -287,11 +294,13 @@ def _first_significant(
     Its curve is refitted without tangents of effects, which would absorb a part of it.
     """
     has_mains, view = MAINS in {cause.effect.name for cause in outcome.causes}, residual.view
+    converter = outcome.converter
+    step = 0.0 if converter is None else 1e-9 * converter.value / view.half_stroke_m
     for score in scores:
         is_line = score.coordinate in MAINS_COORDINATES
         if has_mains and is_line and mains_frequency_Hz(score.basis.per_unit):
             continue  # interference with other harmonics or a faster phase change than modelled
-        if QUANTISATION in outcome.faults and score.coordinate == READING:
+        if score.coordinate == READING and abs(step * score.basis.per_unit - 1.0) < STEP_ERROR:
             continue  # the error of a converter is a sawtooth of the reading
         healthy_p_value = structure_p_value(score.gain, residual.null.rms, view.noise)
         if score.p_value > MAX_P_VALUE or healthy_p_value > MAX_HEALTHY_P_VALUE:

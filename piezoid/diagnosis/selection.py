@@ -26,6 +26,7 @@ from piezoid.diagnosis.candidate import (
 )
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import every_effect
+from piezoid.diagnosis.effects.quantisation import NAME as QUANTISATION
 from piezoid.diagnosis.forward_selection import SLIP, select_forward
 from piezoid.diagnosis.initial_state_search import (
     OTHER_INITIAL_STATES,
@@ -87,6 +88,22 @@ class Outcome:
     def inseparable(self) -> tuple[str, ...]:
         """Return the significant structural effects that the causes cannot be separated from."""
         return tuple(c.effect.name for c in self.dismissed if c.effect.structural is not None)
+
+    @property
+    def repaired_faults(self) -> tuple[str, ...]:
+        """Return the names of the faults that were repaired; others need a new measurement."""
+        tracks, names = self.first.tracks, []
+        for name, fault in self.faults.items():
+            if any(a is not b for a, b in zip(tracks, fault.tracks, strict=True)):
+                names.append(name)
+            tracks = fault.tracks
+        return tuple(names)
+
+    @property
+    def converter(self) -> Fault | None:
+        """Return the coarse steps of the readings, which no repair removes."""
+        is_repaired = QUANTISATION in self.repaired_faults
+        return None if is_repaired else self.faults.get(QUANTISATION)
 
 
 def search(view: View, executor: Executor = SERIAL) -> Outcome:

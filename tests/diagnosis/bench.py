@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 
 from benchmarks.zoo.score import recorded as recorded
+from benchmarks.zoo.stages import KINDS, NAMES, PER_KIND, PER_LAW, drawn, stage
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.residual_view import View
@@ -41,6 +42,13 @@ def thinned(recordings: Iterable[Recording], every: int) -> tuple[Recording, ...
         )
         for recording in recordings
     )
+
+
+def recorded_zoo_stage(law: str, kind: str, seed: int) -> tuple[tuple[Recording, ...], Lab, float]:
+    """Return the recordings of a stage of the zoo, its declarations and its noise, rms in m."""
+    offset = NAMES.index(law) * PER_LAW + list(KINDS).index(kind) * PER_KIND
+    campaign = drawn(stage(law, kind, 0, seed - offset))
+    return (*recorded(campaign), campaign.answer.noise_rms_m)
 
 
 @cache

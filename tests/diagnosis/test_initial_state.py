@@ -5,7 +5,6 @@ The stage is a sum of plays that begins where we say, on parts of a healthy camp
 
 import pytest
 
-from benchmarks.zoo.stages import KINDS, NAMES, PER_KIND, PER_LAW, drawn, stage
 from piezoid.diagnosis.candidate import Candidate, structural_candidate
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.effects import initial_state
@@ -18,7 +17,7 @@ from piezoid.diagnosis.initial_state_search import (
 from piezoid.diagnosis.residual_view import View, with_free_memory
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
-from .bench import recorded, view_of_recordings
+from .bench import recorded, recorded_zoo_stage, view_of_recordings
 from .played import at_rest, cycled, cycled_the_other_way, forgotten, view_after
 
 
@@ -70,9 +69,7 @@ def test_a_ceramic_that_was_never_driven_so_far_is_poled_once_and_was_not_demagn
 
 def test_a_model_with_an_initial_state_is_no_worse_than_the_simulation_without_it() -> None:
     # A quarter of the usual size; the error of the model was 4.4 times the noise.
-    place = NAMES.index("preisach") * PER_LAW + list(KINDS).index("quarter") * PER_KIND
-    campaign = drawn(stage("preisach", "quarter", 0, 48522301 - place))
-    recordings, lab = recorded(campaign)
+    recordings, lab, noise_rms_m = recorded_zoo_stage("preisach", "quarter", 48522301)
     diagnosis = diagnose(recordings, lab=lab)
     assert diagnosis.final.rms_m < diagnosis.baseline.rms_m
-    assert diagnosis.final.rms_m < 1.5 * campaign.answer.noise_rms_m
+    assert diagnosis.final.rms_m < 1.5 * noise_rms_m

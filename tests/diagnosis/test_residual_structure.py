@@ -9,16 +9,18 @@ from functools import cache
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.diagnose import diagnose
+from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
+from piezoid.diagnosis.residual_structure import search_all
 from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnoses, write_diagnosis
 from piezoid.digests import unseal
 from piezoid.identification.fit import fit
+from piezoid.numerics.executor import SERIAL
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from tests.identification.hysteresis.stages import decaying, recording
 from tests.identification.hysteresis.test_estimate import stage
 
-from .bench import causes, recorded, thinned
+from .bench import causes, recorded, recorded_zoo_stage, thinned
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
@@ -120,3 +122,12 @@ def test_an_end_of_the_range_is_told_where_the_class_does_not_foretell_the_rest(
     found = diagnose(thinned(recordings, EVERY), lab=lab)
     assert causes(found) == (SOMETHING_ELSE,)
     assert structure_in(found).coordinate == "reading"
+
+
+def test_coarse_steps_of_the_readings_are_found_beside_other_structure() -> None:
+    """Steps of 443 nm: readings minus a curve are no multiples, and a curve may be the steps."""
+    recordings, lab, _ = recorded_zoo_stage("wall_pinning", "triple", 25808154)
+    two = [recording for recording in recordings if recording.name in ("sweep.csv", "check.csv")]
+    result = search_all(view_on(two, axis="x", lab=lab), SERIAL)
+    assert result.outcome.faults["quantisation"].value == pytest.approx(443.0, rel=0.01)
+    assert result.structure is None or result.structure.score.coordinate != "reading"

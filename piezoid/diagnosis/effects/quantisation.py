@@ -37,6 +37,7 @@ from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import step_size
 
+NAME = "quantisation"
 MIN_STEP = 1.2e-3  # of half the stroke: an rms error of 0.02 % of the stroke
 MIN_NOISE_RATIO = 1.5  # step over noise
 
@@ -238,7 +239,7 @@ def inject(recording: Recording, share: float) -> Recording:
 
 
 EFFECT = Effect(
-    name="quantisation",
+    name=NAME,
     explanation=__doc__ or "",
     unit="nm, one step",
     experiment="Record the same sweep with the converter's range reduced to the signal, or with "
