@@ -245,8 +245,8 @@ def _remaining_part(
         text = f"Loop shape that the model class cannot represent ({sizes})."
     elif name == QUANTISATION:
         text = (
-            "Steps of the sensor's converter, which no model removes "
-            f"({with_unit(errors.converter_m, 'm')} rms), above the noise."
+            f"Steps of the sensor's converter ({with_unit(errors.converter_m, 'm')} rms), as far "
+            "as they exceed the noise; no model removes them."
         )
     elif name == "extrapolation":
         text = _extrapolation_text(diagnosis.final.rms_m, rms_m, errors.recordings_m)

@@ -221,10 +221,10 @@ def _drop_doubtful_causes(
 ) -> tuple[_Selection, AxisModel]:
     """Drop causes of weak evidence, and those that the final model does not need.
 
-    Without the latter loop shape leaves the same errors, held out and in sample: the cause
-    represents hysteresis that only loop shape follows. A model without loop shape needs a cause
-    without which its own error is clearly larger. Structural effects stay: the healthy stages
-    contain no evidence for an initial state, and non-congruence has a test of its own.
+    Loop shape fits as well without the latter, held out and in sample: such a cause represents
+    hysteresis that only loop shape follows. If the final model has no loop shape, a cause that
+    clearly reduces its error stays. Structural effects stay: the healthy stages contain no
+    evidence for an initial state, and non-congruence has a test of its own.
 
     The final model decides whether the causes are named, because the class of the refits may be
     too narrow: on a LuGre stage with a true drift the refits were better without it (121 and
@@ -409,7 +409,7 @@ def _remaining_errors(
     correction = sqrt(rows / max(rows - columns, 0.5 * rows))  # for the number of parameters
     has_wide_class = final.without_loop_shape() is not final
     with_structure_m = errors.without_m.get(SOMETHING_ELSE, errors.final_m)
-    converter = outcome.converter
+    coarse = outcome.coarse_readings
     return RemainingErrors(
         explained_m=quality.explained_rms_m,
         wide_m=outcome.final.rms * outcome.first.half_stroke_m * correction,
@@ -418,5 +418,5 @@ def _remaining_errors(
         structure_m=sqrt(max(with_structure_m**2 - errors.final_m**2, 0.0)),
         is_compared=not outcome.rejection,
         recordings_m=recordings_m,
-        converter_m=0.0 if converter is None else 1e-9 * converter.value / sqrt(12.0),
+        converter_m=0.0 if coarse is None else 1e-9 * coarse.value / sqrt(12.0),
     )

@@ -206,9 +206,9 @@ def search_all(view: View, executor: Executor) -> SearchResult:
             response = track.response - error
             tracks.append(replace(track, response=response, rows=rows, block=block))
         second = search(with_tracks(view, tracks), executor)
-        if first.converter is not None:  # readings without the curve have no equal steps
-            converter = replace(first.converter, tracks=second.clean.tracks)
-            second = replace(second, faults={**second.faults, QUANTISATION: converter})
+        if first.coarse_readings is not None:  # minus a curve, readings have no equal steps
+            fault = replace(first.coarse_readings, tracks=second.clean.tracks)
+            second = replace(second, faults={**second.faults, QUANTISATION: fault})
         if second.final.rms < best_rms:
             best_rms = second.final.rms
             best = replace(
@@ -294,8 +294,8 @@ def _first_significant(
     Its curve is refitted without tangents of effects, which would absorb a part of it.
     """
     has_mains, view = MAINS in {cause.effect.name for cause in outcome.causes}, residual.view
-    converter = outcome.converter
-    step = 0.0 if converter is None else 1e-9 * converter.value / view.half_stroke_m
+    coarse = outcome.coarse_readings
+    step = 0.0 if coarse is None else 1e-9 * coarse.value / view.half_stroke_m
     for score in scores:
         is_line = score.coordinate in MAINS_COORDINATES
         if has_mains and is_line and mains_frequency_Hz(score.basis.per_unit):

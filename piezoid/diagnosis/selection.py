@@ -100,8 +100,8 @@ class Outcome:
         return tuple(names)
 
     @property
-    def converter(self) -> Fault | None:
-        """Return the coarse steps of the readings, which no repair removes."""
+    def coarse_readings(self) -> Fault | None:
+        """Return the fault of readings in coarse steps, which no repair removes."""
         is_repaired = QUANTISATION in self.repaired_faults
         return None if is_repaired else self.faults.get(QUANTISATION)
 
