@@ -88,7 +88,7 @@ def residual_of(estimate: Estimate, pieces: Sequence[PieceRows], columns: Column
     """Simulate an estimate and return its error at the rows of all pieces, (rows,) m."""
     errors_m = []
     for k, piece in enumerate(pieces):
-        static_m, _ = static_response_of(estimate, k, piece, columns)
+        static_m, _, _ = static_response_of(estimate, k, piece, columns)
         start = replace(piece.start, zero_m=estimate.zeros[k])
         errors_m.append(
             piece.measured_m[piece.rows] - reading_of(estimate.model, piece, start, static_m)
@@ -124,15 +124,21 @@ def interpolated(first: Estimate, second: Estimate, share: float) -> Estimate:
 
 def static_response_of(
     estimate: Estimate, k: int, piece: PieceRows, columns: Columns
-) -> tuple[Array, Array]:
-    """Simulate the static response of piece k, and the share of its histories, (samples,) each."""
-    axis, weight, history_m = estimate.model, estimate.weights[k], np.zeros(piece.where.samples)
-    if axis.loop_shape is not None and np.any(weight):
-        path = columns.paths[k]
-        change_m = path.changes_m(axis.loop_shape) @ weight[:, None]
-        history_m = path.interpolated(change_m, piece.where.samples)[:, 0]
+) -> tuple[Array, Array, Array]:
+    """Simulate the static response of piece k and the contribution of its histories.
+
+    returned  static response and share of the weighted histories, (samples,) each; changes of the
+              response by every history, (rows of the path, histories), all m
+    """
+    axis, weight, path = estimate.model, estimate.weights[k], columns.paths[k]
+    if estimate.variance:
+        assert axis.loop_shape is not None
+        changes_m = path.changes_m(axis.loop_shape)
+    else:  # the first estimate has no histories
+        changes_m = np.zeros((len(path.drive), len(weight)))
+    history_m = path.interpolated(changes_m @ weight[:, None], piece.where.samples)[:, 0]
     static_m = axis.static_m(piece.drive_V, piece.start.memory_V, piece.where.rate_Hz)
-    return history_m + static_m, history_m
+    return history_m + static_m, history_m, changes_m
 
 
 def reading_of(
@@ -161,7 +167,7 @@ def with_sensor_numbers(
     positions_m, readings_m, masks = [], [], np.split(estimate.use, np.cumsum(estimate.rows)[:-1])
     for k, piece in enumerate(pieces):
         zero_m = zero_of(replace(piece.start, zero_m=estimate.zeros[k]), piece.where.samples)
-        static_m, _ = static_response_of(estimate, k, piece, columns)
+        static_m, _, _ = static_response_of(estimate, k, piece, columns)
         rows = piece.rows[masks[k]]
         positions_m.append(axis.forward.position(static_m, piece.where, zero_m)[rows])
         readings_m.append(piece.measured_m[rows])
@@ -357,14 +363,12 @@ def _tables_of_piece(
     """
     axis, rows, path = estimate.model, len(piece.rows), columns.paths[k]
     scale_m, start = half_range_m(axis), replace(piece.start, zero_m=estimate.zeros[k])
-    static_m, history_m = static_response_of(estimate, k, piece, columns)
+    static_m, history_m, changes_m = static_response_of(estimate, k, piece, columns)
     reading_m = reading_of(axis, piece, start, static_m)
     first = sum(estimate.rows[:k])
     of_class, histories = columns.values[first : first + rows], np.zeros((rows, 0))
     if estimate.variance:  # not in the first regression
-        assert axis.loop_shape is not None
-        changes_m = path.filtered(path.changes_m(axis.loop_shape), axis, piece)
-        histories = changes_m / abs(scale_m)
+        histories = path.filtered(changes_m, axis, piece) / abs(scale_m)
     if has_histories:
         change = path.column_changes(estimate.weights[k], columns.plays, abs(scale_m))
         of_class = of_class + path.filtered(change, axis, piece) / columns.scale
@@ -372,8 +376,8 @@ def _tables_of_piece(
     zeros = [zero_of(hat, piece.where.samples)[piece.rows] for hat in hats]
     by_numbers = np.zeros((rows, 0))
     if has_numbers:
-        changes_m = _changes_by_numbers_m(axis, piece, start, reading_m, static_m, history_m)
-        by_numbers = changes_m / scale_m
+        by_numbers_m = _changes_by_numbers_m(axis, piece, start, reading_m, static_m, history_m)
+        by_numbers = by_numbers_m / scale_m
     slope = np.ones(rows)
     if any(is_sensor(extension) for extension in axis.extensions):
         step_m = SENSOR_STEP * abs(scale_m)

@@ -200,10 +200,10 @@ void pk_polynomials(size_t samples, const double *input, size_t columns, size_t 
             const double *z = column + i * stride + first;
             const double c1 = power[i], c2 = power[columns + i], c3 = power[2 * columns + i];
             const double c4 = power[3 * columns + i], a = bias[i], b = bias[columns + i];
-            const double size = scale[i];
+            const double d = bias[2 * columns + i], size = scale[i];
             for (size_t k = 0; k < count; ++k) {
                 const double x = z[k] * size, u = chunk[k];
-                sum[k] += x * (c1 + u * (a + u * b) + x * (c2 + x * (c3 + x * c4)));
+                sum[k] += x * (c1 + u * (a + u * b) + x * (c2 + u * d + x * (c3 + x * c4)));
             }
         }
     }

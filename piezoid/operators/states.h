@@ -61,9 +61,11 @@ void pk_friction(size_t samples, const double *input, size_t states, const doubl
                  const double *power, const double *column_index, double *state, size_t stride,
                  double *column);
 
-/* Add a polynomial of every column, with a first coefficient that depends on the input u:
- *   output += sum_i z (c_i1 + u a_i + u^2 b_i + z (c_i2 + z (c_i3 + z c_i4))),  z = column_i
- * scale_i power  (4, columns)   c bias   (2, columns)   a, b
+/* Add a polynomial of every column, with first coefficients that depend on the input u:
+ *   output += sum_i z (c_i1 + u a_i + u^2 b_i + z (c_i2 + u d_i + z (c_i3 + z c_i4))),
+ *   z = column_i scale_i
+ *   power  (4, columns)   c
+ *   bias   (3, columns)   a, b, d
  */
 void pk_polynomials(size_t samples, const double *input, size_t columns, size_t stride,
                     const double *column, const double *scale, const double *power,

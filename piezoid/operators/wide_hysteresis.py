@@ -25,7 +25,7 @@ from functools import cache, lru_cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
+from numpy.polynomial.legendre import legval, legvander
 from numpy.typing import ArrayLike
 
 from piezoid.numerics.arrays import Array
@@ -37,7 +37,7 @@ EDGES = np.linspace(-1.0, 1.0, 13)  # between the cells of position
 # Correlation lengths of the density in width and in position, and number of eigenvectors.
 SCALES = ((0.6, 0.8, 14), (0.25, 0.3, 40), (0.08, 0.12, 110))
 LAGGING = np.array([0, 2, 4, 6, 8, 10, 12, 14, 17, 20, 23])  # indices of plays with powers
-PAIRED = LAGGING[3:]  # plays that enter with products of two
+PAIRS = tuple(index + 3 for index in np.tril_indices(8, -1))  # of ``LAGGING``, with products
 REACH = np.array([0.04, 0.08, 0.15, 0.25, 0.4, 0.65, 1.0, 1.8])  # of friction states
 FRICTION_POWERS = (1.0, 2.0, 3.0)  # n, the powers that the kernel knows
 # Limit of a Bouc-Wen state, its exponent, and unloading relative to loading.
@@ -52,6 +52,17 @@ BOUC_WEN = np.array(
 )
 MAX_STEP = 0.01  # of the drive; the error of the midpoint rule is then some 1e-5 of the state
 POLYNOMIAL = 5  # degree of the Legendre polynomials of the drive
+LINEAR = ((0, 1),)
+# Families beside polynomials and density: a group of states z, and products u^n z^m as (n, m).
+FAMILIES = {
+    "plays times drive": ("lag", ((1, 1), (2, 1))),
+    "powers of plays": ("lag", ((0, 2), (1, 2), (0, 3))),
+    "products of plays": ("pairs", LINEAR),
+    **{f"friction {n:g}": (f"friction {n:g}", LINEAR) for n in FRICTION_POWERS},
+    "products of friction": ("friction 1", ((1, 1), (2, 1), (0, 2), (1, 2), (0, 3))),
+    "Bouc-Wen": ("Bouc-Wen", LINEAR),
+    "products of Bouc-Wen": ("every third Bouc-Wen", ((1, 1), (0, 2), (0, 3))),
+}
 CYCLES = (0.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0)  # turning points before every history
 PATH_STEP = 0.02  # of the drive in a history; friction states with powers need no smaller step
 CHUNK = 2048  # samples: the states of a chunk fit into the cache
@@ -196,40 +207,27 @@ def cells(position: Array) -> Array:
     return np.asarray(np.clip(position[:, None], EDGES[:-1], EDGES[1:]) - EDGES[:-1])
 
 
-def _smooth_terms(drive: Array, states: States) -> dict[str, list[tuple[int, Array]]]:
-    """Return the families except the density as products u^n b: pairs of n and (rows, columns)."""
+def _state_groups(drive: Array, states: States) -> dict[str, Array]:
+    """Return the groups of states of ``FAMILIES`` except the pairs, (rows, states) each."""
     plays, friction, bouc_wen = states
-    lag, paired = ((plays.T[columns] - drive).T for columns in (LAGGING, PAIRED))
-    first, second = np.tril_indices(paired.shape[1], -1)
-    dahl, subset = friction[:, : len(REACH)], bouc_wen[:, ::3]
-    polynomial = np.asarray(legvander(drive, POLYNOMIAL)[:, 1:], dtype=np.float64)
-    families: dict[str, list[tuple[int, Array]]] = {
-        "polynomial": [(0, polynomial)],
-        "plays times drive": [(1, lag), (2, lag)],
-        "powers of plays": [(0, lag**2), (1, lag**2), (0, lag**2 * lag)],
-        "products of plays": [(0, (paired.T[first] * paired.T[second]).T)],
+    of_power = zip(FRICTION_POWERS, np.split(friction, len(FRICTION_POWERS), axis=1), strict=True)
+    return {
+        "lag": (plays.T[LAGGING] - drive).T,
+        **{f"friction {n:g}": block for n, block in of_power},
+        "Bouc-Wen": bouc_wen,
+        "every third Bouc-Wen": np.asfortranarray(bouc_wen[:, ::3]),
     }
-    for power, block in zip(FRICTION_POWERS, np.split(friction, 3, axis=1), strict=True):
-        families[f"friction {power:g}"] = [(0, block)]
-    families["products of friction"] = [
-        (1, dahl),
-        (2, dahl),
-        (0, dahl**2),
-        (1, dahl**2),
-        (0, dahl**2 * dahl),
-    ]
-    families["Bouc-Wen"] = [(0, bouc_wen)]
-    families["products of Bouc-Wen"] = [(1, subset), (0, subset**2), (0, subset**2 * subset)]
-    return families
 
 
 def smooth_columns(drive: Array, states: States) -> dict[str, Array]:
     """Return the columns of all families except the density, {family: (rows, columns)}."""
-    powers = [np.ones((len(drive), 1)), drive[:, None], drive[:, None] ** 2]
-    return {
-        name: np.hstack([powers[n] * block for n, block in terms])
-        for name, terms in _smooth_terms(drive, states).items()
-    }
+    groups, u = _state_groups(drive, states), drive[:, None]
+    lag, (first, second) = groups["lag"].T, PAIRS
+    groups["pairs"] = (lag[first] * lag[second]).T
+    columns = {"polynomial": np.asarray(legvander(drive, POLYNOMIAL)[:, 1:], dtype=np.float64)}
+    for name, (group, exponents) in FAMILIES.items():
+        columns[name] = np.hstack([u**n * groups[group] ** m for n, m in exponents])
+    return columns
 
 
 def smooth_response(drive: Array, states: States, coefficient: Array) -> Array:
@@ -240,12 +238,30 @@ def smooth_response(drive: Array, states: States, coefficient: Array) -> Array:
     >>> smooth_response(drive, states, np.eye(smooth_count())[0]).tolist()
     [0.0, 0.5]
     """
-    total, first = np.zeros(len(drive)), 0
-    for terms in _smooth_terms(drive, states).values():
-        for n, block in terms:
-            stop = first + block.shape[1]
-            total += drive**n * (block @ coefficient[first:stop])
-            first = stop
+    groups, first = _state_groups(drive, states), POLYNOMIAL
+    lag = groups["lag"]
+    total = np.asarray(legval(drive, [0.0, *coefficient[:first]]))
+    for group, exponents in FAMILIES.values():
+        count = len(PAIRS[0]) if group == "pairs" else groups[group].shape[1]
+        stop = first + len(exponents) * count
+        weights = coefficient[first:stop].reshape(-1, count)
+        first = stop
+        if group == "pairs":
+            matrix = np.zeros((len(LAGGING), len(LAGGING)))
+            matrix[PAIRS] = weights[0]
+            total += np.einsum("ij,ij->i", lag @ matrix, lag)
+        elif exponents == LINEAR:
+            total += groups[group] @ weights[0]
+        else:
+            weight = dict(zip(exponents, weights, strict=True))
+            zero = np.zeros(count)
+            total += sum_of_polynomials(
+                groups[group],
+                drive,
+                scale=np.ones(count),
+                power=np.array([weight.get((0, m), zero) for m in (1, 2, 3)]),
+                bias=np.array([weight.get(e, zero) for e in ((1, 1), (2, 1), (1, 2))]),
+            )
     return total
 
 
@@ -299,19 +315,19 @@ def sum_of_polynomials(
 ) -> Array:
     """Return the sum of one polynomial per state, with slopes at zero that depend on the drive.
 
-        y = sum_i z_i (c_i1 + u a_i + u^2 b_i + z_i (c_i2 + z_i (c_i3 + z_i c_i4)))
+        y = sum_i z_i (c_i1 + u a_i + u^2 b_i + z_i (c_i2 + u d_i + z_i (c_i3 + z_i c_i4)))
 
     z  states * scale  (samples, states)     scale (states,)
     u  drive           (samples,)
     c  power           (<= 4, states)        missing powers are zero
-    a, b  bias         (2, states)
+    a, b, d  bias      (<= 3, states)       missing rows are zero
     y  returned        (samples,)
     """
     columns = np.asfortranarray(states, dtype=np.float64)
     samples, count = columns.shape
     total = np.zeros(samples)
-    powers = np.zeros((4, count))
-    powers[: len(power)] = power
+    powers, biases = np.zeros((4, count)), np.zeros((3, count))
+    powers[: len(power)], biases[: len(bias)] = power, bias
     KERNELS.pk_polynomials(
         samples,
         address(contiguous(drive)),
@@ -320,7 +336,7 @@ def sum_of_polynomials(
         address(columns),
         address(contiguous(scale)),
         address(powers),
-        address(np.array(bias, dtype=np.float64)),
+        address(biases),
         address(total),
     )
     return total

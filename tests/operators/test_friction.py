@@ -58,10 +58,10 @@ def test_sums_of_polynomials_are_what_their_columns_would_give(powers: int) -> N
     draw = np.random.default_rng(powers)
     states, drive = draw.normal(size=(70, 5)), draw.normal(size=70)
     scale, power = draw.uniform(0.5, 2.0, 5), draw.normal(size=(powers, 5))
-    bias = draw.normal(size=(2, 5))
+    bias = draw.normal(size=(3, 5))
     z = states * scale
     expected = sum(z ** (n + 1) @ power[n] for n in range(powers))
-    expected = expected + drive * (z @ bias[0]) + drive**2 * (z @ bias[1])
+    expected = expected + drive * (z @ bias[0] + z**2 @ bias[2]) + drive**2 * (z @ bias[1])
     found = sum_of_polynomials(states, drive, scale=scale, power=power, bias=bias)
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
 

@@ -99,7 +99,7 @@ def polynomials(library: ctypes.CDLL, seed: int) -> Outputs:
     scale, power, bias = (
         rng.normal(size=width),
         rng.normal(size=4 * width),
-        rng.normal(size=2 * width),
+        rng.normal(size=3 * width),
     )
     library.pk_polynomials(
         *(len(u), address(u), width, len(u), address(states)),
