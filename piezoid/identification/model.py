@@ -241,14 +241,17 @@ class AxisModel:
 
             u = u_off + gamma^-1(H^-1[Psi^-1(y - y_off)])                     [Kuhnen 2003]
 
+        If the model has loop shape, the whole displacement is iterated until plays and loop shape
+        reach it (``LoopShape.inverse_V``).
+
         displacement_m  (samples,)  m
         memory_V        (plays,)    V, before the first sample; None: de-poled
         zero_m          m; None: ``zero_m`` of the model
         returned        (samples,)  V
 
-        Only the hysteresis is inverted, not lag, dynamics, loop shape and effects of a diagnosis;
-        voltages outside ``voltage_V`` extrapolate. Raises ``NotInvertibleError`` for weights
-        without an inverse.
+        Only the hysteresis is inverted, not lag, dynamics and effects of a diagnosis; voltages
+        outside ``voltage_V`` extrapolate. Raises ``NotInvertibleError`` for weights without an
+        inverse.
 
         >>> reference_m = model["x"].zero_m + np.array([0.0, 1e-6, 0.0])
         >>> model["x"].inverse(reference_m).shape
@@ -266,7 +269,15 @@ class AxisModel:
         zero = self.zero_m if zero_m is None else zero_m
         output_m = self.polarity * (reference_m - zero) + self.hysteresis.displacement_offset_m
         memory = self._memory(memory_V)
-        return self.operator.inverse_run(output_m, self._states_V(memory))[0]
+        states_V = self._states_V(memory)
+        if self.loop_shape is None:
+            return self.operator.inverse_run(output_m, states_V)[0]
+        return self.loop_shape.inverse_V(
+            output_m - self.hysteresis.displacement_offset_m,
+            self.operator,
+            states_V,
+            history_of(self.hysteresis, memory, self.loop_shape),
+        )
 
     def memory_at(self, threshold_V: Array, memory_V: Array) -> Array:
         """Return the states of plays of other half-widths without an envelope, (plays,).

@@ -121,6 +121,27 @@ def test_a_recording_that_was_not_fitted_is_predicted_better() -> None:
     assert wide_m < 0.5 * plain_m
 
 
+@pytest.mark.parametrize(("law", "polarity"), [("dahl", -1.0), ("bouc_wen", 1.0)])
+def test_the_inverse_leads_the_law_along_a_reference_that_was_never_recorded(
+    law: str, polarity: float
+) -> None:
+    _, plain, axis = fitted(law, polarity)
+    turn = np.linspace(0.0, 1.0, 2000)
+    begin_m = axis.zero_m - polarity * np.linspace(1e-5, 0.0, 200)
+    tones_m = 4e-6 * np.sin(10.0 * np.pi * turn) + 3e-6 * np.sin(26.0 * np.pi * turn)
+    reference_m = np.concatenate([begin_m, axis.zero_m + tones_m])
+    cycle = np.array([0.0, 1.0, -1.0, 1.0, -1.0])
+    before = np.tile(path_through(cycle), 2)
+    errors_m = []
+    for model in (plain, axis):
+        voltage_V = model.inverse(reference_m, model.memory_after(5.0 * cycle))
+        path = np.concatenate([before, voltage_V / 5.0])
+        reached_m = polarity * 2e-5 * law_of(law)(path)[len(before) :]
+        errors_m.append(float(np.std((reached_m - reference_m)[BEGINNING:])))
+    assert errors_m[1] < 0.35 * errors_m[0]
+    assert errors_m[1] < 5.0 * NOISE_M
+
+
 def test_loops_of_three_sizes_predict_a_fourth() -> None:
     def loops(size: float) -> Array:
         return path_through(np.tile([-1.0, 2.0 * size - 1.0], 4))

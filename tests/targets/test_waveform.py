@@ -9,10 +9,17 @@ import pytest
 
 from piezoid.errors import ParameterFileError
 from piezoid.identification.extensions.linear_mode import LinearMode
+from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.targets.target_inputs import ControllerHardware, read_hardware
-from piezoid.targets.waveform import scan_errors_m, waveform_files, waveform_of
+from piezoid.targets.waveform import (
+    expected_error_m,
+    scan_errors_m,
+    waveform_files,
+    waveform_of,
+)
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.plant import Hysteresis, lateral_plant
+from tests.identification.test_loop_shape import NOISE_M, fitted, law_of, path_through
 from tests.targets.known_inputs import exported
 from tests.verification.rig import RATE_Hz
 
@@ -91,6 +98,33 @@ def test_a_fast_scan_over_a_mode_is_followed_without_tearing_at_the_drive():
     assert found["waveform"] < 5e-8
     assert found["straight"] > 10 * found["waveform"]
     assert np.abs(np.diff(one.voltage_V)).max() < 0.5
+
+
+@pytest.mark.slow
+def test_the_waveform_leads_a_law_that_only_loop_shape_follows():
+    known, (_, plays, axis) = exported(), fitted("dahl", 1.0)
+    hardware = ControllerHardware(half_range_m=6e-6, frequency_Hz=2.0, rate_Hz=2e3)
+    values = dict(known.lateral[0].values) | {
+        "reference_minimum_m": axis.zero_m - 8e-6,
+        "reference_maximum_m": axis.zero_m + 8e-6,
+        "voltage_minimum_V": -5.0,
+        "voltage_maximum_V": 5.0,
+    }
+    parameters = replace(known.lateral[0], values=values)
+    errors_m = []
+    for fit in (plays, axis):
+        model = replace(fit, rig=Rig(sensor_bandwidth_Hz=2000.0))
+        plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
+        inputs = replace(known, plants=(plant,), drawn={}, models={"x": model}, hardware=hardware)
+        waveform = waveform_of(inputs, parameters)
+        cycles = path_through(np.array([0.0, 1.0, -1.0, 1.0, -1.0]))
+        field = np.concatenate([cycles, np.tile(waveform.voltage_V / 5.0, 3)])
+        position_m = 2e-5 * law_of("dahl")(field)[-len(waveform.wanted_m) :]
+        errors_m.append(float(np.std(position_m - waveform.wanted_m)))
+        plant_errors_m = scan_errors_m(inputs, parameters, waveform)
+        assert errors_m[-1] < 2.0 * expected_error_m(model, plant_errors_m)
+    assert errors_m[1] < 0.35 * errors_m[0]
+    assert errors_m[1] < 2.0 * NOISE_M
 
 
 @pytest.mark.parametrize(
