@@ -43,9 +43,9 @@ _ROUNDS = 8
 # if the error increases.
 _SHARE = 0.8
 _MIN_POINTS = 32  # of a period: adjacent points are up to a tenth of the scan apart
-# Points of the shortest harmonic that is corrected. With 2 the corrections of a Bouc-Wen stage with
-# loop shape diverged behind the turning points (40 nm simulated), with 8 to 32 they converged (8 to
-# 10 nm); with plays alone the error is 0.2 nm with 2, 0.2 with 8 and 0.4 with 32.
+# Points of the shortest harmonic that is corrected. With 2 the corrections of a Bouc-Wen stage
+# with loop shape diverged behind the turning points (40 nm simulated), with 8 to 32 they converged
+# (8 to 10 nm); with plays alone the error is 0.2 nm with 2, 0.2 with 8 and 0.4 with 32.
 _CORRECTED = 8
 # Harmonics with a response below this share of the plant's gain are not corrected. On a plant with
 # a mode at 630 Hz, a triangle of 200 Hz had an error of 11 nm with 0.1 and of 27 nm with 0.3; with
