@@ -225,9 +225,10 @@ def _drop_doubtful_causes(
     """Drop causes of weak evidence, and those that the final model does not need.
 
     Loop shape fits as well without the latter, held out and in sample: such a cause represents
-    hysteresis that only loop shape follows. If the final model has no loop shape, a cause that
-    clearly reduces its error stays. Structural effects stay: the healthy stages contain no
-    evidence for an initial state, and non-congruence has a test of its own.
+    hysteresis that only loop shape follows. A cause of overwhelming evidence is not tested. If the
+    final model has no loop shape, a cause that clearly reduces its error stays. Structural effects
+    stay: the healthy stages contain no evidence for an initial state, and non-congruence has a
+    test of its own.
 
     The final model decides whether the causes are named, because the class of the refits may be
     too narrow: on a LuGre stage with a true drift the refits were better without it (121 and
