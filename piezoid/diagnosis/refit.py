@@ -143,25 +143,18 @@ def refit_model(
     # rows in which the ringing of these modes is not resolved are excluded from every fit
     fit_raw = partial(fit_extended, recordings=raw, ringing=ringing)
     baseline = fit_raw(model, extensions=declared, structure=STATIC)
-    alternatives, without = (baseline.model,), {}
+    alternatives = (baseline.model,)
     fit = partial(
         fit_extended,
         recordings=recordings,
         samples=rows,
         ringing=ringing,
         further_starts=alternatives,
+        structure=structure,
     )
-    fits = [
-        fit(model, extensions=start, structure=structure)
-        for start in _with_full_participation(extensions)
-    ]
-    final = min(fits, key=lambda result: result.held_out_rms_m)
-    if modes:
-        with_modes = in_order([*extensions, *modes])
-        ringing_fit = fit(model, extensions=with_modes, structure=structure)
-        if ringing_fit.held_out_rms_m < CLEARLY_WORSE * final.held_out_rms_m:
-            without[RESONANCE], final, extensions = final, ringing_fit, with_modes
-    refit = partial(fit, structure=structure, further_starts=())
+    refit = partial(fit, further_starts=())
+    final, extensions, without_modes = _fit_with_modes(model, extensions, modes, fit)
+    without = {} if without_modes is None else {RESONANCE: without_modes}
     # after a change between two recordings (place 0) no recording has both gains
     if any(e.effect == "gain_change" and e.parameters["place"] > 0.0 for e in estimates):
         names = [recording.name for recording in recordings]
@@ -205,7 +198,6 @@ def refit_model(
             recordings=with_structure,
             samples=structure_rows,
             extensions=fitted_extensions,
-            structure=structure,
         )
     # a refit with constant zeros would lose a drift, and is then the worse fit
     quality = model.quality
@@ -272,6 +264,26 @@ def _identified_modes(model: AxisModel, extensions: Sequence[Extension]) -> list
             dynamics.mode_frequency_Hz[modes], dynamics.mode_damping[modes], strict=True
         )
     ]
+
+
+def _fit_with_modes(
+    model: AxisModel,
+    extensions: tuple[Extension, ...],
+    modes: Sequence[LinearMode],
+    fit: Fit,
+) -> tuple[Extended, tuple[Extension, ...], Extended | None]:
+    """Fit all extensions, and the modes of the dynamics unless the error is clearly larger.
+
+    Returns the fit, its extensions in model order, and the fit without modes if it has them.
+    """
+    fits = [fit(model, extensions=start) for start in _with_full_participation(extensions)]
+    final = min(fits, key=lambda result: result.held_out_rms_m)
+    if modes:
+        with_modes = in_order([*extensions, *modes])
+        ringing_fit = fit(model, extensions=with_modes)
+        if ringing_fit.held_out_rms_m < CLEARLY_WORSE * final.held_out_rms_m:
+            return ringing_fit, with_modes, final
+    return final, extensions, None
 
 
 def _with_full_participation(extensions: tuple[Extension, ...]) -> list[tuple[Extension, ...]]:
