@@ -70,7 +70,7 @@ def hits(rng: np.random.Generator, memory: float, noise_m: float) -> Array:
     fitted = search(
         pieces_of([one], "x", scales, Rig()), Shape(plays=6, below=1, above=1), settings
     )
-    coordinates, theta = fitted.task.coordinates, fitted.minimum.theta
+    coordinates, theta = fitted.task.coordinates, fitted.theta
     found = jackknife(theta, fitted.task)
 
     def asked(vector: Array) -> Array:

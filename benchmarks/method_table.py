@@ -75,7 +75,7 @@ def fitted(ceramic: Ceramic, rng: np.random.Generator) -> tuple[ModifiedPrandtlI
     operator = to_si_units(found.operator, scales)
     moved, _ = operator.run(np.zeros(1), operator.virgin_memory())
     operator = replace(operator, displacement_offset_m=-float(moved[0]))
-    rms_m = found.minimum.rms * abs(scales.displacement_m)
+    rms_m = found.rms * abs(scales.displacement_m)
     return operator, 100.0 * rms_m / STROKE_m
 
 

@@ -16,9 +16,9 @@ import numpy as np
 from benchmarks.speed.loops import numpy_sum
 from benchmarks.speed.stopwatch import Stopwatch, used_s
 from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.gauss_newton import Minimum, minimise, rms_of
+from piezoid.identification.hysteresis.gauss_newton import HysteresisFit, minimise, rms_of
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
-from piezoid.identification.hysteresis.search import HysteresisFit, Settings, search
+from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
@@ -45,7 +45,7 @@ class Found:
     """The search on thinned rows, what all rows made of it, and the time until each."""
 
     thinned: HysteresisFit
-    whole: Minimum
+    whole: HysteresisFit
     thinned_s: float
     total_s: float
 
@@ -80,7 +80,7 @@ def fitted(one: Recording) -> Found:
     pieces = pieces_of([one], "x", scales_of([one], "x"), Rig())
     thinned = search(pieces, SHAPE, SETTINGS)
     thinned_s = used_s() - begun_s
-    whole = minimise(thinned.minimum.theta, replace(thinned.task, stride=1), iterations=4)
+    whole = minimise(thinned.theta, replace(thinned.task, stride=1), iterations=4)
     return Found(thinned=thinned, whole=whole, thinned_s=thinned_s, total_s=used_s() - begun_s)
 
 
@@ -111,7 +111,7 @@ def main(words: Sequence[str] | None = None, *, watch: Stopwatch = PATIENT) -> N
         f"  or {found.total_s / loop_s(watch, one):.2g} runs of its plays alone in a NumPy loop,"
     )
     print(f"  {found.thinned_s / found.total_s:.0%} of it before all rows count, then")
-    print(f"  {found.whole.iterations} Jacobians of all rows; {found.total_s:.1f} s here")
+    print(f"  {found.total_s:.1f} s here")
     print(f"  residual {residual_nm:.2f} nm, noise {1e9 * NOISE_m:.0f} nm")
     print(f"  peak memory {after:.0f} MB, {before:.0f} MB before the fit")
 

@@ -86,8 +86,8 @@ def main() -> None:
             row: list[float] = []
             for shape in SHAPES:
                 fitted = search(pieces[:1], shape, settings)
-                others = [refit_initial_state(fitted, [piece]).minimum.rms for piece in pieces[1:]]
-                row += [percent * rms for rms in (fitted.minimum.rms, *others)]
+                others = [refit_initial_state(fitted, [piece]).rms for piece in pieces[1:]]
+                row += [percent * rms for rms in (fitted.rms, *others)]
             kept.append(row)
             figures = "  ".join(f"{value:.3f}" for value in row)
             print(f"{truth:12s} {seed}: Kuhnen's model, then with envelope: {figures}")

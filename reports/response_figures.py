@@ -1,9 +1,8 @@
-"""Figures of a measured frequency response with its model, and of multisine distortion."""
+"""Figures of a measured frequency response with its model."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.dynamics.distortion import DetectionLines, distortion_of
 from piezoid.identification.dynamics.modal import LinearDynamics, ResponseFit
 from piezoid.identification.dynamics.response_fit import measured_response
 from piezoid.identification.model import AxisModel
@@ -13,9 +12,8 @@ from piezoid.records.frequency_response import MIN_COHERENCE
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Figure, Part
-from piezoid_reports.quantities import number, percent, significant
+from piezoid_reports.quantities import number, significant
 
-GUIDE = "Good: odd and even lines at the noise. Bad: odd lines near the driven ones (hysteresis)."
 KINDS = {  # label of the axis, height of the figure in pixels, guide
     "gain": (
         "gain [dB of 1 m/V]",
@@ -28,8 +26,6 @@ KINDS = {  # label of the axis, height of the figure in pixels, guide
         "Good: both fall together. Bad: they part at high frequency (a delay is missing).",
     ),
 }
-FLOOR = 0.1  # of the noise: smallest amplitude that is drawn
-RUNNING_LINES = 9  # of the running median of the noise
 
 
 def response_parts(
@@ -137,53 +133,3 @@ def coherence_figure(
             canvas.line("limit", "minimum", decades[[0, -1]], np.full(2, min_coherence)),
         ),
     )
-
-
-def distortion_parts(page: Page, axis: AxisModel) -> list[Part]:
-    """Return a figure for every multisine with detection lines that drives this axis."""
-    figures: list[Part] = []
-    for lines in distortion_of(page.recordings, axis.axis):
-        is_even, names = lines.is_even, ", ".join(lines.recordings)
-        decades, silent = np.log10(lines.driven_Hz), np.log10(lines.frequency_Hz)
-        floor_m = FLOOR * float(lines.noise_level_m()[0])
-        driven_dB, silent_dB, noise_dB = (
-            decibel(np.maximum(values[:, 0], floor_m))
-            for values in (lines.driven_m, lines.amplitude_m, lines.noise_m)
-        )
-        x = decades_over("frequency", [decades, silent], "Hz")
-        y = axis_over("amplitude [dB of 1 m]", [driven_dB, silent_dB, noise_dB], "")
-        canvas = Canvas(x=x, y=y)
-        # A running median draws the noise as a line.
-        padded_dB = np.pad(noise_dB, RUNNING_LINES // 2, mode="edge")
-        windows_dB = np.lib.stride_tricks.sliding_window_view(padded_dB, RUNNING_LINES)
-        driven_m = float(lines.driven_level_m()[0])
-        figures.append(
-            Figure(
-                title=f"Axis {axis.axis}: driven and silent lines of {names}",
-                caption=f"At {number(float(lines.drive_rms_V[0]), 'V')} rms, {lines.realisations} "
-                f"realisations of {lines.periods} periods; rms amplitude of one line: driven "
-                f"{number(driven_m, 'm')}; {_level(lines, driven_m, even=False)}; "
-                f"{_level(lines, driven_m, even=True)}; "
-                f"noise {number(float(lines.noise_level_m()[0]), 'm')} after averaging.",
-                guide=GUIDE,
-                canvas=canvas,
-                layers=(
-                    canvas.line("model", "driven lines", decades, driven_dB),
-                    canvas.line("zero", "noise", silent, np.median(windows_dB, axis=1)),
-                    canvas.dots("dots", "even lines, silent", silent[is_even], silent_dB[is_even]),
-                    canvas.dots("odd", "odd lines, silent", silent[~is_even], silent_dB[~is_even]),
-                ),
-            )
-        )
-    return figures
-
-
-def _level(lines: DetectionLines, driven_m: float, *, even: bool) -> str:
-    """Return the level of even or odd distortion as text, or its upper limit if noise hides it."""
-    name = "even distortion" if even else "odd distortion"
-    level_m = float(lines.level_m(even=even)[0])
-    limit_m = float(lines.limit_m(even=even)[0])
-    if level_m <= limit_m:
-        bound_m = float(np.hypot(level_m, limit_m))
-        return f"{name} below {number(bound_m, 'm')}, hidden in noise"
-    return f"{name} {number(level_m, 'm')}, {percent(level_m / driven_m)} of the driven lines"

@@ -13,7 +13,7 @@ All fields are parts of the range, -1 to 1; every drive begins at -1, after a fu
 
 import ctypes
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Protocol
@@ -24,7 +24,7 @@ from scipy.optimize import least_squares, nnls
 from piezoid.identification.hysteresis.coordinates import Shape, to_si_units
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
-from piezoid.identification.minor_loops_fit import SHAPES, Lattice, fit_rises, operator_of
+from piezoid.identification.minor_loops_fit import SHAPES, fit_rises, lattice_of, rise_columns
 from piezoid.numerics.arrays import Array
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
@@ -119,16 +119,18 @@ class Functions:
 
 def function_model(field: Array, moved: Array) -> Functions:
     """Fit the largest shape of plays behind functions as it is fitted to a stage."""
-    lattice = Lattice(centre_V=0.0, reach_V=1.0, pieces=SHAPES[-1])
-    zero = np.zeros(lattice.plays)
+    lattice = lattice_of((-1.0, 1.0), SHAPES[-1])
+    zero = lattice.virgin_memory()
     _, memory = play_columns(np.tile(CYCLE, 2), lattice.threshold_V, zero)
     states, _ = play_columns(field, lattice.threshold_V, memory)
-    columns = np.stack(list(lattice.rise_columns(states)), axis=1)
+    columns = np.stack(list(rise_columns(lattice, states)), axis=1)
     rows = np.column_stack([columns, moved])
     rows -= rows.mean(axis=0)
     rises = fit_rises(rows.T @ rows, len(rows), lattice, float(np.ptp(moved)))
     offset = float(np.mean(moved - columns @ rises))
-    return Functions(operator=operator_of(rises, lattice, offset), parameters=len(rises) + 1)
+    operator = replace(lattice, displacement_offset_m=offset)
+    operator = operator.with_rises(rises.reshape(lattice.rise_m.shape))
+    return Functions(operator=operator, parameters=len(rises) + 1)
 
 
 @cache

@@ -17,8 +17,6 @@ import numpy as np
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.robust import student_quantile
 from piezoid.numerics.uncertainty_budget import (
-    HEAVY,
-    NORMAL,
     Budget,
     Contribution,
     budget_of,
@@ -99,7 +97,7 @@ def _from_data(axis: AxisModel) -> list[Contribution]:
             kind="A",
             standard=rms_m,
             freedom=freedom,
-            shape=NORMAL if math.isinf(tail) else HEAVY,
+            shape="normal" if math.isinf(tail) else "heavy",
             tail=tail,
             is_shared=False,
         ),

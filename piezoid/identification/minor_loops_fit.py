@@ -16,6 +16,7 @@ model and inverse have bounds like those of plays with dead zones.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,55 +59,34 @@ ROUNDING = 1e-13  # of the trace: cells that no drive reached depend on their ne
 MARGIN = 0.1  # of half the range, by which a held-out recording may exceed the others
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Lattice:
-    """Half-widths of the plays and edges of their functions over the recorded range of the drive.
+def lattice_of(voltage_V: tuple[float, float], pieces: int) -> PreisachPlays:
+    """Return the plays of a shape over a range of the drive, each behind the identity.
 
-    centre_V, reach_V  middle and half of that range
-    pieces             of each function, an even number
+    pieces  of each function, an even number
     """
+    low_V, high_V = voltage_V
+    half_V, plays = 0.5 * (high_V - low_V), pieces * EDGE_STEPS // 2
+    step_V = half_V / plays
+    edge_V = np.asarray(step_V * (EDGE_STEPS * np.arange(pieces + 1) - plays), dtype=np.float64)
+    return PreisachPlays(
+        step_V=step_V,
+        edge_V=edge_V,
+        value_m=np.tile(edge_V, (plays, 1)),
+        voltage_offset_V=low_V + half_V,
+    )
 
-    centre_V: float
-    reach_V: float
-    pieces: int
 
-    @property
-    def plays(self) -> int:
-        """Number of plays, including the play of zero width."""
-        return self.pieces * EDGE_STEPS // 2
+def rise_columns(lattice: PreisachPlays, states: Array) -> Iterator[Array]:
+    """Yield for every piece of every function the fraction of its rise that a play has passed.
 
-    @property
-    def step_V(self) -> float:
-        """Difference of neighbouring half-widths."""
-        return self.reach_V / self.plays
-
-    @property
-    def threshold_V(self) -> Array:
-        """Half-widths, (plays,)."""
-        return np.asarray(self.step_V * np.arange(self.plays))
-
-    @property
-    def edge_V(self) -> Array:
-        """Edges of the pieces, relative to the centre, (pieces + 1,)."""
-        return np.asarray(self.step_V * (EDGE_STEPS * np.arange(self.pieces + 1) - self.plays))
-
-    @property
-    def cells(self) -> int:
-        """Number of rises: pieces of all functions, play by play."""
-        return self.plays * self.pieces
-
-    def rise_columns(self, states: Array) -> Iterator[Array]:
-        """Yield for every cell the fraction of its rise that a play has passed, (samples,).
-
-        states  (samples, plays)  V, of the drive relative to the centre
-        """
-        edge_V = self.edge_V
-        for state in states.T:
-            for k in range(self.pieces):
-                low = -np.inf if k == 0 else edge_V[k]
-                high = np.inf if k + 1 == self.pieces else edge_V[k + 1]
-                above_edge_V = np.clip(state, low, high) - np.clip(0.0, low, high)
-                yield above_edge_V / (edge_V[1] - edge_V[0])
+    states  (samples, plays)  V, of the drive relative to the centre
+    """
+    edge_V = lattice.edge_V
+    bounds_V = [-np.inf, *edge_V[1:-1], np.inf]
+    for state in states.T:
+        for low_V, high_V in pairwise(bounds_V):
+            above_edge_V = np.clip(state, low_V, high_V) - np.clip(0.0, low_V, high_V)
+            yield above_edge_V / (edge_V[1] - edge_V[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,12 +139,7 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
     has_delayed_walls = any(isinstance(e, RateDependence) for e in plays_axis.extensions)
     if has_delayed_walls or not quality.is_tested:
         return plays_axis
-    low_V, high_V = plays_axis.voltage_V
-    half_V = 0.5 * (high_V - low_V)
-
-    lattices = [
-        Lattice(centre_V=low_V + half_V, reach_V=half_V, pieces=pieces) for pieces in SHAPES
-    ]
+    lattices = [lattice_of(plays_axis.voltage_V, pieces) for pieces in SHAPES]
     largest = _cross_validated(plays_axis, recordings, lattices[-1])
     if not len(largest.error_m):
         return plays_axis
@@ -181,8 +156,8 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
                 break
     orders = tuple(
         FunctionOrder(
-            plays=trial.lattice.plays,
-            pieces=trial.lattice.pieces,
+            plays=trial.lattice.rise_m.shape[0],
+            pieces=trial.lattice.rise_m.shape[1],
             held_out_rms_m=trial.rms_m,
             plain_rms_m=_rms(trial.plays_residual_m),
         )
@@ -212,7 +187,7 @@ class _Trial:
     held_out_kind     as in ``FitQuality``
     """
 
-    lattice: Lattice
+    lattice: PreisachPlays
     rows: Sequence[Rows]
     error_m: Array
     plays_residual_m: Array
@@ -227,7 +202,9 @@ def _rms(error_m: Array) -> float:
     return float(np.sqrt(np.mean(error_m**2)))
 
 
-def _cross_validated(axis: AxisModel, recordings: Sequence[Recording], lattice: Lattice) -> _Trial:
+def _cross_validated(
+    axis: AxisModel, recordings: Sequence[Recording], lattice: PreisachPlays
+) -> _Trial:
     """Predict each recording by a fit of the others.
 
     If a recording exceeds the drive range of all others, the fit includes its first half.
@@ -236,7 +213,7 @@ def _cross_validated(axis: AxisModel, recordings: Sequence[Recording], lattice: 
     names = list(dict.fromkeys(piece.recording for piece in rows))
     products = {name: sum(p.products()[0] for p in rows if p.recording == name) for name in names}
     counts = {name: sum(len(p.target) for p in rows if p.recording == name) for name in names}
-    margin_V = MARGIN * lattice.reach_V
+    margin_V = MARGIN * lattice.edge_V[-1]
     errors, plays_errors, is_halved = [], [], False
     for name in names:
         product = sum(products.values()) - products[name]
@@ -282,20 +259,22 @@ def _with_functions(axis: AxisModel, trial: _Trial) -> AxisModel:
     product, blocks = products.sum(axis=0), len(products)
     rise_m = fit_rises(product, total, lattice, quality.range_m)
     count_without = total * (blocks - 1) // blocks
+    plays, pieces = lattice.rise_m.shape
     without_m = [
-        fit_rises(product - block, count_without, lattice, quality.range_m).reshape(
-            lattice.plays, -1
-        )
+        fit_rises(product - block, count_without, lattice, quality.range_m).reshape(plays, pieces)
         for block in products
     ]
     residuals_m = [piece.target - piece.columns @ rise_m for piece in rows]
     zero_m = float(np.mean([residual_m.mean() for residual_m in residuals_m]))
     pairs = zip(residuals_m, rows, strict=True)
     settled_m = np.concatenate([(r - r.mean())[piece.is_settled] for r, piece in pairs])
+    offset_m = axis.hysteresis.displacement_offset_m + zero_m
     minor_loops = MinorLoops(
-        operator=operator_of(rise_m, lattice, axis.hysteresis.displacement_offset_m + zero_m),
+        operator=replace(lattice, displacement_offset_m=offset_m).with_rises(
+            rise_m.reshape(plays, pieces)
+        ),
         without_m=np.array(without_m),
-        least_rise_m=MIN_SLOPE * quality.range_m / lattice.pieces,
+        least_rise_m=MIN_SLOPE * quality.range_m / pieces,
         plain=PlaysFit(
             rms_m=quality.rms_m,
             held_out_rms_m=quality.held_out_rms_m,
@@ -308,8 +287,8 @@ def _with_functions(axis: AxisModel, trial: _Trial) -> AxisModel:
     distance_m = farthest_apart_m(minor_loops.operator, draws, axis.certificate.reach_V)
     bound_m = float(np.quantile(distance_m, 0.95))
     remark = (
-        f"the held-out error is {with_unit(trial.rms_m, 'm')} with {lattice.plays} plays behind "
-        f"functions of {lattice.pieces} pieces, and {with_unit(quality.held_out_rms_m, 'm')} with "
+        f"the held-out error is {with_unit(trial.rms_m, 'm')} with {plays} plays behind "
+        f"functions of {pieces} pieces, and {with_unit(quality.held_out_rms_m, 'm')} with "
         "plays with dead zones: the controller inverts the former"
     )
     return replace(
@@ -367,7 +346,7 @@ def _fitted_start(
     return replace(start, memory_V=memory_V(slope), zero_m=start.zero_m + zero_change_m)
 
 
-def _rows(axis: AxisModel, recording: Recording, lattice: Lattice) -> Iterator[Rows]:
+def _rows(axis: AxisModel, recording: Recording, lattice: PreisachPlays) -> Iterator[Rows]:
     """Yield the regression rows of each piece of a recording, thinned."""
     try:
         simulated_m = simulate_recording(axis, recording)
@@ -379,14 +358,14 @@ def _rows(axis: AxisModel, recording: Recording, lattice: Lattice) -> Iterator[R
     for piece, start in zip(fitted_pieces(recording), starts_of(axis, recording), strict=True):
         where = where_of(recording, axis.axis, piece)
         driven_V = forward.driven_V(voltage_V[piece], where.rate_Hz)
-        inner_V = np.ascontiguousarray(driven_V - lattice.centre_V)
+        inner_V = np.ascontiguousarray(driven_V - lattice.voltage_offset_V)
         plays_m = axis.static_m(driven_V, start.memory_V, where.rate_Hz)
         sample = np.arange(0, len(inner_V), max(len(inner_V) // MAX_ROWS, 1))
         filtered_m = forward.linear_response(plays_m, where)[sample]
         memory_V = axis.memory_at(lattice.threshold_V, start.memory_V)
         states, _ = play_columns(inner_V, lattice.threshold_V, memory_V)
-        columns = np.empty((len(sample), lattice.cells), order="F")
-        for cell, column in enumerate(lattice.rise_columns(states)):
+        columns = np.empty((len(sample), lattice.rise_m.size), order="F")
+        for cell, column in enumerate(rise_columns(lattice, states)):
             columns[:, cell] = forward.linear_response(column, where)[sample]
         yield Rows(
             recording=recording.name,
@@ -404,37 +383,26 @@ def _is_settled(drive: Array) -> NDArray[np.bool_]:
     return np.asarray(span >= COVERED * span[-1])
 
 
-def fit_rises(product: Array, count: int, lattice: Lattice, stroke_m: float) -> Array:
+def fit_rises(product: Array, count: int, lattice: PreisachPlays, stroke_m: float) -> Array:
     """Fit the rises of all functions between edges, (cells,) m, with a constant for each piece.
 
     product  (cells + 1, cells + 1)  of the rows, see ``Rows.products``
     count    of the rows
     """
-    cells = np.eye(lattice.cells).reshape(lattice.plays, lattice.pieces, -1)
+    (plays, pieces), count_of_cells = lattice.rise_m.shape, lattice.rise_m.size
+    cells = np.eye(count_of_cells).reshape(plays, pieces, -1)
     # Neighbours in position and in width; the play of zero width is reversible, the others not.
     differences = np.concatenate(
         [
-            np.diff(cells, axis=1).reshape(-1, lattice.cells),
-            np.diff(cells[1:], axis=0).reshape(-1, lattice.cells),
+            np.diff(cells, axis=1).reshape(-1, count_of_cells),
+            np.diff(cells[1:], axis=0).reshape(-1, count_of_cells),
         ]
     )
     normal = product[:-1, :-1] + RIDGE * count * (differences.T @ differences)
     normal += ROUNDING * np.trace(normal) * np.eye(len(normal))
     lower = np.linalg.cholesky(normal)
     target = solve_triangular(lower, product[:-1, -1] / stroke_m, lower=True)
-    min_rise = np.zeros(lattice.cells)
-    min_rise[: lattice.pieces] = MIN_SLOPE / lattice.pieces
-    unbounded = np.full(lattice.cells, np.inf)
+    min_rise = np.zeros(count_of_cells)
+    min_rise[:pieces] = MIN_SLOPE / pieces
+    unbounded = np.full(count_of_cells, np.inf)
     return stroke_m * bounded_step(np.asarray(lower.T), target, min_rise, unbounded)
-
-
-def operator_of(rise_m: Array, lattice: Lattice, offset_m: float) -> PreisachPlays:
-    """Return the operator with these rises, (cells,); its functions are 0 at the centre."""
-    straight = PreisachPlays(
-        step_V=lattice.step_V,
-        edge_V=lattice.edge_V,
-        value_m=np.tile(lattice.edge_V, (lattice.plays, 1)),
-        voltage_offset_V=lattice.centre_V,
-        displacement_offset_m=offset_m,
-    )
-    return straight.with_rises(rise_m.reshape(lattice.plays, lattice.pieces))

@@ -1,26 +1,27 @@
 """Copy, check and freeze the arrays of records."""
 
+from cmath import isfinite
 from collections.abc import Mapping, Sequence
-from math import isfinite
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Samples = NDArray[np.int_]  # numbers of samples or rows
 
 
-def frozen(values: ArrayLike, name: str, *, ndim: int = 1) -> Array:
-    """Return a read-only, C-contiguous float64 copy of finite values.
+def frozen(values: ArrayLike, name: str, *, ndim: int = 1, dtype: DTypeLike = np.float64) -> Array:
+    """Return a read-only, C-contiguous copy of finite values.
 
     values  anything array-like
     name    the field it becomes, for the message
     ndim    the number of axes it must have
+    dtype   of the copy
 
     Raises ``ValueError`` naming the first value that is not finite.
     """
-    array = np.array(values, dtype=np.float64, order="C", copy=True)
+    array = np.array(values, dtype=dtype, order="C", copy=True)
     if array.ndim != ndim:
         raise ValueError(f"{name} has {array.ndim} axes, expected {ndim}")
     # If the sum of squares is finite, so are all values; this takes a third of the time.
@@ -31,24 +32,11 @@ def frozen(values: ArrayLike, name: str, *, ndim: int = 1) -> Array:
     return array
 
 
-def frozen_complex(values: ArrayLike, name: str, *, ndim: int = 3) -> ComplexArray:
-    """Return a read-only complex copy of finite values."""
-    array = np.array(values, dtype=np.complex128, order="C", copy=True)
-    if array.ndim != ndim:
-        raise ValueError(f"{name} has {array.ndim} axes, expected {ndim}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} holds values that are not finite")
-    array.setflags(write=False)
-    return array
-
-
-def freeze(record: object, *names: str, ndim: int = 1) -> None:
-    """Replace array fields of a frozen record by read-only copies; see ``frozen``.
-
-    ndim  the number of axes each of them must have
-    """
+def freeze(record: object, *names: str, ndim: int = 1, dtype: DTypeLike = np.float64) -> None:
+    """Replace array fields of a frozen record by read-only copies; see ``frozen``."""
     for name in names:
-        object.__setattr__(record, name, frozen(getattr(record, name), name, ndim=ndim))
+        copy = frozen(getattr(record, name), name, ndim=ndim, dtype=dtype)
+        object.__setattr__(record, name, copy)
 
 
 def runs_of(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -9,7 +9,6 @@ from piezoid.numerics.arrays import (
     Array,
     ComplexArray,
     frozen,
-    frozen_complex,
     strictly_increasing,
 )
 from piezoid.statement import Statement
@@ -34,7 +33,7 @@ class ResponsePath:
     coherence: Array | None = None
 
     def __post_init__(self) -> None:
-        response = frozen_complex(self.response_m_per_V, "response_m_per_V", ndim=1)
+        response = frozen(self.response_m_per_V, "response_m_per_V", dtype=np.complex128)
         object.__setattr__(self, "response_m_per_V", response)
         if not response.all():
             raise ValueError(f"response_m_per_V[{int(np.argmin(np.abs(response)))}] is zero")

@@ -23,7 +23,6 @@ from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table, 
 from piezoid_reports.quantities import MINUS, number, percent, significant
 from piezoid_reports.response_figures import (
     coherence_figure,
-    distortion_parts,
     response_figure,
     response_parts,
 )
@@ -57,7 +56,6 @@ def render(page: Page) -> Section | None:
                 rows=tuple((name, number(a, "m"), number(b, "m")) for name, a, b in pieces),
             )
             of_axis += [Prose(text=text), residuals]
-        of_axis += distortion_parts(page, axis)
         parts += [axis_heading(axis), *of_axis] if of_axis else []
     if page.model.coupled is not None:
         parts += coupling_parts(page, page.model.coupled)
@@ -83,10 +81,10 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
     measured = measure_response(drive_V, recording, axis.axis)
     lines = np.flatnonzero(measured.frequency_Hz <= 2.0 * dynamics.band_Hz[1])
     measured = measured.at_lines(lines)
-    decades, response = np.log10(measured.frequency_Hz), measured.response[:, 0, 0]
-    is_used = ~measured.is_rejected[:, 0]
+    decades, response = np.log10(measured.frequency_Hz), measured.response
+    is_used = ~measured.is_rejected
     modelled = dynamics.response_as_measured(measured.frequency_Hz)
-    level, half = np.abs(response), NORMAL_95 * np.sqrt(measured.variance[:, 0, 0] / 2.0)
+    level, half = np.abs(response), NORMAL_95 * np.sqrt(measured.variance / 2.0)
     floor = 1e-3 * float(level[is_used].max())
     low_dB, high_dB, mid_dB = (
         decibel(np.maximum(values, floor)) for values in (level - half, level + half, level)
@@ -118,7 +116,7 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
             f"{int((~measured.is_rejected).sum())} of {len(measured.frequency_Hz)} lines lie "
             f"above the minimum of {significant(measured.least_coherence, 2)}.",
             decades,
-            measured.coherence[:, 0],
+            measured.coherence,
             measured.least_coherence,
         ),
     ]

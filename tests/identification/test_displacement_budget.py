@@ -72,12 +72,8 @@ def test_what_nobody_declared_is_named() -> None:
         "tilt_rad",
         "temperature_range_K",
     )
-    half = Lab(certificates=replace_all(temperature_range_K=1.0))
+    half = Lab(certificates=Certificates(temperature_range_K=1.0))
     assert "expansion_m_per_K" in displacement_budget(axis_model(), half).unknown
-
-
-def replace_all(**values: float) -> Certificates:
-    return Certificates(**values)
 
 
 def test_the_zero_from_run_to_run_is_told_and_not_counted() -> None:

@@ -5,11 +5,9 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
-import pytest
 
 from piezoid.design.lateral_task import lateral_task
 from piezoid.export.export_stage import hysteresis_values
-from piezoid.export.parameter_file import from_json as parameters_from_json
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.minor_loops_fit import with_minor_loops
@@ -17,28 +15,14 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import compare
 from piezoid.identification.store import LAYOUTS
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.robust import student_quantile
-from piezoid.operators.preisach_plays import farthest_apart_m
 from piezoid.record_json import from_json, to_json
 from piezoid.records.frames import from_arrays
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller
-from piezoid_cli.calibration import calibrate
 from piezoid_datasets.virtual_lab.truths import ZOO
 from tests.laws import _plays
 
 NOISE_M = 8e-9
-LAB = """
-[amplifier]
-bandwidth_Hz = 4000
-[sensor]
-bandwidth_Hz = 20000
-[acquisition]
-sampling_rate_Hz = 20000
-dac_bits = 16
-adc_bits = 16
-input_range_V = [-10, 10]
-"""
 BEGINNING = 500  # samples of the cycle that wipes out what was before
 CYCLE = np.concatenate([np.linspace(-1.0, 1.0, 200), np.linspace(1.0, -1.0, 200)])
 
@@ -110,19 +94,6 @@ def test_functions_that_plays_beat_on_the_same_rows_are_no_shape_of_loops():
     assert with_minor_loops(told, held).minor_loops is None
 
 
-def test_what_is_drawn_spreads_as_the_intervals_say_and_makes_the_certificate():
-    _, found = fitted("preisach_lorentzian")
-    loops = found.minor_loops
-    drawn = loops.draw(np.random.default_rng(0), 1000)
-    spread_m = np.std([one.rise_m for one in drawn], axis=0)
-    inside = loops.operator.rise_m > 2.0 * loops.half_m  # elsewhere none may fall
-    told_m = loops.half_m / student_quantile(0.975, len(loops.without_m) - 1)
-    assert inside.sum() > 10
-    assert spread_m[inside] == pytest.approx(told_m[inside], rel=0.15)
-    apart_m = farthest_apart_m(loops.operator, drawn, found.certificate.reach_V)
-    assert found.certificate.plays_m == pytest.approx(np.quantile(apart_m, 0.95), rel=0.15)
-
-
 def led_m(axis: AxisModel, wanted_m: Array) -> Array:
     """Return where the ceramic goes when the shipped inverse drives it open-loop."""
     values = hysteresis_values(axis) | {"method": "mpi", "gain_m_per_V": 1e-6}
@@ -180,25 +151,3 @@ def test_the_inverse_of_the_model_undoes_its_simulation():
     start_V = found.memory_at(found.operator.threshold_V, found.virgin_memory_V)
     moved, _ = found.operator.run(drive_V, start_V)
     assert np.abs(found.inverse(found.zero_m + moved - offset_m) - drive_V).max() < 1e-9
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("plays_alone")
-def test_a_whole_calibration_ships_functions_and_guarantees_what_plays_could_not(tmp_path):
-    """One stage, three speeds, to the sealed files; with dead zones 1.06 um was guaranteed."""
-    other = through(np.r_[-1.0, 1.0, -1.0, np.random.default_rng(9).uniform(-1.0, 1.0, 30)])
-    files = []
-    for name, field, rate_Hz in (("a", SWEEP, 4e3), ("b", WALK, 2e3), ("c", other, 500.0)):
-        made = recorded("preisach_lorentzian", field, name, rate_Hz)
-        table = np.column_stack([made.time_s, made.voltage_V("x"), 1e6 * made.displacement_m("x")])
-        files.append(tmp_path / f"{name}.csv")
-        heads = "time [s],voltage [V],displacement [um]"
-        np.savetxt(files[-1], table, delimiter=",", header=heads, comments="", fmt="%.10g")
-    (tmp_path / "lab.toml").write_text(LAB)
-    found = calibrate(files, tmp_path / "lab.toml", lambda _: None)
-    assert found.passed
-    shipped = parameters_from_json(found.files["params.json"], "params.json").axes[0]
-    assert shipped.values["edge_count"] == found.model["x"].operator.value_m.shape[1]
-    proven = found.controllers.design.axes[0].recommended.certificate
-    assert proven.is_guaranteed
-    assert proven.guaranteed_error_m < 1e-7

@@ -2,14 +2,19 @@
 
 import hashlib
 import json
+import re
 from typing import Any
 
+import numpy as np
 import pytest
 
 from piezoid.digests import seal
 from piezoid.errors import ParameterFileError
 from piezoid.identification.model import SCHEMA
+from piezoid.identification.simulation import simulate_recording
 from piezoid.identification.store import read_model, write_model
+from tests.identification.extensions.samples import one_of_each
+from tests.identification.joint.stage import known_model, recordings_of
 from tests.reports.known_stage import axis_model, stage_model
 
 WRITTEN = json.loads(write_model(stage_model(axis_model())))
@@ -49,6 +54,10 @@ def with_entry(place: str, value: Any) -> bytes:
         holder = holder[name]
     assert last in holder
     holder[last] = value
+    return sealed(record)
+
+
+def sealed(record: dict[str, Any]) -> bytes:
     content = {key: held for key, held in record.items() if key not in ("schema", "digest")}
     return seal(SCHEMA, content)
 
@@ -106,3 +115,26 @@ def test_a_sealed_number_that_is_none_is_refused(number: str) -> None:
     digest = hashlib.sha256(blank).hexdigest().encode()
     with pytest.raises(ParameterFileError, match="JSON text"):
         read_model(blank.replace(b"0" * 64, digest, 1))
+
+
+def test_extensions_come_back_and_simulate_the_same_bits() -> None:
+    extended = known_model(*one_of_each())
+    again = read_model(write_model(stage_model(extended)))["x"]
+    assert again.extensions == extended.extensions
+    given = recordings_of()[0]
+    np.testing.assert_array_equal(
+        simulate_recording(again, given), simulate_recording(extended, given)
+    )
+
+
+def test_a_file_without_the_entry_is_a_model_without_extensions() -> None:
+    content = json.loads(write_model(stage_model(known_model())))
+    del content["axes"]["x"]["extensions"]
+    assert read_model(sealed(content))["x"].extensions == ()
+
+
+def test_an_unphysical_extension_is_refused_with_its_number() -> None:
+    content = json.loads(write_model(stage_model(known_model())))
+    content["axes"]["x"]["extensions"] = [{"kind": "first_order_lag", "lag_s": -1.0}]
+    with pytest.raises(ParameterFileError, match=re.escape("lag_s is -1.0")):
+        read_model(sealed(content))

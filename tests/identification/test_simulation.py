@@ -27,29 +27,6 @@ def test_a_recording_without_noise_is_reproduced_to_rounding() -> None:
     np.testing.assert_allclose(simulated_m, exact.displacement_m(), atol=ROUNDING_m, rtol=1e-14)
 
 
-def test_the_second_piece_knows_nothing_of_the_first() -> None:
-    exact = recording(noise_m=0.0)
-    other = replace(
-        exact,
-        channels=tuple(
-            replace(c, values=np.concatenate([c.values[:BREAK][::-1], c.values[BREAK:]]))
-            for c in exact.channels
-        ),
-    )
-    model = axis_model()
-    after = simulate_recording(model, exact)[BREAK:]
-    np.testing.assert_array_equal(simulate_recording(model, other)[BREAK:], after)
-
-
-def test_a_falling_polarity_mirrors_the_movement_about_the_zero() -> None:
-    exact = recording(noise_m=0.0)
-    rising = simulate_recording(axis_model(), exact)
-    falling = simulate_recording(replace(axis_model(), polarity=-1), exact)
-    first, second = starts(exact.name)
-    zero_m = np.concatenate([zero_of(first, BREAK), zero_of(second, BREAK)])
-    np.testing.assert_allclose(falling - zero_m, zero_m - rising, atol=ROUNDING_m, rtol=1e-12)
-
-
 def test_pieces_too_short_to_be_fitted_are_nan() -> None:
     whole = recording(noise_m=0.0)
     cut = replace(whole, breaks=(BREAK, 2 * BREAK - 5))
@@ -81,11 +58,6 @@ def test_a_recording_the_model_does_not_know_is_refused_by_name() -> None:
     with pytest.raises(IdentificationError, match=r"other\.csv: 2 uninterrupted pieces"):
         simulate_recording(axis_model(), recording("other.csv"))
     assert starts_of(axis_model(), recording("other.csv")) == ()
-
-
-def test_a_recording_cut_elsewhere_than_the_fitted_one_is_refused() -> None:
-    with pytest.raises(IdentificationError, match="contains the starts of 2"):
-        simulate_recording(axis_model(), replace(recording(), breaks=()))
 
 
 def test_simulating_a_fitted_recording_leaves_the_residual_the_fit_reports() -> None:

@@ -1,4 +1,4 @@
-"""What a record does to its arrays, and how much noise is on one."""
+"""What a record does to its arrays."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,6 @@ from piezoid.numerics.arrays import (
     spread_rows,
     strictly_increasing,
 )
-from piezoid.numerics.robust import white_noise_rms
 
 
 def test_what_is_wrong_with_an_array_is_told_with_its_first_place() -> None:
@@ -56,21 +55,6 @@ def test_a_record_names_the_field_whose_axes_values_or_shape_are_wrong() -> None
         Held(row=np.array([0.0, 1.0, np.nan]), table=np.ones((3, 2)))
     with pytest.raises(ValueError, match=r"table has shape \(2, 3\), expected \(3, 2\)"):
         Held(row=np.ones(3), table=np.ones((2, 3)))
-
-
-def test_noise_is_told_from_what_is_smooth_and_from_jumps(rng: np.random.Generator) -> None:
-    k = np.arange(20_000)
-    smooth = 5.0 + 1e-4 * (k - 9000.0) ** 2 + np.sin(k / 300)
-    noise = 0.3 * rng.standard_normal(len(k))
-    jumps = 40.0 * (k > 5000) - 90.0 * (k > 12_000)
-    assert white_noise_rms(smooth + noise + jumps) == pytest.approx(0.3, rel=0.02)
-    assert white_noise_rms(smooth) < 1e-6
-
-
-def test_fewer_than_eight_samples_tell_no_noise() -> None:
-    zigzag = np.array([1.0, -1.0] * 4)
-    assert white_noise_rms(zigzag[:7]) == 0.0
-    assert white_noise_rms(zigzag) > 1.0
 
 
 @pytest.mark.parametrize("most", [1000, 5000, 8000])

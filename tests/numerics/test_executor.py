@@ -2,10 +2,11 @@
 
 import threading
 import time
+from dataclasses import dataclass
 
 import pytest
 
-from piezoid.numerics.executor import SERIAL, Executor
+from piezoid.numerics.executor import SERIAL, Executor, Once
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
@@ -49,3 +50,25 @@ def test_an_error_of_one_thread_reaches_the_caller(count) -> None:
 def test_no_thread_is_refused() -> None:
     with pytest.raises(ValueError, match="0 threads"):
         Executor(threads=0)
+
+
+TOGETHER = threading.Barrier(2, timeout=10.0)
+
+
+@dataclass(frozen=True)
+class Record:
+    number: int
+
+    @Once
+    def made(self) -> list[int]:
+        """Return what is the same only if it is the same object."""
+        TOGETHER.wait()
+        return [self.number]
+
+
+def test_records_make_their_values_once_and_at_the_same_time() -> None:
+    records = [Record(1), Record(2)]
+    first = Executor(threads=2).map(lambda record: record.made, records)
+    assert first == [[1], [2]]
+    assert [record.made for record in records] == first
+    assert records[0].made is first[0]

@@ -33,13 +33,3 @@ def test_a_ceiling_holds_a_variance_down() -> None:
     ridge = FamilyRidge(family=np.zeros(5, dtype=np.intp), variance=np.ones(1), noise=1.0)
     ridge, _, _ = ridge.maximised(moments_of(x, y), ceiling=np.array([4.0]))
     assert ridge.variance[0] == 4.0
-
-
-def test_moments_without_rows_are_those_of_the_other_rows() -> None:
-    rng = np.random.default_rng(3)
-    x, y = rng.standard_normal((50, 4)), rng.standard_normal(50)
-    others = moments_of(x, y) - moments_of(x[:20], y[:20])
-    wanted = moments_of(x[20:], y[20:])
-    assert others.gram == pytest.approx(wanted.gram)
-    assert others.square == pytest.approx(wanted.square)
-    assert others.count == 30

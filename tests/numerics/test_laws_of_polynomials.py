@@ -8,8 +8,10 @@ from hypothesis import strategies as st
 from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import (
+    decibel,
     delayed,
     from_roots,
+    grid_Hz,
     polynomial_response,
     product,
     roots_of,
@@ -121,3 +123,42 @@ def test_a_common_root_is_never_divided_by(poles: Array, zeros: Array, common: A
     B = delayed(from_roots(np.concatenate([zeros, common])), 1)
     with pytest.raises(DesignError, match="nearly cancel"):
         solve_bezout(A, B, [1.0])
+
+
+def test_leading_zeros_are_a_delay_and_no_roots() -> None:
+    assert roots_of([0.0, 0.0, 1.0, -0.5]) == pytest.approx([0.5])
+    assert spectral_radius([3.0]) == 0.0
+
+
+def test_a_target_of_high_degree_makes_s_longer_and_not_r() -> None:
+    a, b = np.array([1.0, -1.5, 0.56]), np.array([0.0, 1.0, 0.5])
+    p = from_roots(np.full(7, 0.3))
+    solution = solve_bezout(a, b, p)
+    assert (len(solution.S), len(solution.R)) == (6, 2)
+    assert solution.residual <= 1e-12
+
+
+def test_a_common_root_is_refused_by_its_value() -> None:
+    a, b = from_roots([0.5, 0.25]), np.convolve([0.0, 1.0], [1.0, -0.5])
+    told = r"pole z = 0\.5.*zero z = 0\.5.*in the ratio (0\.0e\+00|\d\.\de-(1[4-9]|[2-9]\d))"
+    with pytest.raises(DesignError, match=told) as refusal:
+        solve_bezout(a, b, [1.0])
+    assert refusal.value.numbers["pole"] == pytest.approx(0.5)
+
+
+def test_a_plant_without_numerator_is_a_programmers_error() -> None:
+    with pytest.raises(ValueError, match="non-zero B"):
+        solve_bezout([1.0, -0.5], [0.0], [1.0])
+
+
+def test_the_grid_increases_from_its_start_to_just_below_nyquist() -> None:
+    grid = grid_Hz(2e4, lowest_Hz=0.5, count=300)
+    assert (np.diff(grid) > 0).all()
+    assert grid[0] == pytest.approx(0.5)
+    assert 0.4998 * 2e4 < grid[-1] < 0.5 * 2e4
+    assert 290 <= len(grid) <= 300
+
+
+def test_twice_as_much_is_six_decibels_and_zero_is_minus_infinity() -> None:
+    assert decibel(2.0) == pytest.approx(6.0206, abs=1e-4)
+    assert decibel(0.0) == -np.inf

@@ -2,9 +2,20 @@
 
 import numpy as np
 import pytest
-from scipy.stats import theilslopes
+from scipy import stats
 
-from piezoid.numerics.robust import deviations, holm, spread_beyond, spread_of, trend_of
+from piezoid.numerics.robust import (
+    deviations,
+    holm,
+    normal_quantile,
+    spread_beyond,
+    spread_of,
+    student_quantile,
+    trend_of,
+    white_noise_rms,
+)
+
+PROBABILITIES = np.array([1e-9, 0.025, 0.5, 0.8, 0.975, 0.9995])
 
 
 def test_the_spread_of_a_normal_sample_is_its_standard_deviation() -> None:
@@ -22,11 +33,8 @@ def test_a_broken_sample_and_a_missing_one_move_nothing() -> None:
     assert broken.median == pytest.approx(clean.median, abs=0.05)
     assert broken.sigma == pytest.approx(clean.sigma, rel=0.1)
     assert deviations(np.array([1e9]), broken)[0] > 1e8
-
-
-def test_where_most_values_are_equal_the_odd_one_still_stands_out() -> None:
-    values = np.array([1.0] * 20 + [2.0])
-    assert np.argmax(np.abs(deviations(values, spread_of(values)))) == 20
+    most_equal = np.array([1.0] * 20 + [2.0])
+    assert np.argmax(np.abs(deviations(most_equal, spread_of(most_equal)))) == 20
     assert np.all(deviations(np.ones(5), spread_of(np.ones(5))) == 0.0)
 
 
@@ -47,14 +55,7 @@ def test_one_value_without_an_error_hides_no_other_values_error() -> None:
     values = 7.0 + 3.0 * rng.standard_normal(20_000) + errors * rng.standard_normal(20_000)
     assert spread_of(values).sigma > 4.0
     assert spread_beyond(values, errors).sigma == pytest.approx(3.0, rel=0.06)
-
-
-def test_values_without_errors_have_the_plain_spread() -> None:
-    values = np.random.default_rng(5).normal(size=31)
-    assert spread_beyond(values, np.zeros(31)) == spread_of(values)
-    assert np.array_equal(
-        deviations(values, spread_of(values), np.zeros(31)), deviations(values, spread_of(values))
-    )
+    assert spread_beyond(values, 0.0 * errors) == spread_of(values)
 
 
 def test_a_line_is_found_through_gross_errors() -> None:
@@ -79,7 +80,7 @@ def test_the_trend_of_many_samples_agrees_with_that_of_all_pairs(law: str) -> No
         y = np.round(y)
     if law == "steep":
         y += 1e9 * x
-    trend, pairs = trend_of(x, y + 2e-4 * x), theilslopes(y + 2e-4 * x, x, alpha=0.95)
+    trend, pairs = trend_of(x, y + 2e-4 * x), stats.theilslopes(y + 2e-4 * x, x, alpha=0.95)
     assert trend is not None
     width = pairs.high_slope - pairs.low_slope + 1e-11 + 4.0 * np.spacing(pairs.slope)
     assert trend.slope == pytest.approx(pairs.slope, abs=width)
@@ -93,12 +94,6 @@ def test_no_trend_is_seen_in_noise_more_often_than_promised() -> None:
     assert share < 0.09
 
 
-def test_too_few_pairs_have_no_trend() -> None:
-    assert trend_of(np.arange(7.0), np.arange(7.0)) is None
-    assert trend_of(np.ones(20), np.arange(20.0)) is None
-    assert trend_of(np.arange(20.0), np.ones(20)) is None
-
-
 @pytest.mark.parametrize("height", [1e-9, 1.0, 1e9])
 def test_a_straight_line_is_its_own_trend(height: float) -> None:
     x = np.linspace(0.0, 1.0, 8)
@@ -107,6 +102,8 @@ def test_a_straight_line_is_its_own_trend(height: float) -> None:
         assert found is not None
         assert found.slope == pytest.approx(rise)
         assert (found.middle, found.about) == pytest.approx((0.5 * rise, 0.5))
+    for few in ((x[:7], x[:7]), (np.ones(20), np.arange(20.0)), (np.arange(20.0), np.ones(20))):
+        assert trend_of(*few) is None
 
 
 def test_holm_is_the_worked_example_and_never_below_the_raw_value() -> None:
@@ -115,3 +112,25 @@ def test_holm_is_the_worked_example_and_never_below_the_raw_value() -> None:
     drawn = np.random.default_rng(5).uniform(size=50)
     assert np.all(holm(drawn) >= drawn)
     assert holm(np.array([0.6, 0.9, 0.7])) == pytest.approx([1.0, 1.0, 1.0])
+
+
+def test_quantiles_are_those_of_scipy_for_every_freedom_at_once() -> None:
+    np.testing.assert_allclose(normal_quantile(PROBABILITIES), stats.norm.ppf(PROBABILITIES))
+    freedom = np.array([0.7, 2.2, 9.0, 400.0, np.inf, 3.0])
+    expected = stats.t.ppf(PROBABILITIES, freedom)
+    np.testing.assert_allclose(student_quantile(PROBABILITIES, freedom), expected, rtol=1e-9)
+
+
+def test_noise_is_told_from_what_is_smooth_and_from_jumps(rng: np.random.Generator) -> None:
+    k = np.arange(20_000)
+    smooth = 5.0 + 1e-4 * (k - 9000.0) ** 2 + np.sin(k / 300)
+    noise = 0.3 * rng.standard_normal(len(k))
+    jumps = 40.0 * (k > 5000) - 90.0 * (k > 12_000)
+    assert white_noise_rms(smooth + noise + jumps) == pytest.approx(0.3, rel=0.02)
+    assert white_noise_rms(smooth) < 1e-6
+
+
+def test_fewer_than_eight_samples_tell_no_noise() -> None:
+    zigzag = np.array([1.0, -1.0] * 4)
+    assert white_noise_rms(zigzag[:7]) == 0.0
+    assert white_noise_rms(zigzag) > 1.0

@@ -79,20 +79,20 @@ def decoupled_responses(
     decoupled_m = np.einsum("ij,njrp->nirp", coupled.decoupling, data.displacement_m)
     if data.voltage_V.shape[2] <= len(data.inputs):
         return ()
-    measured = estimate_response(replace(data, displacement_m=decoupled_m))
+    responses = estimate_response(replace(data, displacement_m=decoupled_m))
     return (
         FrequencyResponseRecord(
             name=f"{', '.join(coupled.outputs)} together",
             digest=digest_of_json([recording.digest for recording, _ in periodic]),
-            frequency_Hz=measured.frequency_Hz,
+            frequency_Hz=responses[0].frequency_Hz,
             paths=tuple(
                 ResponsePath(
                     output=axis,
                     drive=axis,
-                    response_m_per_V=measured.response[:, k, k],
-                    coherence=measured.coherence[:, k],
+                    response_m_per_V=measured.response,
+                    coherence=measured.coherence,
                 )
-                for k, axis in enumerate(coupled.outputs)
+                for axis, measured in zip(coupled.outputs, responses, strict=True)
             ),
         ),
     )

@@ -124,7 +124,7 @@ def with_dynamics(
         drive_V = voltage_behind_hysteresis(axis, recording)
         try:
             dynamics = _best_fit(measure_response(drive_V, recording, axis.axis), axis.rig)
-            recorded = (dynamics, recording.name) if is_determined(dynamics) else None
+            recorded = None if _obstacle(dynamics) else (dynamics, recording.name)
         except (ExcitationError, IdentificationError):
             pass  # the recordings do not determine the dynamics
     validated = validate_response(axis, response, declared, recorded)
@@ -157,13 +157,25 @@ def _with_bandwidth(axis: AxisModel, verdict: BandwidthVerdict) -> AxisModel:
     return _with_remarks(axis, verdict.text)
 
 
-def is_determined(dynamics: LinearDynamics) -> bool:
-    """Return whether the fit explains its lines and all its parameters are identifiable.
+def _obstacle(dynamics: LinearDynamics) -> str:
+    """Return why a fit does not explain its lines or determine its parameters, or ''.
 
     Modes must be resolved; the poles of lags must lie within twice the band. A rich structure on a
     response without features meets neither condition, however small its residual.
     """
-    return dynamics.cost_ratio <= MAX_COST and is_identifiable(dynamics)
+    low, high = (with_unit(edge_Hz, "Hz") for edge_Hz in dynamics.band_Hz)
+    band = f"between {low} and {high}"
+    if dynamics.cost_ratio > MAX_COST:
+        text = (
+            f"{band} the best model misses the response by {np.sqrt(dynamics.cost_ratio):.2g} "
+            f"times its uncertainty, at most {np.sqrt(MAX_COST):.2g} times are accepted"
+        )
+        if dynamics.delay_s > 0.0:
+            return text
+        return f"{text}. Its delay lies on 0, as if the drive were not held between samples"
+    if not resolved_modes(dynamics).all():
+        return f"the lines {band} do not determine frequency and damping of a mode"
+    return "" if is_identifiable(dynamics) else f"the pole lies far above the lines {band}"
 
 
 def _with_recorded_dynamics(
@@ -210,21 +222,10 @@ def _with_fit(
         dynamics = _best_fit(measured, axis.rig)
     except (ExcitationError, IdentificationError) as refusal:
         return axis, f"{refusal.found}, needed {refusal.needed}"
+    obstacle = _obstacle(dynamics)
+    if obstacle:
+        return axis, obstacle
     low, high = (with_unit(edge_Hz, "Hz") for edge_Hz in dynamics.band_Hz)
-    band = f"between {low} and {high}"
-    # The conditions of ``is_determined``, one by one.
-    if dynamics.cost_ratio > MAX_COST:
-        text = (
-            f"{band} the best model misses the response by {np.sqrt(dynamics.cost_ratio):.2g} "
-            f"times its uncertainty, at most {np.sqrt(MAX_COST):.2g} times are accepted"
-        )
-        if dynamics.delay_s > 0.0:
-            return axis, text
-        return axis, f"{text}. Its delay lies on 0, as if the drive were not held between samples"
-    if not resolved_modes(dynamics).all():
-        return axis, f"the lines {band} do not determine frequency and damping of a mode"
-    if not is_identifiable(dynamics):
-        return axis, f"the pole lies far above the lines {band}"
     text = (
         f"{recording.name}: linear dynamics were fitted behind the hysteresis from {low} to {high}"
     )
@@ -250,7 +251,7 @@ def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
     are preferred: a richer structure follows the remaining hysteresis by a meaningless term, at
     the cost of modes that are well determined.
     """
-    usable = np.flatnonzero(~measured.is_rejected[:, 0])
+    usable = np.flatnonzero(~measured.is_rejected)
     if len(usable) < MIN_LINES:
         raise ExcitationError(
             f"{len(usable)} of {len(measured.frequency_Hz)} lines are coherent",
@@ -270,7 +271,7 @@ def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
             for structure in STRUCTURES
             if 4 * (structure.columns + structure.shapes) <= 2 * len(lines.frequency_Hz)
         ]
-        fits = [fit for fit in fits if is_determined(fit)] or fits
+        fits = [fit for fit in fits if not _obstacle(fit)] or fits
         lowest_cost = min(fit.cost_ratio for fit in fits)
         accepted = max(1.0, EQUAL_COST * lowest_cost)
         fits_by_hold.append(next(fit for fit in fits if fit.cost_ratio <= accepted))

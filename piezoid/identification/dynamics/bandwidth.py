@@ -92,12 +92,12 @@ def decide_bandwidth(
     Undecided if the lines end before the gain has fallen, if the phase interval contains both
     sides, or if phase and gain agree with neither.
     """
-    usable = ~measured.is_rejected[:, 0]
+    usable = ~measured.is_rejected
     if usable.sum() <= IN_A_ROW:
         return unmeasured(stated_Hz, f"{int(usable.sum())} lines of the response are usable")
     f = measured.frequency_Hz[usable]
-    response = measured.response[usable, 0, 0]
-    spread = np.sqrt(measured.variance[usable, 0, 0]) / np.abs(response)
+    response = measured.response[usable]
+    spread = np.sqrt(measured.variance[usable]) / np.abs(response)
     is_low = f <= LOW_BAND * f[0]
     sign = np.sign(np.median(response[is_low].real)) or 1.0
     declared = declaration.response(f, measured.sampling_rate_Hz)

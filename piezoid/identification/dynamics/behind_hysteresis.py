@@ -117,21 +117,19 @@ def estimate_response_by_coherence(
     freedom = np.maximum(power.sum(axis=1) ** 2 / squared / OVERLAP_LOSS - 1.0, 0.5)
     variance = np.maximum(output - explained, 0.0) / freedom * inverse
     lines = np.arange(MAIN_LOBE_LINES, segment_samples // 2)
-    coherence = np.clip(coherence[lines], 0.0, 1.0)[:, None]
+    coherence = np.clip(coherence[lines], 0.0, 1.0)
     return FrequencyResponse(
-        inputs=(axis,),
-        outputs=(axis,),
+        axis=axis,
         sampling_rate_Hz=sampling_rate_Hz,
         frequency_Hz=lines * sampling_rate_Hz / segment_samples,
-        response=(cross * inverse)[lines, None, None],
-        noise_variance=variance[lines, None, None],
-        distortion_variance=np.zeros((len(lines), 1, 1)),
+        response=(cross * inverse)[lines],
+        variance=variance[lines],
         coherence=coherence,
         is_interference=np.zeros(coherence.shape, dtype=np.bool_),
         is_rejected=coherence < MIN_COHERENCE,
         least_coherence=MIN_COHERENCE,
         variance_freedom=float(np.median(freedom)),
-        drive_rms_V=np.array([voltage_V.std()]),
+        drive_rms_V=float(voltage_V.std()),
     )
 
 

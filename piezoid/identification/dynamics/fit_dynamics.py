@@ -49,8 +49,6 @@ def fit_dynamics(
 
     Raises ``IdentificationError`` for too few lines or a singular structure.
     """
-    if measured.response.shape[1:] != (1, 1):
-        raise ValueError(f"a response of shape {measured.response.shape}; expected one path")
     values = 2 * int((measured.weights() > 0).sum())
     unknowns = structure.columns + structure.shapes
     if values < 2 * unknowns:
@@ -168,7 +166,7 @@ class _Point:
     """A shape with its optimal gains and their residual."""
 
     def __init__(self, measured: FrequencyResponse, basis: ModalBasis, shape: Array) -> None:
-        response, weight = measured.response[:, 0, 0], measured.weights()[:, 0, 0]
+        response, weight = measured.response, measured.weights()
         self.basis, self.shape, self.weight = basis, shape, weight
         columns = basis.columns(shape)
         try:
@@ -252,7 +250,7 @@ def _linear_dynamics(measured: FrequencyResponse, fit: _Point) -> tuple[LinearDy
     inflation = freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
     expected_cost = (lines - (structure.columns + basis.shapes) / 2) * inflation
     dynamics = LinearDynamics(
-        axis=measured.outputs[0],
+        axis=measured.axis,
         **sorted_terms(structure, fit.shape[:n], gains, covariance[:n, :n]),
         direct_gain_m_per_V=float(gains[-1]) if structure.direct else 0.0,
         declared=basis.declaration.filters,
@@ -260,7 +258,7 @@ def _linear_dynamics(measured: FrequencyResponse, fit: _Point) -> tuple[LinearDy
         hold=basis.declaration.hold,
         sampling_rate_Hz=measured.sampling_rate_Hz,
         band_Hz=(float(measured.frequency_Hz[0]), float(measured.frequency_Hz[-1])),
-        drive_rms_V=float(measured.drive_rms_V[0]),
+        drive_rms_V=measured.drive_rms_V,
         cost=fit.cost,
         expected_cost=float(expected_cost),
     )

@@ -12,16 +12,16 @@ from piezoid.errors import ExcitationError
 from piezoid.numerics.arrays import (
     Array,
     ComplexArray,
-    expect_shapes,
     freeze,
-    frozen_complex,
+    same_length,
     strictly_increasing,
 )
 from piezoid.numerics.repetition import Repetition
 from piezoid.records.recording import Recording
 
-_BY_PATH = ("response", "noise_variance", "distortion_variance")
-_BY_OUTPUT = ("coherence", "is_interference", "is_rejected")
+_BY_LINE = (
+    "frequency_Hz", "response", "variance", "coherence", "is_interference", "is_rejected",
+)  # fmt: skip
 EXCITED_FRACTION = 0.02  # of the strongest line: designed lines lie above, leakage below
 TARGET_FREEDOM = 30  # degrees of freedom behind a smoothed variance: weights with little noise
 LEAST_COHERENCE = 0.5
@@ -31,75 +31,52 @@ FALSE_ALARMS = 0.01  # expected per response without interference
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrequencyResponse:
-    """Non-parametric frequency response of several inputs and outputs, with its variances.
+    """Non-parametric frequency response of an axis to its own drive, with its variance.
 
-    inputs, outputs      names of the axes
-    sampling_rate_Hz     of the data
-    frequency_Hz         (lines,)  increasing, > 0
-    response             (lines, outputs, inputs)  m/V, complex
-    noise_variance       (lines, outputs, inputs)  m2/V2, of the estimate, from what changes
-                         between periods
-    distortion_variance  (lines, outputs, inputs)  m2/V2, of the estimate, from what changes
-                         between realisations beyond noise; zero if it is not separable
-    coherence            (lines, outputs)  share of the power of an output that a linear system
-                         explains
-    is_interference      (lines, outputs)  single lines with an outlying residual: mains, drift
-    is_rejected          (lines, outputs)  interference, or coherence below ``least_coherence``:
-                         shown in plots, left out of fits
-    least_coherence      limit of the coherence
-    variance_freedom     complex degrees of freedom of each variance after smoothing
-    drive_rms_V          (inputs,)  level of the drive
-    realisations         number of realisations
-    periods              number of periods of each
+    axis              name of the axis
+    sampling_rate_Hz  of the data
+    frequency_Hz      (lines,)  increasing, > 0
+    response          (lines,)  m/V, complex
+    variance          (lines,)  m2/V2, of the estimate
+    coherence         (lines,)  share of the power of the output that a linear system explains
+    is_interference   (lines,)  single lines with an outlying residual: mains, drift
+    is_rejected       (lines,)  interference, or coherence below ``least_coherence``: shown in
+                      plots, left out of fits
+    least_coherence   limit of the coherence
+    variance_freedom  complex degrees of freedom of each variance after smoothing
+    drive_rms_V       level of the drive
 
     This is the best linear approximation at one level, not the small-signal response.
     """
 
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
+    axis: str
     sampling_rate_Hz: float
     frequency_Hz: Array
     response: ComplexArray
-    noise_variance: Array
-    distortion_variance: Array
+    variance: Array
     coherence: Array
     is_interference: NDArray[np.bool_]
     is_rejected: NDArray[np.bool_]
     least_coherence: float
     variance_freedom: float
-    drive_rms_V: Array
-    realisations: int = 1
-    periods: int = 1
+    drive_rms_V: float
 
     def __post_init__(self) -> None:
-        freeze(self, "frequency_Hz", "drive_rms_V")
-        freeze(self, "coherence", ndim=2)
-        freeze(self, "noise_variance", "distortion_variance", ndim=3)
-        object.__setattr__(self, "response", frozen_complex(self.response, "response"))
-        for name in ("is_interference", "is_rejected"):
-            flags = np.array(getattr(self, name), dtype=np.bool_)
-            flags.setflags(write=False)
-            object.__setattr__(self, name, flags)
+        freeze(self, "frequency_Hz", "variance", "coherence")
+        freeze(self, "response", dtype=np.complex128)
+        freeze(self, "is_interference", "is_rejected", dtype=np.bool_)
         strictly_increasing(self.frequency_Hz, "frequency_Hz")
-        shape = (len(self.frequency_Hz), len(self.outputs), len(self.inputs))
-        expect_shapes(self, dict.fromkeys(_BY_PATH, shape))
-        expect_shapes(self, dict.fromkeys(_BY_OUTPUT, shape[:2]))
-
-    @property
-    def variance(self) -> Array:
-        """Variance of the estimate from noise and distortion together, m2/V2."""
-        return np.asarray(self.noise_variance + self.distortion_variance)
+        same_length([(name, getattr(self, name)) for name in _BY_LINE])
 
     def weights(self) -> Array:
         """Return one over the standard deviation, V/m; zero at rejected lines."""
         spread = np.sqrt(self.variance)
         floor = 1e-9 * np.abs(self.response).max()  # a noiseless simulation must not divide by 0
-        return np.asarray(np.where(self.is_rejected[:, :, None], 0.0, 1.0 / (spread + floor)))
+        return np.asarray(np.where(self.is_rejected, 0.0, 1.0 / (spread + floor)))
 
     def at_lines(self, lines: NDArray[np.int_]) -> "FrequencyResponse":
         """Return the response at some of its lines, given by their increasing indices."""
-        by_line = ("frequency_Hz", *_BY_PATH, *_BY_OUTPUT)
-        return replace(self, **{name: getattr(self, name)[lines] for name in by_line})
+        return replace(self, **{name: getattr(self, name)[lines] for name in _BY_LINE})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -201,20 +178,20 @@ def cut_periods(
     )
 
 
-def estimate_response(data: PeriodicData) -> FrequencyResponse:
-    """Return the best linear approximation and the two variances of its estimate.
+def estimate_response(data: PeriodicData) -> tuple[FrequencyResponse, ...]:
+    """Return the best linear approximation of each axis to its own drive.
 
         G = Y U^H (U U^H)^-1,   E = Y - G U              [Pintelon & Schoukens 2012]
 
     Y, U are means over periods, one column per realisation. The variance of E between the periods
     of a realisation is noise; further variance between realisations is nonlinear distortion.
 
-    data  at least as many realisations as inputs, and one realisation or one period more
+    data  of the same axes as inputs and outputs; at least as many realisations as inputs, and one
+          realisation or one period more
 
     Lines with a coherence below ``LEAST_COHERENCE`` are rejected, and so are single lines with an
     outlying residual, which show interference. Orthogonal multisines keep U U^H well conditioned.
-    With as many realisations as inputs distortion is not measured; with one period, all variance
-    counts as distortion.
+    With as many realisations as inputs distortion is not measured.
     """
     lines = data.excited_lines()
     drive, response = data.spectra(lines)
@@ -230,38 +207,36 @@ def estimate_response(data: PeriodicData) -> FrequencyResponse:
     adjoint = np.conj(np.swapaxes(U, 1, 2))
     inverse = np.linalg.inv(U @ adjoint)
     G = Y @ adjoint @ inverse
-    total, noise, freedom, is_interference = _output_variances(drive, response, G)
-    per_input = np.einsum("kjj->kj", inverse).real[:, None, :]
+    total, freedom, is_interference = _output_variances(drive, response, G)
     power = (np.abs(Y) ** 2).mean(axis=2)
     coherence = np.clip(1.0 - total / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)
-    return FrequencyResponse(
-        inputs=data.inputs,
-        outputs=data.outputs,
-        sampling_rate_Hz=data.sampling_rate_Hz,
-        frequency_Hz=data.frequency_Hz(lines),
-        response=G,
-        noise_variance=noise[:, :, None] * per_input,
-        distortion_variance=np.maximum(total - noise, 0.0)[:, :, None] * per_input,
-        coherence=coherence,
-        is_interference=is_interference,
-        is_rejected=(coherence < LEAST_COHERENCE) | is_interference,
-        least_coherence=LEAST_COHERENCE,
-        variance_freedom=freedom,
-        drive_rms_V=data.voltage_V.std(axis=(0, 2, 3)),
-        realisations=realisations,
-        periods=periods,
+    return tuple(
+        FrequencyResponse(
+            axis=axis,
+            sampling_rate_Hz=data.sampling_rate_Hz,
+            frequency_Hz=data.frequency_Hz(lines),
+            response=G[:, k, k],
+            variance=total[:, k] * inverse[:, k, k].real,
+            coherence=coherence[:, k],
+            is_interference=is_interference[:, k],
+            is_rejected=(coherence[:, k] < LEAST_COHERENCE) | is_interference[:, k],
+            least_coherence=LEAST_COHERENCE,
+            variance_freedom=freedom,
+            drive_rms_V=float(data.voltage_V[:, k].std()),
+        )
+        for k, axis in enumerate(data.outputs)
     )
 
 
 def _output_variances(
     drive: ComplexArray, response: ComplexArray, G: ComplexArray
-) -> tuple[Array, Array, float, NDArray[np.bool_]]:
-    """Return total and noise variance of the means over periods, (lines, outputs) each.
+) -> tuple[Array, float, NDArray[np.bool_]]:
+    """Return the variance of the means over periods, (lines, outputs).
 
     Noise is smoothed over neighbouring lines directly, distortion as a share of the power of the
     output: it arises before the dynamics and has their peaks, which are sharper than the
-    smoothing. Also returned are the complex degrees of freedom of the total variance, and which
-    lines are interference, (lines, outputs); these are excluded from the smoothing.
+    smoothing. Also returned are the complex degrees of freedom of the variance, and which lines
+    are interference, (lines, outputs); these are excluded from the smoothing.
     """
     inputs, realisations, periods = drive.shape[1:]
     residual = response - np.einsum("koi,kirp->korp", G, drive)
@@ -290,9 +265,8 @@ def _output_variances(
     share = smooth_lines(is_usable * (total - noise), width) / np.maximum(
         smooth_lines(is_usable * power, width), np.finfo(float).tiny
     )
-    noise = smooth_lines(noise, width)
-    variance = noise + np.maximum(share, 0.0) * power
-    return variance, noise, float(width * draws), is_interference
+    variance = smooth_lines(noise, width) + np.maximum(share, 0.0) * power
+    return variance, float(width * draws), is_interference
 
 
 def smooth_lines(variance: Array, width: int) -> Array:

@@ -156,13 +156,13 @@ def fit_response(
         dynamics, slow = fit_with_slow_part(measured, dynamics, slow)
         lines = _lines(record, axis, response / slow.response(f), variance, is_outlier)
     used_lines = _usable_lines(lines)
-    f, values = used_lines.frequency_Hz, used_lines.response[:, 0, 0]
+    f, values = used_lines.frequency_Hz, used_lines.response
     static_gain = abs(dynamics.static_gain_m_per_V)
     relative = np.abs(values - dynamics.response(f))
     relative /= np.maximum(np.abs(values), static_gain)
     smooth = median_filter(relative, RESIDUAL_LINES, mode="nearest")
     worst = int(np.argmax(smooth))
-    spread = np.sqrt(used_lines.variance[:, 0, 0]) / np.abs(values)
+    spread = np.sqrt(used_lines.variance) / np.abs(values)
     return FittedResponse(
         dynamics=dynamics,
         measured=lines,
@@ -192,27 +192,25 @@ def _lines(
     is_outlier: NDArray[np.bool_],
 ) -> FrequencyResponse:
     """Return the response as input of the modal fit; files do not state the level of the drive."""
-    path, shape = _path(record, axis), (len(response), 1, 1)
+    path = _path(record, axis)
     coherence = np.ones(len(response)) if path.coherence is None else path.coherence
     return FrequencyResponse(
-        inputs=(axis,),
-        outputs=(axis,),
+        axis=axis,
         sampling_rate_Hz=2.0 * float(record.frequency_Hz[-1]),
         frequency_Hz=record.frequency_Hz,
-        response=response.reshape(shape),
-        noise_variance=variance.reshape(shape),
-        distortion_variance=np.zeros(shape),
-        coherence=coherence[:, None],
-        is_interference=is_outlier[:, None],
-        is_rejected=(~path.is_coherent | is_outlier)[:, None],
+        response=response,
+        variance=variance,
+        coherence=coherence,
+        is_interference=is_outlier,
+        is_rejected=~path.is_coherent | is_outlier,
         least_coherence=MIN_COHERENCE,
         variance_freedom=float(len(response)),
-        drive_rms_V=np.zeros(1),
+        drive_rms_V=0.0,
     )
 
 
 def _usable_lines(lines: FrequencyResponse) -> FrequencyResponse:
-    return lines.at_lines(np.flatnonzero(~lines.is_rejected[:, 0]))
+    return lines.at_lines(np.flatnonzero(~lines.is_rejected))
 
 
 def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearDynamics:
@@ -237,8 +235,8 @@ def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearD
             continue
         # Differences between neighbouring lines are as large as the residual itself if it is noise
         # [von Neumann 1941].
-        residual = usable.response[:, 0, 0] - fit.response(usable.frequency_Hz)
-        residual = residual / np.sqrt(usable.variance[:, 0, 0])
+        residual = usable.response - fit.response(usable.frequency_Hz)
+        residual = residual / np.sqrt(usable.variance)
         difference = 0.5 * float(np.mean(np.abs(np.diff(residual)) ** 2))
         is_noise = float(np.mean(np.abs(residual) ** 2)) <= EQUAL_COST * difference
         if is_noise and resolved_modes(fit).all():

@@ -54,11 +54,11 @@ def validate_response(
         return f"{response.name} is not used: {reason}"
     d, gain = fit.dynamics, fit.dynamics.static_gain_m_per_V
     sign = 1 if gain * axis.polarity > 0.0 else -1
-    outliers = fit.measured.is_interference[:, 0]
+    outliers = fit.measured.is_interference
     record = ResponseFit(
         name=response.name,
         lines=len(outliers),
-        used=int((~fit.measured.is_rejected[:, 0]).sum()),
+        used=int((~fit.measured.is_rejected).sum()),
         left_out_Hz=tuple(response.frequency_Hz[outliers].tolist()),
         gain_m_per_V=abs(gain),
         gain_ratio=abs(gain) / middle_slope_m_per_V(axis),

@@ -20,7 +20,7 @@ from piezoid.identification.hysteresis.cycles import (
     trends_over_cycles,
 )
 from piezoid.identification.hysteresis.excluded_rows import without_outliers, without_transients
-from piezoid.identification.hysteresis.gauss_newton import minimise
+from piezoid.identification.hysteresis.gauss_newton import HysteresisFit, minimise
 from piezoid.identification.hysteresis.order_selection import (
     ORDERS,
     Choice,
@@ -37,14 +37,13 @@ from piezoid.identification.hysteresis.pieces import (
 )
 from piezoid.identification.hysteresis.scope import limits_as_recorded
 from piezoid.identification.hysteresis.search import (
-    HysteresisFit,
     Settings,
     prune,
     search,
     search_from,
     simulate_piece,
 )
-from piezoid.identification.hysteresis.sensor_noise import noise_is_most, sensor_noise
+from piezoid.identification.hysteresis.sensor_noise import sensor_noise
 from piezoid.identification.hysteresis.uncertainty import certify, jackknife, summarise
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.quality import (
@@ -165,19 +164,18 @@ def _final_fit(pieces: Sequence[Piece], choice: Choice, settings: Settings) -> H
     """
     best = choice.best
     fit = search(pieces, best.shape, settings)
-    if fit.minimum.rms > best.held_out_rms:
+    if fit.rms > best.held_out_rms:
         repeated = (
             search_from(pieces, operator, best.shape.lag, settings) for operator in best.operators
         )
-        closest = min((fit, *repeated), key=lambda candidate: candidate.minimum.rms)
+        closest = min((fit, *repeated), key=lambda candidate: candidate.rms)
         fit = replace(closest, kkt_gap=fit.kkt_gap)
     fit = prune(fit, iterations=settings.iterations)
     if fit.task.stride == 1:
         return fit
     all_rows = replace(fit.task, stride=1)
-    polished = minimise(fit.minimum.theta, all_rows, iterations=POLISHING_ITERATIONS)
-    total = polished.iterations + fit.minimum.iterations
-    return replace(fit, minimum=replace(polished, iterations=total))
+    polished = minimise(fit.theta, all_rows, iterations=POLISHING_ITERATIONS)
+    return replace(polished, task=fit.task, kkt_gap=fit.kkt_gap)
 
 
 def _axis_model(
@@ -194,7 +192,7 @@ def _axis_model(
 
     held_out  (rows,)  held-out residual, scaled units
     """
-    theta, coordinates = fit.minimum.theta, fit.task.coordinates
+    theta, coordinates = fit.theta, fit.task.coordinates
     refits = jackknife(theta, fit.task)
     starts = tuple(
         piece_start(piece, index, theta, coordinates, scales, float(piece.drive[0]))
@@ -272,24 +270,23 @@ def remarks_on(fit: HysteresisFit, held_out_kind: str, rig: Rig) -> tuple[str, .
 def _quality(
     fit: HysteresisFit, choice: Choice, pieces: Sequence[Piece], stroke_m: float
 ) -> FitQuality:
-    minimum = fit.minimum
     residuals = [
         simulate_piece(fit, index, piece) - piece.response for index, piece in enumerate(pieces)
     ]
-    noise = np.array(list(map(sensor_noise, pieces, residuals)))
+    noise, is_bound = zip(*map(sensor_noise, pieces, residuals), strict=True)
     rows = [piece.rows for piece in pieces]
     return FitQuality(
-        rms_m=minimum.rms * stroke_m,
+        rms_m=fit.rms * stroke_m,
         held_out_rms_m=choice.best.held_out_rms * stroke_m,
         held_out_kind=choice.kind,
         range_m=response_range(pieces) * stroke_m,
         noise_rms_m=stroke_m * float(np.sqrt(np.average(np.square(noise), weights=rows))),
-        noise_is_most=any(map(noise_is_most, pieces, residuals)),
+        noise_is_most=any(is_bound),
         rows=sum(rows),
-        effective_parameters=float(len(minimum.theta)),
+        effective_parameters=float(len(fit.theta)),
         kkt_gap=fit.kkt_gap,
-        gradient=minimum.gradient,
-        converged=minimum.converged,
+        gradient=fit.gradient,
+        converged=fit.converged,
         orders=tuple(
             Order(
                 plays=trial.shape.plays,

@@ -20,8 +20,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from piezoid.identification.hysteresis.gauss_newton import HysteresisFit
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Piece
-from piezoid.identification.hysteresis.search import HysteresisFit, simulate_piece
+from piezoid.identification.hysteresis.search import simulate_piece
 from piezoid.numerics.arrays import Array, Samples
 from piezoid.operators.play import forgetting_sample
 from piezoid.records.reversals import noise_of, reversals_of

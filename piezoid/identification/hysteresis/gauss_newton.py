@@ -18,7 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.identification.forward import Forward
-from piezoid.identification.hysteresis.coordinates import Coordinates, operator_of
+from piezoid.identification.hysteresis.coordinates import (
+    Coordinates,
+    Scaled,
+    Shape,
+    operator_of,
+)
 from piezoid.identification.hysteresis.pieces import Piece, widest_swing
 from piezoid.numerics import levenberg_marquardt
 from piezoid.numerics.arrays import Array, Samples
@@ -86,24 +91,36 @@ class Task:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Minimum:
-    """Result of a search.
+class HysteresisFit:
+    """Fit of one shape.
 
-    theta       (total,)
-    rms         of the residual, scaled units
-    iterations  Jacobians computed
-    gradient    largest scaled derivative among parameters off their bounds: 0 at an exact minimum
-    converged   False if the search stopped at its maximum number of iterations
+    task       the data and the layout of the parameter vector
+    theta      (total,)
+    rms        of the residual, scaled units
+    gradient   largest scaled derivative among parameters off their bounds: 0 at an exact minimum
+    converged  False if the search stopped at its maximum number of iterations
+    kkt_gap    of the quadratic program that the search started from
     """
 
+    task: Task
     theta: Array
     rms: float
-    iterations: int
     gradient: float
     converged: bool
+    kkt_gap: float = 0.0
+
+    @property
+    def operator(self) -> Scaled:
+        """The fitted operator in scaled units."""
+        return operator_of(self.theta, self.task.coordinates)
+
+    @property
+    def shape(self) -> Shape:
+        """Shape of the fit; after pruning smaller than requested."""
+        return self.task.coordinates.shape
 
 
-def minimise(theta: Array, task: Task, *, iterations: int = 30) -> Minimum:
+def minimise(theta: Array, task: Task, *, iterations: int) -> HysteresisFit:
     """Minimise the forward output error within the bounds, starting from ``theta``."""
     lower, upper = task.coordinates.bounds(task.longest_lag_s)
     for name in task.fixed:
@@ -117,10 +134,10 @@ def minimise(theta: Array, task: Task, *, iterations: int = 30) -> Minimum:
         rule=Rule(crawl=MIN_PROGRESS, iterations=iterations, easier=5.0, harder=6.0),
         within=lambda x: x if "gap" in task.fixed else task.coordinates.within_reach(x, swing),
     )
-    return Minimum(
+    return HysteresisFit(
+        task=task,
         theta=minimum.x,
         rms=minimum.point.rms,
-        iterations=minimum.iterations,
         gradient=minimum.gradient,
         converged=minimum.converged,
     )

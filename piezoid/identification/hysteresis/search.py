@@ -15,11 +15,10 @@ from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
     Scaled,
     Shape,
-    operator_of,
     vector_of,
     with_flat_envelope,
 )
-from piezoid.identification.hysteresis.gauss_newton import Minimum, Task, minimise, simulate
+from piezoid.identification.hysteresis.gauss_newton import HysteresisFit, Task, minimise, simulate
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
 
@@ -32,30 +31,6 @@ MIN_DISTANCE = 0.01  # of half the drive's range: plays with closer thresholds a
 MIN_WEIGHT = 1e-4  # of the total slope: smaller weights are dropped
 MIN_KINK = 1e-3  # smaller changes of slope are dropped
 MAX_RMS_RATIO = 1.002  # of a pruned fit to the original
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HysteresisFit:
-    """Fit of one shape.
-
-    task     the data and the layout of the parameter vector
-    minimum  result of the Gauss-Newton search
-    kkt_gap  of the quadratic program that the search started from
-    """
-
-    task: Task
-    minimum: Minimum
-    kkt_gap: float
-
-    @property
-    def operator(self) -> Scaled:
-        """The fitted operator in scaled units."""
-        return operator_of(self.minimum.theta, self.task.coordinates)
-
-    @property
-    def shape(self) -> Shape:
-        """Shape of the fit; after pruning smaller than requested."""
-        return self.task.coordinates.shape
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,13 +77,13 @@ def search(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Hystere
             )
             for start in starts
         ),
-        key=lambda fit: fit.minimum.rms,
+        key=lambda fit: fit.rms,
     )
     # With few plays the better of two starts may lie farther from the minimum.
     candidates = fits if shape.plays <= MANY_PLAYS else fits[:1]
     return min(
         (_fit_all(fit, settings) for fit in candidates),
-        key=lambda fit: fit.minimum.rms,
+        key=lambda fit: fit.rms,
     )
 
 
@@ -120,8 +95,8 @@ def search_from(
 
 
 def _fit_all(start: HysteresisFit, settings: Settings) -> HysteresisFit:
-    minimum = minimise(start.minimum.theta, start.task, iterations=settings.iterations)
-    return replace(start, minimum=minimum)
+    fit = minimise(start.theta, start.task, iterations=settings.iterations)
+    return replace(fit, kkt_gap=start.kkt_gap)
 
 
 def _fit_with_fixed(
@@ -143,8 +118,8 @@ def _fit_with_fixed(
     theta = vector_of(operator, task.coordinates)
     for index in range(len(pieces)):
         theta[task.coordinates.offset_slice(index)] = offset
-    minimum = minimise(theta, replace(task, fixed=fixed), iterations=settings.iterations // 3)
-    return HysteresisFit(task=task, minimum=minimum, kkt_gap=kkt_gap)
+    fit = minimise(theta, replace(task, fixed=fixed), iterations=settings.iterations // 3)
+    return replace(fit, task=task, kkt_gap=kkt_gap)
 
 
 def task_for(pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Settings) -> Task:
@@ -166,7 +141,7 @@ def task_for(pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Sett
 
 def simulate_piece(fit: HysteresisFit, index: int, piece: Piece) -> Array:
     """Simulate a piece with the fitted parameters, memory and zero of one piece of the fit."""
-    return simulate(fit.minimum.theta, fit.task, index, piece)
+    return simulate(fit.theta, fit.task, index, piece)
 
 
 def refit_initial_state(fit: HysteresisFit, pieces: Sequence[Piece]) -> HysteresisFit:
@@ -190,17 +165,17 @@ def prune(fit: HysteresisFit, *, iterations: int) -> HysteresisFit:
     task, theta = replace(fit.task, coordinates=coordinates), vector_of(operator, coordinates)
     radius = np.concatenate([[0.0], original.threshold])
     for index in range(len(old.offsets)):
-        theta[coordinates.offset_slice(index)] = fit.minimum.theta[old.offset_slice(index)]
+        theta[coordinates.offset_slice(index)] = fit.theta[old.offset_slice(index)]
         # Memory slopes that preserve the states of the remaining plays.
-        slopes = fit.minimum.theta[old.memory_slice(index)]
+        slopes = fit.theta[old.memory_slice(index)]
         curve = np.concatenate([[0.0], np.cumsum(original.gap * slopes)])
         state = np.interp(operator.threshold, radius, curve)
         slopes = np.clip(np.diff(state, prepend=0.0) / operator.gap, -1.0, 1.0)
         theta[coordinates.memory_slice(index)] = slopes
-    minimum = minimise(theta, task, iterations=iterations)
-    if minimum.rms > MAX_RMS_RATIO * fit.minimum.rms:
+    pruned = minimise(theta, task, iterations=iterations)
+    if pruned.rms > MAX_RMS_RATIO * fit.rms:
         return fit
-    return replace(fit, task=task, minimum=minimum)
+    return replace(pruned, kkt_gap=fit.kkt_gap)
 
 
 def _without_small_terms(operator: Scaled) -> Scaled:

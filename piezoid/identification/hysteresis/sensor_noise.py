@@ -33,37 +33,29 @@ MOTION = 2.0  # noise of the readings over that of the residual: with more, they
 DIGITS = 9  # of half the stroke: makes the step independent of rounding
 
 
-def sensor_noise(piece: Piece, residual: Array) -> float:
-    """Return the rms noise of the readings of a piece, scaled units.
+def sensor_noise(piece: Piece, residual: Array) -> tuple[float, bool]:
+    """Return the rms noise of the readings of a piece, scaled units, and whether it is a bound.
 
     residual  (samples,)  model minus measurement
+
+    The noise is an upper bound if a drive that never repeats moves the stage from sample to
+    sample: differences of the readings are then motion, and those of the residual contain errors
+    of the model.
     """
     drive, response = piece.fitted_drive, piece.fitted_response
+    residual = residual[piece.first : piece.last]
     step = step_size(np.round(response, DIGITS))
     is_invalid = np.isin(np.arange(piece.first, piece.last), piece.invalid)
-    response = np.where(is_invalid, np.nan, response)
+    valid = np.where(is_invalid, np.nan, response)
     period = _period_samples(drive)
     if period is not None:
-        change = response[period:] - response[:-period]
+        change = valid[period:] - valid[:-period]
         change = change[np.abs(drive[period:] - drive[:-period]) <= TOLERANCE * np.ptp(drive)]
-        noise = noise_rms((change,)) / sqrt(2.0)
+        noise, is_bound = noise_rms((change,)) / sqrt(2.0), False
     else:
-        noise = noise_rms(
-            (response, np.where(is_invalid, np.nan, residual[piece.first : piece.last]))
-        )
-    return max(noise, step / sqrt(12.0))
-
-
-def noise_is_most(piece: Piece, residual: Array) -> bool:
-    """Return whether the noise is only an upper bound, because it may contain errors of the model.
-
-    If a drive that never repeats moves the stage from sample to sample, differences of the
-    readings are motion, and those of the residual contain errors of the model.
-    """
-    if _period_samples(piece.fitted_drive) is not None:
-        return False
-    residual_noise = white_noise_rms(residual[piece.first : piece.last])
-    return white_noise_rms(piece.fitted_response) > MOTION * residual_noise
+        noise = noise_rms((valid, np.where(is_invalid, np.nan, residual)))
+        is_bound = white_noise_rms(response) > MOTION * white_noise_rms(residual)
+    return max(noise, step / sqrt(12.0)), is_bound
 
 
 def noise_rms(signals: Sequence[Array]) -> float:

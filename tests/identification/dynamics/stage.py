@@ -3,7 +3,11 @@
 import numpy as np
 
 from piezoid.diagnosis.planning.waveforms import multisine_period, odd_lines
-from piezoid.identification.dynamics.frequency_response import FrequencyResponse, PeriodicData
+from piezoid.identification.dynamics.frequency_response import (
+    FrequencyResponse,
+    PeriodicData,
+    estimate_response,
+)
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
 from piezoid.numerics.arrays import Array, ComplexArray
@@ -53,6 +57,11 @@ def all_paths(frequency_Hz: Array, axes: int) -> ComplexArray:
     return np.moveaxis(np.array(rows), 2, 0)
 
 
+def first_response(data: PeriodicData) -> FrequencyResponse:
+    """Return the response of the first axis to its own drive."""
+    return estimate_response(data)[0]
+
+
 def lines_between(
     measured: FrequencyResponse, lowest_Hz: float, highest_Hz: float
 ) -> FrequencyResponse:
@@ -69,14 +78,13 @@ def record(
     noise_m: float = 2e-9,
     play_weight: float = 0.0,
     cubic: float = 0.0,
-    silent: int = 0,
 ) -> PeriodicData:
     """Record odd multisines of 0.5 V rms up to 4 kHz behind a zero-order hold, in steady state.
 
     play_weight  share of a play of half-width 0.1 V in the drive, of what hysteresis does
     cubic        share of a cubic term
     """
-    lines = odd_lines(30, 4000, RATE_HZ / PERIOD, left_out_of=silent, rng=rng)
+    lines = odd_lines(30, 4000, RATE_HZ / PERIOD, left_out_of=0, rng=rng)
     drive_V = 0.5 * np.concatenate(
         [_orthogonal_block(lines, len(inputs), rng) for _ in range(realisations // len(inputs))],
         axis=2,

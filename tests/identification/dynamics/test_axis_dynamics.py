@@ -19,12 +19,12 @@ from piezoid.identification.store import read_model, write_model
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import resonance, sample
 from piezoid.records.collection import collect
-from piezoid.records.frames import from_arrays
 from piezoid.records.lab import read_lab
-from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid.records.recording import Recording
 from piezoid.statement import Level
 from piezoid_reports.page import Page
 from piezoid_reports.render import render
+from tests.identification.hysteresis.stages import recording as made_recording
 from tests.reports.known_stage import HYSTERESIS, axis_model, stage_model
 
 RATE_Hz = 5000.0
@@ -47,16 +47,7 @@ def recorded(voltage_V: Array, rng: np.random.Generator, name: str = "chirp.csv"
         out[k] = (mode.C @ state + mode.D[:, 0] * value)[0]
         state = mode.A @ state + mode.B[:, 0] * value
     displacement_m = rest_m + out + 5e-9 * rng.standard_normal(len(out))
-    values = ((Quantity.VOLTAGE, voltage_V), (Quantity.DISPLACEMENT, displacement_m))
-    return Recording(
-        name=name,
-        digest="sha256:0",
-        axis="x",
-        sampling_rate_Hz=RATE_Hz,
-        channels=tuple(
-            Channel(quantity=q, axis="x", values=v, label=q.name.lower()) for q, v in values
-        ),
-    )
+    return made_recording(voltage_V, displacement_m, name, RATE_Hz)
 
 
 @pytest.fixture(scope="module")
@@ -96,26 +87,11 @@ def test_the_mode_is_told_where_a_generator_drives_the_stage_between_samples() -
     rung_m = moved_m[0] + through_mode(moved_m - moved_m[0], MODE_Hz, 0.5 / DAMPING, fine_Hz)
     read_m = behind_pole(rung_m, rig.sensor_bandwidth_Hz, fine_Hz)[::finer]
     noise_m = 5e-9 * np.random.default_rng(3).standard_normal(len(read_m))
-    recording = from_arrays(
-        voltage_V=voltage_V[::finer],
-        displacement_m=read_m + noise_m,
-        sampling_rate_Hz=RATE_Hz,
-        axis="x",
-        name="chirp.csv",
-    )
+    recording = made_recording(voltage_V[::finer], read_m + noise_m, "chirp.csv", RATE_Hz)
     dynamics = with_dynamics(replace(axis_model(), rig=rig), [recording]).dynamics
     assert dynamics is not None
     assert dynamics.mode_frequency_Hz == pytest.approx([MODE_Hz], rel=0.01)
     assert dynamics.delay_s < 2e-6
-
-
-def test_a_slow_triangle_does_not_count_as_exciting_dynamics(rng: np.random.Generator) -> None:
-    time_s = np.arange(30000) / RATE_Hz
-    triangle = 10.0 * np.abs(2.0 * ((3.0 * time_s) % 1.0) - 1.0)
-    slow = recorded(triangle, rng, "slow.csv")
-    assert excites_dynamics([slow], "x") == ()
-    assert with_dynamics(axis_model(), [slow]).dynamics is None
-    assert with_dynamics(axis_model(), [slow]).dynamics_remarks == ()
 
 
 def swept(low_Hz: float, high_Hz: float, amplitude_V: float, samples: int = 30000) -> Array:
@@ -125,24 +101,18 @@ def swept(low_Hz: float, high_Hz: float, amplitude_V: float, samples: int = 3000
     return 5.0 + amplitude_V * np.sin(2 * np.pi * (low_Hz + 0.5 * rate * time_s) * time_s)
 
 
-def test_a_sweep_through_the_resonance_alone_excites_it(rng: np.random.Generator) -> None:
-    narrow = recorded(swept(180.0, 900.0, 2.0), rng, "narrow.csv")
-    found = excites_dynamics([narrow], "x")
-    assert [recording.name for recording, _ in found] == ["narrow.csv"]
-    assert found[0][1] == pytest.approx(900.0, rel=0.3)
-    dynamics = with_dynamics(axis_model(), [narrow]).dynamics
-    assert dynamics is not None
-    strongest = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
-    assert dynamics.mode_frequency_Hz[strongest] == pytest.approx(MODE_Hz, rel=0.01)
+LOOP = 5.0 - 4.5 * np.sin(2 * np.pi * 1.5 * np.arange(10000) / RATE_Hz)
 
 
-def test_a_small_sweep_behind_a_slow_loop_excites_dynamics(rng: np.random.Generator) -> None:
-    time_s = np.arange(10000) / RATE_Hz
-    loop = 5.0 - 4.5 * np.sin(2 * np.pi * 1.5 * time_s)
-    sweep = swept(5.0, 1500.0, 0.3)
-    both = recorded(np.concatenate([loop, sweep]), rng, "both.csv")
-    assert len(excites_dynamics([both], "x")) == 1
-    dynamics = with_dynamics(axis_model(), [both]).dynamics
+@pytest.mark.parametrize(
+    "drive_V",
+    [swept(180.0, 900.0, 2.0), np.concatenate([LOOP, swept(5.0, 1500.0, 0.3)])],
+    ids=["through the resonance alone", "small, behind a slow loop"],
+)
+def test_a_sweep_excites_the_mode_it_passes(drive_V: Array, rng: np.random.Generator) -> None:
+    sweep = recorded(drive_V, rng, "sweep.csv")
+    assert [recording.name for recording, _ in excites_dynamics([sweep], "x")] == ["sweep.csv"]
+    dynamics = with_dynamics(axis_model(), [sweep]).dynamics
     assert dynamics is not None
     strongest = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
     assert dynamics.mode_frequency_Hz[strongest] == pytest.approx(MODE_Hz, rel=0.02)
@@ -160,9 +130,13 @@ def test_neither_stairs_nor_a_noisy_slow_drive_nor_one_fast_sine_are_sweeps(
         "monitored": slow + 0.02 * rng.standard_normal(30000),
         "sine": 5.0 + 4.0 * np.sin(2 * np.pi * 120.0 * time_s),
         "triangle": 10.0 * np.abs(2.0 * ((20.0 * time_s) % 1.0) - 1.0),
+        "slow": 10.0 * np.abs(2.0 * ((3.0 * time_s) % 1.0) - 1.0),
     }
     for name, drive in drives.items():
         assert excites_dynamics([recorded(drive, rng, name)], "x") == (), name
+    slow_axis = with_dynamics(axis_model(), [recorded(drives["slow"], rng)])
+    assert slow_axis.dynamics is None
+    assert slow_axis.dynamics_remarks == ()
 
 
 def test_where_noise_covers_everything_it_is_said_that_nothing_was_fitted(
@@ -204,16 +178,6 @@ def test_the_report_shows_gain_phase_coherence_and_poles(
     assert axis.bandwidth is not None
     assert axis.bandwidth.kind == "resonance"
     assert axis.bandwidth.text in page
-
-
-def test_a_report_without_dynamics_says_that_the_stated_bandwidth_is_open(
-    chirped: Recording,
-) -> None:
-    slow = replace(chirped, sampling_rate_Hz=1.0)
-    model = with_dynamics(axis_model(), [slow], stated_Hz=630.0)
-    assert model.bandwidth is not None
-    assert model.bandwidth.kind == "undecided"
-    assert model.bandwidth.text in render(Page(model=stage_model(model), recordings=[slow]))
 
 
 def test_sines_that_determine_no_mode_are_said_to_determine_none() -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.fit_dynamics import fit_dynamics, resolved_modes
-from piezoid.identification.dynamics.frequency_response import estimate_response
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
 from tests.identification.dynamics.stage import (
@@ -16,6 +15,7 @@ from tests.identification.dynamics.stage import (
     DELAY_S,
     FREQUENCY_HZ,
     STRUCTURE,
+    first_response,
     lines_between,
     record,
     truth,
@@ -25,7 +25,7 @@ EXACT = 1e-6  # relative: where the fit stops without noise
 
 
 def test_without_noise_the_truth_comes_back(rng: np.random.Generator) -> None:
-    model = fit_dynamics(estimate_response(record(rng, noise_m=0.0)), STRUCTURE, DECLARATION)
+    model = fit_dynamics(first_response(record(rng, noise_m=0.0)), STRUCTURE, DECLARATION)
     np.testing.assert_allclose(model.mode_frequency_Hz, FREQUENCY_HZ, rtol=EXACT)
     np.testing.assert_allclose(model.mode_damping, DAMPING, rtol=100 * EXACT)
     assert model.delay_s == pytest.approx(DELAY_S, rel=100 * EXACT)
@@ -33,7 +33,7 @@ def test_without_noise_the_truth_comes_back(rng: np.random.Generator) -> None:
 
 
 def test_a_mode_that_is_not_there_is_not_called_resolved(rng: np.random.Generator) -> None:
-    measured = estimate_response(record(rng, noise_m=1e-8))
+    measured = first_response(record(rng, noise_m=1e-8))
     assert resolved_modes(fit_dynamics(measured, STRUCTURE, DECLARATION)).all()
     too_many = fit_dynamics(measured, Structure(modes=3), DECLARATION)
     near = [np.argmin(np.abs(too_many.mode_frequency_Hz - f)) for f in FREQUENCY_HZ]
@@ -51,31 +51,10 @@ def test_stated_intervals_hold_the_truth_as_often_as_they_say(rng: np.random.Gen
     inside = np.zeros(len(exact))
     for _ in range(100):
         data = record(rng, noise_m=2e-8, play_weight=5e-4, cubic=4e-3)
-        model = fit_dynamics(estimate_response(data), STRUCTURE, DECLARATION)
+        model = fit_dynamics(first_response(data), STRUCTURE, DECLARATION)
         inside += (_intervals(model)[:, 0] <= exact) & (exact <= _intervals(model)[:, 1])
     assert inside.mean() >= 93
     assert inside.min() >= 90
-
-
-def test_a_smooth_model_beats_the_measured_response_on_held_out_data(
-    rng: np.random.Generator,
-) -> None:
-    data = record(rng, realisations=4, noise_m=5e-8)
-    measured = estimate_response(data.select([0, 1]))
-    model = fit_dynamics(measured, STRUCTURE, DECLARATION)
-    f, other = measured.frequency_Hz, data.select([2, 3])
-    drive, moved = (spectrum.mean(axis=3) for spectrum in other.spectra(other.excited_lines()))
-    error, rough = (
-        np.linalg.norm(moved[:, 0] - response[:, None] * drive[:, 0])
-        for response in (model.response_as_measured(f), measured.response[:, 0, 0])
-    )
-    assert error < 0.95 * rough
-
-
-def test_several_paths_are_refused(rng: np.random.Generator) -> None:
-    measured = estimate_response(record(rng, inputs=("x", "y")))
-    with pytest.raises(ValueError, match="expected one path"):
-        fit_dynamics(measured, STRUCTURE, DECLARATION)
 
 
 def test_the_realisation_has_the_response_of_the_record(rng: np.random.Generator) -> None:
@@ -93,22 +72,22 @@ def test_the_realisation_has_the_response_of_the_record(rng: np.random.Generator
 
 
 def test_a_first_order_stage_is_found_as_a_lag(rng: np.random.Generator) -> None:
-    measured = estimate_response(record(rng, noise_m=1e-10))
+    measured = first_response(record(rng, noise_m=1e-10))
     lag = 2 * np.pi * 630 / (2j * np.pi * measured.frequency_Hz + 2 * np.pi * 630)
-    slow = type(measured)(**{**vars(measured), "response": 1e-6 * lag[:, None, None]})
+    slow = type(measured)(**{**vars(measured), "response": 1e-6 * lag})
     found = fit_dynamics(slow, Structure(modes=0, lags=1), Declaration(hold="band_limited"))
     np.testing.assert_allclose(found.lag_frequency_Hz, 630, rtol=1e-6)
     assert found.delay_s < 1e-9
 
 
 def test_more_parameters_than_values_are_refused(rng: np.random.Generator) -> None:
-    narrow = lines_between(estimate_response(record(rng)), 600, 700)
+    narrow = lines_between(first_response(record(rng)), 600, 700)
     with pytest.raises(IdentificationError, match="usable real values"):
         fit_dynamics(narrow, Structure(modes=6, direct=True), DECLARATION)
 
 
 def test_a_declared_filter_is_not_blamed_on_the_delay(rng: np.random.Generator) -> None:
-    measured = estimate_response(record(rng, noise_m=1e-10))
+    measured = first_response(record(rng, noise_m=1e-10))
     without = fit_dynamics(measured, STRUCTURE, Declaration())
     declared = fit_dynamics(measured, STRUCTURE, DECLARATION)
     added = without.delay_s - declared.delay_s

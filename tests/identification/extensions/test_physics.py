@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.identification.extensions import (
-    AmplifierLimits,
     CreepLadder,
-    CrossAxis,
-    Delay,
     GainChange,
     LinearMode,
     MainsLines,
@@ -17,6 +14,7 @@ from piezoid.identification.extensions import (
     ThermalDrift,
 )
 from piezoid.identification.extensions.extension import Where
+from piezoid.identification.extensions.linear_mode import rows_after_steps
 from piezoid.record_json import from_json, to_json
 from tests.identification.extensions.samples import RATE_Hz, where
 
@@ -32,14 +30,6 @@ def test_a_mode_rings_at_its_frequency_with_its_quality() -> None:
     np.testing.assert_allclose(half.response(plain, where(8000)), (plain + rung) / 2)
 
 
-def test_a_delay_in_rows_is_the_same_number_of_rows_at_every_rate() -> None:
-    signal = np.random.default_rng(2).standard_normal(300)
-    for rate_Hz in (10.0, 1e4):
-        here = Where(recording="r", rate_Hz=rate_Hz, samples=300)
-        late = Delay(delay_samples=3.0).response(signal, here)
-        np.testing.assert_allclose(late[3:], signal[:-3], atol=1e-12)
-
-
 def test_small_lags_of_the_walls_are_a_pole_and_large_ones_grow_with_the_logarithm() -> None:
     ramp_m, speed, time_s = np.linspace(0.0, 8e-6, 8000), 1e-6, 0.02
     plain = RateDependence(time_s=time_s).irreversible(ramp_m, RATE_Hz)
@@ -50,23 +40,6 @@ def test_small_lags_of_the_walls_are_a_pole_and_large_ones_grow_with_the_logarit
         behind_m = strain_m * np.arcsinh(time_s * speed / strain_m)
         assert ramp_m[4000] - slow[4000] == pytest.approx(behind_m, rel=0.06)
     assert behind_m < 0.8 * time_s * speed
-
-
-def test_limits_clip_on_their_side_only() -> None:
-    drive_V = np.linspace(-1.0, 11.0, 100)
-    upper = AmplifierLimits(high_V=9.0).drive(drive_V, RATE_Hz)
-    assert upper.max() == 9.0
-    assert upper.min() == -1.0
-    with pytest.raises(ValueError, match="without limits"):
-        AmplifierLimits()
-
-
-def test_another_axis_is_answered_with_its_own_hysteresis() -> None:
-    here = where()
-    linear = CrossAxis(axis="y", centre_V=5.0, gain_m_per_V=1e-8, curvature_m_per_V_per_V=0.0)
-    np.testing.assert_allclose(linear.added(here), 1e-8 * (here.others_V["y"] - 5.0), atol=1e-22)
-    absent = Where(recording="r", rate_Hz=RATE_Hz, samples=10)
-    assert linear.added(absent) == 0.0
 
 
 def test_drift_begins_at_nothing_and_belongs_to_its_own_piece() -> None:
@@ -122,3 +95,23 @@ def test_a_gain_that_changes_multiplies_from_its_instant_on_and_steps_its_zero_o
         there = replace(here, recording=other)
         np.testing.assert_allclose(change.response(moved_m, there), ratio * moved_m)
         assert change.added(there) == 0.0
+
+
+STAIRS = np.repeat([0.0, 0.8, -0.4, -0.4, 0.5], 100)  # steps in front of 100, 200 and 400
+
+
+def test_a_mode_between_the_samples_hides_its_ringing_behind_every_step() -> None:
+    mode = LinearMode(frequency_Hz=495.0, quality=5.0)  # a time constant is 1.6 samples of 500 Hz
+    rows = rows_after_steps(STAIRS, 500.0, (mode,), min_rows=2)
+    np.testing.assert_array_equal(rows, [k + n for k in (100, 200, 400) for n in range(13)])
+
+
+def test_a_mode_that_the_samples_resolve_hides_nothing() -> None:
+    mode = LinearMode(frequency_Hz=495.0, quality=5.0)
+    assert not len(rows_after_steps(STAIRS, 20_000.0, (mode,)))
+    np.testing.assert_array_equal(
+        rows_after_steps(STAIRS, 20_000.0, (mode,), min_rows=2), [100, 101, 200, 201, 400, 401]
+    )
+    assert not len(
+        rows_after_steps(np.sin(np.linspace(0.0, 9.0, 500)), 500.0, (mode,), min_rows=2)
+    )

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 
+from piezoid.identification.hysteresis.pieces import Piece, Rig, pieces_of, scales_of
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Channel, Quantity, Recording
 
@@ -63,3 +64,10 @@ def recording(
             Channel(quantity=Quantity.DISPLACEMENT, axis="x", values=response_m, label="y"),
         ),
     )
+
+
+def piece_of(made: Recording) -> tuple[Piece, float]:
+    """Return the only piece of a recording, and the displacement of one scaled unit, m."""
+    scales = scales_of((made,), "x")
+    (piece,) = pieces_of((made,), "x", scales, Rig())
+    return piece, scales.displacement_m

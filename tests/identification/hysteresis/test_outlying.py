@@ -19,7 +19,7 @@ BENT = ("dahl", "generalised_bouc_wen", "coleman_hodgdon", "wall_pinning")
 
 def said_of(folder: Path, reading_um: Array) -> str:
     recording = recorded(folder, FIELD, reading_um)
-    found = estimate_axis([recording], "x", NO_POLES, orders=((4, 1),))
+    found = estimate_axis([recording], "x", NO_POLES, orders=((2, 0),))
     return " ".join(remark for remark in found.verdict.remarks if "single readings" in remark)
 
 

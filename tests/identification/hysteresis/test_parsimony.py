@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.identification.hysteresis.estimate import estimate_axis
-from piezoid.identification.hysteresis.order_selection import folds_of, is_untested
+from piezoid.identification.hysteresis.order_selection import folds_of
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.model import AxisModel
 from tests.identification.hysteresis.stages import decaying, play_sum, recording
@@ -40,12 +40,8 @@ def test_a_thin_loop_gets_a_small_shape_and_is_as_near_as_the_noise_allows() -> 
     assert len(model.hysteresis.dead_zones.weight) - 1 <= 3
     assert model.quality.held_out_rms_m < 1.05 * NOISE_m
     assert model.certificate.bound_m < 0.01 * model.quality.range_m
-
-
-def test_slopes_of_a_thin_loop_are_those_of_the_stage() -> None:
-    found = thin_loop().hysteresis
-    least = found.plays.weight[0] * found.dead_zones.slope.min()
-    most = found.plays.weight.sum() * found.dead_zones.slope.max()
+    least = model.hysteresis.plays.weight[0] * model.hysteresis.dead_zones.slope.min()
+    most = model.hysteresis.plays.weight.sum() * model.hysteresis.dead_zones.slope.max()
     assert 11e-6 < least < most < 14e-6  # m/V; true are 12 and 12.6
 
 
@@ -71,7 +67,7 @@ def test_the_choice_is_as_good_as_the_best_of_all_that_was_tried(law: str) -> No
 @pytest.mark.parametrize("small", [0.01, 0.4])
 def test_a_recording_that_goes_further_than_all_others_cannot_blow_up(small: float) -> None:
     rng = np.random.default_rng(3)
-    wide = np.tile(decaying(12), 2)
+    wide = np.tile(decaying(12, per_unit=20), 2)
     made = []
     for name, drive in (("wide", wide), ("small", small * wide), ("smaller", 0.5 * small * wide)):
         clean_m = play_sum(drive, LOOP_THRESHOLD, LOOP_WEIGHT * 2.0, np.full(6, drive[0]))
@@ -86,7 +82,7 @@ def test_a_recording_that_goes_further_than_all_others_cannot_blow_up(small: flo
 def test_a_recording_whose_parts_go_unequally_far_is_held_out_by_its_parts() -> None:
     """Only the part of the widest recording that goes furthest is trained on by half."""
     rng = np.random.default_rng(4)
-    wide = decaying(12)
+    wide = decaying(12, per_unit=20)
     made = []
     for name, drive, breaks in (
         ("wide", np.concatenate([0.5 * wide, wide]), (len(wide),)),
@@ -103,13 +99,3 @@ def test_a_recording_whose_parts_go_unequally_far_is_held_out_by_its_parts() -> 
     assert len(folds[0].held_out_samples(1)) == len(wide)
     quality = estimate_axis(made, "x", Rig(), orders=((2, 0), (8, 2))).quality
     assert quality.held_out_rms_m < 0.02 * quality.range_m
-
-
-def test_what_is_trained_on_goes_as_far_as_what_is_tested() -> None:
-    rows = decaying(12)
-    made = [recording(k * rows, 1e-6 * k * rows, f"{k}.csv") for k in (1.0, 0.3, 0.98)]
-    pieces = pieces_of(made, "x", scales_of(made, "x"), Rig())
-    assert not is_untested(pieces)
-    for fold in folds_of(pieces):
-        furthest = max(float(np.ptp(piece.drive)) for piece in fold.testing)
-        assert max(float(np.ptp(piece.drive)) for piece in fold.training) > 0.94 * furthest

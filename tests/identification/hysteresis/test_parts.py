@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from piezoid.identification.hysteresis.coordinates import Shape, operator_of, to_si_units
-from piezoid.identification.hysteresis.gauss_newton import rms_of
+from piezoid.identification.hysteresis.gauss_newton import HysteresisFit, rms_of
 from piezoid.identification.hysteresis.pieces import Rig, Scales, pieces_of, scales_of
-from piezoid.identification.hysteresis.search import HysteresisFit, Settings, prune, search
+from piezoid.identification.hysteresis.search import Settings, prune, search
 from piezoid.identification.hysteresis.uncertainty import (
     adversarial_drives,
     distance_terms,
@@ -48,7 +48,7 @@ def test_loop_width_is_that_of_a_simulated_full_loop() -> None:
     )
     y, _ = model.run(model.voltage_offset_V + full, model.virgin_memory())
     falling, rising = y[50 + 100], y[50 + 201 + 100]
-    width = loop_width_m(found.minimum.theta, found.task.coordinates, scales)
+    width = loop_width_m(found.theta, found.task.coordinates, scales)
     assert width == pytest.approx(falling - rising, rel=1e-9)
 
 
@@ -59,8 +59,8 @@ def test_intervals_have_the_size_of_the_scatter_over_new_noise() -> None:
     estimates, half_widths = [], []
     for seed in range(6):
         found, scales = fitted(seed)
-        spread = jackknife(found.minimum.theta, found.task)
-        estimates.append(width(found.minimum.theta, found, scales)[0])
+        spread = jackknife(found.theta, found.task)
+        estimates.append(width(found.theta, found, scales)[0])
         half = spread.half_width(lambda v, found=found, scales=scales: width(v, found, scales))  # type: ignore[misc]
         half_widths.append(half[0])
     scatter = 2 * float(np.std(estimates, ddof=1))
@@ -69,15 +69,13 @@ def test_intervals_have_the_size_of_the_scatter_over_new_noise() -> None:
 
 def test_simplification_drops_parts_without_use_and_is_as_good() -> None:
     found, _ = fitted(noise_m=1e-10)
-    theta = found.minimum.theta.copy()
+    theta = found.theta.copy()
     weight = found.task.coordinates.slices["weight"]
     theta[weight.stop - 1] = 0.0
-    idle = replace(
-        found, minimum=replace(found.minimum, theta=theta, rms=rms_of(theta, found.task))
-    )
+    idle = replace(found, theta=theta, rms=rms_of(theta, found.task))
     simple = prune(idle, iterations=30)
     assert simple.shape.plays < found.shape.plays
-    assert simple.minimum.rms <= 1.002 * idle.minimum.rms
+    assert simple.rms <= 1.002 * idle.rms
 
 
 def test_distance_of_two_models_bounds_what_any_drive_reaches(rng: np.random.Generator) -> None:
@@ -85,7 +83,7 @@ def test_distance_of_two_models_bounds_what_any_drive_reaches(rng: np.random.Gen
     model = to_si_units(found.operator, scales)
     drives_V = adversarial_drives(scales.voltage_V, 1)
     for _ in range(20):
-        theta = found.minimum.theta.copy()
+        theta = found.theta.copy()
         shared = slice(0, found.task.coordinates.shared)
         theta[shared] *= 1 + 0.05 * rng.standard_normal(shared.stop)
         other = to_si_units(operator_of(theta, found.task.coordinates), scales)

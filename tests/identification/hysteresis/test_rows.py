@@ -7,7 +7,6 @@ from piezoid.identification.hysteresis.coordinates import Coordinates, Shape
 from piezoid.identification.hysteresis.gauss_newton import (
     Task,
     column_indices,
-    forward_of,
     rows_of,
     simulate,
 )
@@ -78,19 +77,6 @@ def test_tangents_are_finite_differences_of_the_simulation(
         down = simulate(theta - step, task, 0, piece)
         wrong = np.abs((up - down)[sample] / (2 * STEP) - tangent[:, j]) > 1e-4
         assert wrong.mean() < KINKS, f"number {place}"
-
-
-@pytest.mark.parametrize(("share_of_rate", "is_filter"), [(0.2, True), (0.3, True), (0.4, False)])
-def test_a_declared_pole_quicker_than_half_a_sample_is_a_delay(
-    rng: np.random.Generator, share_of_rate: float, is_filter: bool
-) -> None:
-    coordinates = Coordinates(shape=Shape(plays=2, below=0, above=0, lag="delay"), offsets=(1,))
-    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
-    pole_Hz = share_of_rate * RATE_Hz
-    forward = forward_of(theta, task_of(piece, coordinates, pole_Hz), RATE_Hz)
-    delay = forward.lag_s * RATE_Hz
-    assert (forward.sensor_Hz is not None) is is_filter
-    assert delay == pytest.approx(3.3 + (0.0 if is_filter else 1 / (2 * np.pi * share_of_rate)))
 
 
 @pytest.mark.parametrize("lag", ["none", "delay", "first_order"])

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.sensor_noise import sensor_noise
 from piezoid_datasets.virtual_lab.signals import coloured_noise
+from tests.identification.hysteresis.stages import piece_of
 from tests.laws import LAWS, recorded, triangles
 
 NOISE_um = 0.02
@@ -32,21 +32,17 @@ def test_repeated_periods_measure_the_noise(tmp_path: Path, law: str, drive) -> 
     field = np.tile(once, 3)
     moved_um = 10.0 * LAWS[law](field)
     reading_um = moved_um + NOISE_um * np.random.default_rng(3).standard_normal(len(field))
-    recording = recorded(tmp_path, field, reading_um)
-    scales = scales_of((recording,), "x")
-    (piece,) = pieces_of((recording,), "x", scales, Rig())
+    piece, unit_m = piece_of(recorded(tmp_path, field, reading_um))
     for residual in (np.zeros(len(field)), -piece.response):  # whatever a model leaves
-        found_m = abs(scales.displacement_m) * sensor_noise(piece, residual)
+        found_m = abs(unit_m) * sensor_noise(piece, residual)[0]
         assert 1e6 * found_m == pytest.approx(NOISE_um, rel=0.15)
 
 
 def test_without_periods_what_the_model_leaves_tells_it(tmp_path: Path) -> None:
     field, noise_um = drawn(3000), NOISE_um * np.random.default_rng(3).standard_normal(3000)
-    recording = recorded(tmp_path, field, 10.0 * LAWS["duhem"](field) + noise_um)
-    scales = scales_of((recording,), "x")
-    (piece,) = pieces_of((recording,), "x", scales, Rig())
-    residual = -noise_um * 1e-6 / scales.displacement_m
-    found_m = abs(scales.displacement_m) * sensor_noise(piece, residual)
+    piece, unit_m = piece_of(recorded(tmp_path, field, 10.0 * LAWS["duhem"](field) + noise_um))
+    residual = -noise_um * 1e-6 / unit_m
+    found_m = abs(unit_m) * sensor_noise(piece, residual)[0]
     assert 1e6 * found_m == pytest.approx(NOISE_um, rel=0.1)
 
 
@@ -57,12 +53,10 @@ def test_noise_that_is_not_white_is_told_whole(tmp_path: Path, rate_Hz: float, l
     field = np.sin(np.linspace(0.0, 20.0, 12000) ** 1.3)  # never the same period twice
     noise_um = NOISE_um * coloured_noise(12000, rate_Hz, 4e3, 0.4, np.random.default_rng(4))
     motion_um = 10.0 * LAWS["duhem"](field)
-    recording = recorded(tmp_path, field, motion_um + noise_um)
-    scales = scales_of((recording,), "x")
-    (piece,) = pieces_of((recording,), "x", scales, Rig())
+    piece, unit_m = piece_of(recorded(tmp_path, field, motion_um + noise_um))
     left = left_um * np.sin(np.arange(12000) / 500.0)
-    residual = (left - noise_um) * 1e-6 / scales.displacement_m
-    found_m = abs(scales.displacement_m) * sensor_noise(piece, residual)
+    residual = (left - noise_um) * 1e-6 / unit_m
+    found_m = abs(unit_m) * sensor_noise(piece, residual)[0]
     assert 1e6 * found_m == pytest.approx(np.std(noise_um), rel=0.1)
 
 
@@ -70,9 +64,7 @@ def test_readings_that_were_lost_say_nothing_of_it(tmp_path: Path) -> None:
     field, rng = np.sin(np.linspace(0.0, 20.0, 12000) ** 1.3), np.random.default_rng(5)
     reading_um = 10.0 * LAWS["duhem"](field) + NOISE_um * rng.standard_normal(12000)
     reading_um[rng.random(12000) < 0.1] = -1000.0
-    recording = recorded(tmp_path, field, reading_um)
-    scales = scales_of((recording,), "x")
-    (piece,) = pieces_of((recording,), "x", scales, Rig())
+    piece, unit_m = piece_of(recorded(tmp_path, field, reading_um))
     assert len(piece.invalid) > 1000
-    found_m = abs(scales.displacement_m) * sensor_noise(piece, -piece.response)
+    found_m = abs(unit_m) * sensor_noise(piece, -piece.response)[0]
     assert 1e6 * found_m == pytest.approx(NOISE_um, rel=0.1)

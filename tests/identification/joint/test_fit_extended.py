@@ -22,7 +22,7 @@ from piezoid.identification.extensions import (
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.joint.fit_extended import fit_extended
-from piezoid.identification.joint.vector import FOLDS, NEVER_OUT, Structure, parts_of
+from piezoid.identification.joint.vector import NEVER_OUT, Structure, parts_of
 from piezoid.identification.simulation import simulate_recording
 from tests.identification.joint.stage import (
     MEMORY_V,
@@ -113,14 +113,6 @@ def test_of_several_starts_the_closest_fit_is_taken_as_if_it_were_alone() -> Non
     best = min(alone, key=lambda fit: fit.rms_m)
     assert (found.rms_m, found.held_out_rms_m) == (best.rms_m, best.held_out_rms_m)
     assert found.rms_m < max(fit.rms_m for fit in alone)
-
-
-def test_every_row_is_left_out_at_most_once_and_beginnings_are_kept() -> None:
-    for part in parts_of(known_model(), recordings_of()):
-        assert set(part.fold.tolist()) == {NEVER_OUT, *range(FOLDS)}
-        assert part.fold[0] == NEVER_OUT
-        # Rows left out together stand together: the fold changes a few times only.
-        assert np.count_nonzero(np.diff(part.fold)) < 20
 
 
 def test_every_piece_of_an_interrupted_recording_begins_as_the_model_says() -> None:
