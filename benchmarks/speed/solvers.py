@@ -90,7 +90,7 @@ def weights_by_others(columns: Array, target: Array) -> Mapping[str, Callable[[]
 
 def kuhnen(program: Program) -> Array:
     """Solve Kuhnen's program by way of the triangle."""
-    return optimum_of(triangle_of(program.rows), program.threshold, program.zones)
+    return optimum_of(triangle_of(program.rows), program.threshold, program.zones).x
 
 
 def kuhnen_by_cvxpy(program: Program) -> Array:

@@ -1,19 +1,22 @@
-"""Least squares within bounds: against another solver, and the conditions of an optimum."""
+"""Small convex programs: two solvers that share no code give the same answer."""
 
 from typing import Literal
 
+import daqp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
+from piezoid.errors import InfeasibleFitError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import (
-    bounded_minimum,
     bounded_step,
+    constrained_least_squares,
     empty_triangle,
     gather,
+    stationarity,
 )
 from piezoid.operators.play import play_columns
 
@@ -34,10 +37,71 @@ def reduced(columns: Array, target: Array) -> tuple[Array, Array]:
     return triangle[:, :-1], triangle[:, -1]
 
 
-def test_nonnegative_weights_are_those_of_all_rows(rng: np.random.Generator) -> None:
-    columns, target = play_problem(rng, 40)
-    found = bounded_step(*reduced(columns, target), np.zeros(40), np.full(40, np.inf))
-    np.testing.assert_allclose(found, nnls(columns, target)[0], atol=1e-11)
+@pytest.mark.parametrize("plays", [20, 40])
+def test_nonnegative_weights_agree_with_nnls_on_all_rows(
+    rng: np.random.Generator, plays: int
+) -> None:
+    columns, target = play_problem(rng, plays)
+    reference = nnls(columns, target)[0]
+    factor, right = reduced(columns, target)
+    none, zero = np.full(plays, np.inf), np.zeros(plays)
+    program = constrained_least_squares(factor, right, np.eye(plays), zero, none)
+    # OSQP stops at 1e-10 of its residuals; the regressors' condition of 1e4 multiplies that.
+    np.testing.assert_allclose(program.x, reference, atol=1e-6)
+    assert program.kkt_gap < 1e-10
+    assert program.cost == pytest.approx(float(np.sum((factor @ program.x - right) ** 2)))
+    np.testing.assert_allclose(bounded_step(factor, right, zero, none), reference, atol=1e-11)
+
+
+def test_the_gap_of_what_is_no_optimum_is_the_gradient_that_nothing_balances(
+    rng: np.random.Generator,
+) -> None:
+    factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
+    best = np.linalg.lstsq(factor, right)[0]
+    free = np.full(4, -np.inf), np.full(4, np.inf)
+    assert stationarity(factor, best, right, np.eye(4), free) < 1e-14
+    norms = np.linalg.norm(factor, axis=0)
+    gradient = factor.T @ (factor @ (best + 0.1) - right) / norms
+    gap = float(np.linalg.norm(gradient) / np.linalg.norm(factor.T @ right / norms))
+    assert stationarity(factor, best + 0.1, right, np.eye(4), free) == pytest.approx(gap)
+    # A target of nothing has no size to be beside.
+    nothing = stationarity(factor, best, 0.0 * right, np.eye(4), free)
+    assert nothing == pytest.approx(np.linalg.norm(factor.T @ (factor @ best) / norms))
+    # A bound that holds a number back balances its part, in the direction it pushes and no other.
+    pushed = np.where(np.arange(4) == 2, 0.1, 0.0)
+    for sign, balanced in ((1.0, False), (-1.0, True)):
+        x = best + sign * pushed
+        upper = np.where(np.arange(4) == 2, x[2], np.inf)
+        others = stationarity(factor, x, right, np.eye(4), (free[0], upper))
+        alone = stationarity(factor, x, right, np.eye(4), free)
+        assert (others < alone) is balanced
+
+
+def test_a_bound_at_zero_holds_what_is_zero() -> None:
+    none, zero = np.full(2, np.inf), np.zeros(2)
+    upwards, below, above = np.array([2.0, 1.0]), (-none, zero), (zero, none)
+    for target, held, let_go in ((upwards, below, above), (-upwards, above, below)):
+        gaps = [
+            stationarity(np.eye(2), zero, target, np.eye(2), limits)
+            for limits in (held, let_go, (-none, none))
+        ]
+        assert gaps == pytest.approx([0.0, 1.0, 1.0])
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
+def test_the_gap_is_the_same_in_other_units(rng: np.random.Generator, unit: float) -> None:
+    factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
+    lower, upper = np.full(4, -np.inf), np.full(4, np.inf)
+    best = bounded_step(factor, right, lower, np.array([0.0, np.inf, -0.1, np.inf]))
+    upper[[0, 2]] = 0.0, -0.1
+    for off, held in ((1e-9, True), (-1e-9, True), (-1e-3, False)):
+        x = best + np.array([off, 0.0, 0.0, 0.0])
+        known = stationarity(factor, x, right, np.eye(4), (lower, upper))
+        assert (known < 1e-6) is held
+        other = stationarity(factor, unit * x, unit * right, np.eye(4), (lower, unit * upper))
+        assert other == pytest.approx(known, rel=1e-3, abs=1e-12)
+        columns = stationarity(unit * factor, x / unit, right, np.eye(4), (lower, upper / unit))
+        assert columns == pytest.approx(known, rel=1e-3, abs=1e-12)
 
 
 @given(
@@ -73,6 +137,54 @@ def test_a_step_towards_nothing_goes_as_far_as_the_bounds_ask() -> None:
         assert not bounded_step(factor, np.zeros(2), -abs(asked), none).any()
 
 
+def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Generator) -> None:
+    factor, right = reduced(rng.normal(size=(200, 8)), rng.normal(size=200))
+    constraint = rng.normal(size=(5, 8))
+    lower, upper = np.full(5, -0.02), np.array([0.02, 0.02, np.inf, 0.01, np.inf])
+    program = constrained_least_squares(factor, right, constraint, lower, upper)
+    other, _, flag, _ = daqp.solve(
+        factor.T @ factor,
+        -factor.T @ right,
+        constraint,
+        np.where(np.isinf(upper), 1e30, upper),
+        lower,
+        np.zeros(5, dtype=np.int32),
+    )
+    assert flag == 1
+    np.testing.assert_allclose(program.x, other, atol=1e-8)
+    # What holds a number back does so to rounding, not only to where the iteration stopped.
+    room = np.minimum(constraint @ program.x - lower, upper - constraint @ program.x)
+    held = room < 1e-6
+    assert held.any()
+    assert np.abs(room[held]).max() < 1e-13
+
+
+@pytest.mark.parametrize("power", [-40, -12, -3, 3, 12, 40])
+@pytest.mark.parametrize("what", ["target", "columns", "rows"])
+def test_constraints_in_other_units_hold_the_same_numbers_back(
+    rng: np.random.Generator, power: int, what: str
+) -> None:
+    factor, right = reduced(rng.normal(size=(200, 8)), rng.normal(size=200))
+    constraint, lower, upper = rng.normal(size=(5, 8)), np.full(5, -0.02), np.full(5, 0.01)
+    known = constrained_least_squares(factor, right, constraint, lower, upper).x
+    unit = 10.0**power
+    each = rng.permutation([unit, 1.0, 1.0 / unit, unit, 1.0])
+    found = {
+        "target": lambda u: (
+            constrained_least_squares(factor, u * right, constraint, u * lower, u * upper).x / u
+        ),
+        "columns": lambda u: (
+            constrained_least_squares(u * factor, right, constraint, lower / u, upper / u).x * u
+        ),
+        "rows": lambda _: (
+            constrained_least_squares(
+                factor, right, each[:, None] * constraint, each * lower, each * upper
+            ).x
+        ),
+    }[what](unit)
+    np.testing.assert_allclose(found, known, atol=1e-9)
+
+
 def test_a_step_along_columns_almost_the_same_meets_the_conditions_of_an_optimum(
     rng: np.random.Generator,
 ) -> None:
@@ -85,6 +197,14 @@ def test_a_step_along_columns_almost_the_same_meets_the_conditions_of_an_optimum
     assert ((x >= lower) & (x <= upper)).all()
     assert (slope[x < upper] > -1e-9).all()
     assert (slope[x > lower] < 1e-9).all()
+
+
+def test_contradicting_constraints_are_refused() -> None:
+    constraint = np.array([[1.0], [1.0]])
+    with pytest.raises(InfeasibleFitError, match="infeasible"):
+        constrained_least_squares(
+            np.eye(1), np.ones(1), constraint, np.array([1.0, -np.inf]), np.array([np.inf, 0.0])
+        )
 
 
 def test_a_triangle_gathered_in_chunks_holds_the_norm_of_every_combination(
@@ -110,42 +230,3 @@ def test_rows_that_are_gathered_stay_as_they_are_unless_they_may_be_spent(
     kept = gather(empty_triangle(3), rows)
     np.testing.assert_array_equal(rows, before)
     np.testing.assert_array_equal(gather(empty_triangle(3), rows, spend=True), kept)
-
-
-def expect_optimum(found: Array, slope: Array, lower: Array, upper: Array) -> None:
-    """The cost falls only in directions that a bound forbids."""
-    assert ((lower <= found) & (found <= upper)).all()
-    assert (slope[found > lower] <= 1e-9).all()
-    assert (slope[found < upper] >= -1e-9).all()
-
-
-@given(seed=st.integers(0, 2**32 - 1), power=st.integers(-60, 60))
-def test_bounds_at_zero_are_guessed_and_let_go_where_the_guess_was_wrong(
-    seed: int, power: int
-) -> None:
-    chance, unit = np.random.default_rng(seed), 10.0**power
-    rows = chance.standard_normal((40, 10)) + chance.uniform(-2, 2) * chance.standard_normal(
-        (40, 1)
-    )
-    gram, right = rows.T @ rows, unit * (rows.T @ chance.standard_normal(40))
-    side = chance.integers(0, 3, 10)
-    lower, upper = np.where(side == 0, 0.0, -unit), np.where(side == 1, 0.0, unit)
-    found = bounded_minimum(gram, right, lower, upper)
-    expect_optimum(found, (gram @ found - right) / unit, lower, upper)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_columns_much_alike_are_told_apart(seed: int) -> None:
-    """Of 387 such steps in the fit of one stage block pivoting had left two far from a minimum."""
-    chance = np.random.default_rng(seed)
-    rows = np.cumsum(chance.standard_normal((400, 120)), axis=1)
-    rows /= np.linalg.norm(rows, axis=0)
-    gram, right = rows.T @ rows + 1e-9 * np.eye(120), rows.T @ chance.standard_normal(400)
-    lower, upper = -chance.uniform(0.0, 0.5, 120), chance.uniform(0.0, 0.5, 120)
-    found = bounded_minimum(gram, right, lower, upper)
-    expect_optimum(found, (gram @ found - right) / np.linalg.norm(right), lower, upper)
-
-
-def test_a_form_that_is_not_definite_is_refused() -> None:
-    with pytest.raises(np.linalg.LinAlgError, match="daqp"):
-        bounded_minimum(np.diag([1.0, -1.0]), np.ones(2), -np.ones(2), np.ones(2))

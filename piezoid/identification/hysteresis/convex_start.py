@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 
 from piezoid.identification.hysteresis.coordinates import (
     MIN_GAP,
@@ -22,10 +21,12 @@ from piezoid.identification.hysteresis.pieces import Piece, widest_swing
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.derivative_free import direct_search
 from piezoid.numerics.quadratic_program import (
+    Optimum,
     bounded_step,
-    column_norms,
+    constrained_least_squares,
     empty_triangle,
     gather,
+    stationarity,
 )
 from piezoid.operators.dead_zone import DeadZones, from_slopes
 from piezoid.operators.filters import lagged
@@ -34,7 +35,6 @@ from piezoid.operators.play import play_blocks, play_columns
 ROWS = 6000  # of a recording, which suffice for a start
 MIN_INVERSE_SLOPE = 0.02  # of Psi'
 GRID = 39  # plays of the fine grid
-AT_BOUND = 1e-7  # of the sum of the sizes of a constraint's terms
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,12 +69,14 @@ def kuhnen_start(
     highest = max(float(piece.response.max()) for piece in pieces)
     lowest = min(float(piece.response.min()) for piece in pieces)
     zones = zone_thresholds(lowest, highest, shape)
-    triangle = triangle_of(pieces, threshold, zones, lag_s)
-    optimum = optimum_of(triangle, threshold, zones)
-    weights, slopes, constants = np.split(optimum, np.cumsum([shape.plays + 1, len(zones)]))
-    weight, constant = np.maximum(weights, 0.0), float(np.mean(constants))
+    optimum = optimum_of(triangle_of(pieces, threshold, zones, lag_s), threshold, zones)
+    weight = np.maximum(optimum.x[: shape.plays + 1], 0.0)
+    inverse = DeadZones(
+        threshold=zones, weight=optimum.x[shape.plays + 1 : shape.plays + 1 + len(zones)]
+    )
+    constant = float(np.mean(optimum.x[shape.plays + 1 + len(zones) :]))
     # Rewrite Psi(h + c) as offset + Psi_c(h) with Psi_c(0) = 0 and central slope 1.
-    psi = DeadZones(threshold=zones, weight=slopes).inverse()
+    psi = inverse.inverse()
     kinks = psi.threshold[psi.threshold != 0.0] - constant
     slope = np.delete(psi.slope, psi.zero)
     zero = int(np.searchsorted(kinks, 0.0))
@@ -92,8 +94,7 @@ def kuhnen_start(
         lag_s=lag_s,
     )
     offset = float(psi.run(np.array([constant]))[0])
-    gap = stationarity(triangle, optimum, threshold, zones)
-    return Start(operator=operator, offset=offset, kkt_gap=gap)
+    return Start(operator=operator, offset=offset, kkt_gap=optimum.kkt_gap)
 
 
 def zone_thresholds(low: float, high: float, shape: Shape) -> Array:
@@ -125,12 +126,26 @@ def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: 
     return triangle
 
 
-def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Array:
-    """Solve the program for the triangular factor of its rows, (unknowns,), by bounded steps.
+def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Optimum:
+    """Solve the program, given the triangular factor of its rows with the offsets last."""
+    limits = constraints_of(threshold, zones, triangle.shape[1])
+    target = np.zeros(len(triangle))
+    x = bounded_optimum(triangle, threshold, zones)
+    if x[0] < MIN_SLOPE:
+        return constrained_least_squares(triangle, target, *limits)
+    constraint, lower, upper = limits
+    return Optimum(
+        x=x,
+        cost=float(np.sum((triangle @ x) ** 2)),
+        kkt_gap=stationarity(triangle, x, target, constraint, (lower, upper)),
+    )
+
+
+def bounded_optimum(triangle: Array, threshold: Array, zones: Array) -> Array:
+    """Return the optimum without the limit of w_0, by least squares within bounds.
 
     The unknowns are slopes of Psi' instead of weights, so that their limits are bounds; w_0
-    follows from the normalisation: w_0 = 1 - sum_(i>0) (1 - r_i) w_i in scaled units, r_0 = 0. Its
-    limit is not one of the bounds: a w_0 below it, which the search raises anyway, is set to it.
+    follows from the normalisation: w_0 = 1 - sum_(i>0) (1 - r_i) w_i in scaled units, r_0 = 0.
     """
     plays, count = len(threshold), len(zones)
     zero = int(np.flatnonzero(zones == 0.0)[0])
@@ -145,27 +160,8 @@ def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Array:
         triangle @ free[:, 1:], -triangle[:, 0], lower, np.full(len(lower), np.inf)
     )
     x = free[:, 1:] @ step
-    x[0] = max(x[0] + 1.0, MIN_SLOPE)
+    x[0] += 1.0
     return np.asarray(x)
-
-
-def stationarity(triangle: Array, x: Array, threshold: Array, zones: Array) -> float:
-    """Return the part of the gradient of |R x|^2 that the active constraints cannot balance.
-
-    Columns are scaled to norm 1. The result is 0 at an exact optimum of the program.
-    """
-    constraint, lower, upper = constraints_of(threshold, zones, triangle.shape[1])
-    scale = column_norms(triangle)
-    gradient = triangle.T @ (triangle @ x) / scale
-    value = constraint @ x
-    # Rounding error of a constraint if all its terms were as large as the largest.
-    slack = (
-        AT_BOUND * float(np.abs(scale * x).max(initial=0.0)) * np.abs(constraint / scale).sum(1)
-    )
-    at_lower, at_upper = value <= lower + slack, value >= upper - slack
-    # An equality is in both sets.
-    normals = np.vstack([constraint[at_lower], -constraint[at_upper]]) / scale
-    return float(nnls(normals.T, gradient)[1])
 
 
 def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, Array, Array]:

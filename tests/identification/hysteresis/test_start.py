@@ -1,19 +1,20 @@
-"""The convex start finds what is there, at an optimum of its program."""
+"""The convex start finds what is there, and another solver agrees with its program."""
 
 import numpy as np
 
 from piezoid.identification.hysteresis.convex_start import (
+    bounded_optimum,
     constraints_of,
     find_lag,
     kuhnen_start,
-    optimum_of,
-    stationarity,
     triangle_of,
     zone_thresholds,
 )
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.quadratic_program import constrained_least_squares, stationarity
+from piezoid.operators.filters import lagged
 from tests.identification.hysteresis.stages import (
     RATE_Hz,
     decaying,
@@ -52,7 +53,7 @@ def test_the_lag_of_the_quick_model_is_the_lag_of_the_data() -> None:
         assert abs(found - lag_s) < 5e-4
 
 
-def test_nothing_pulls_at_the_weights_of_the_program_but_its_limits(
+def test_weights_that_only_know_bounds_are_those_of_the_general_program(
     rng: np.random.Generator,
 ) -> None:
     drive = decaying()
@@ -62,19 +63,15 @@ def test_nothing_pulls_at_the_weights_of_the_program_but_its_limits(
     shape, threshold = Shape(plays=12, below=2, above=2), np.arange(13) / 13
     zones = zone_thresholds(-1.0, 1.0, shape)
     triangle = triangle_of(pieces, threshold, zones, 0.0)
-    optimum = optimum_of(triangle, threshold, zones)
-    constraint, lower, upper = constraints_of(threshold, zones, len(triangle))
-    assert (constraint @ optimum >= lower - 1e-12).all()
-    assert (constraint @ optimum <= upper + 1e-12).all()
-    assert stationarity(triangle, optimum, threshold, zones) < 1e-9
-    assert stationarity(triangle, 1.01 * optimum, threshold, zones) > 1e-6
+    limits = constraints_of(threshold, zones, len(triangle))
+    nothing = np.zeros(len(triangle))
+    bounded = bounded_optimum(triangle, threshold, zones)
+    general = constrained_least_squares(triangle, nothing, *limits)
+    np.testing.assert_allclose(bounded, general.x, atol=1e-5)
+    assert stationarity(triangle, bounded, nothing, limits[0], limits[1:]) < 1e-9
 
 
-def test_a_loop_that_stands_still_behind_every_turn_has_a_start_that_rises() -> None:
-    """Weights of plays alone, as of a worn drive: the limit of w_0 is no bound of the program."""
-    drive = decaying()
-    one = recording(drive, play_sum(drive, THRESHOLD[1:], WEIGHT[1:], np.full(4, drive[0])))
-    pieces = pieces_of([one], "x", scales_of([one], "x"), Rig())
-    start = kuhnen_start(pieces, Shape(plays=4, below=1, above=1), 0.0)
-    assert start.operator.weight[0] > 0.0
-    assert np.isfinite(start.operator.slope).all()
+def test_a_delay_holds_the_first_value_and_is_straight_between_samples() -> None:
+    line = np.arange(6.0)
+    np.testing.assert_allclose(lagged(line, "delay", 2.25, 1.0), np.maximum(line - 2.25, 0.0))
+    np.testing.assert_array_equal(lagged(line, "delay", 60.0, 1.0), np.zeros(6))
