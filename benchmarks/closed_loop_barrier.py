@@ -14,7 +14,7 @@ import sys
 import numpy as np
 
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit, identify_closed_loop
-from piezoid.identification.tunnelling.loop_files import LoopRecord
+from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid_datasets.virtual_lab.junction import (
     Junction,
@@ -63,12 +63,17 @@ def identify(
         current_A=record.current_A,
         period_samples=PERIOD_SAMPLES,
     )
-    return identify_closed_loop(
-        loop,
+    rig = LoopRig(
+        axis="z",
+        set_point_A=record.set_point_A,
+        floor_A=1e-12,
         amplifier_pole_Hz=junction.amplifier_pole_Hz * stated[0],
-        sensor_pole_Hz=junction.sensor_pole_Hz * stated[1],
         drive_gain_m_per_V=junction.drive_gain_m_per_V,
+        bandwidth_Hz=junction.sensor_pole_Hz * stated[1],
+        feedback_ohm=None,
+        extension_uncertainty=0.0,
     )
+    return identify_closed_loop(loop, rig)
 
 
 def compare(drive_range_V: float) -> str:

@@ -15,9 +15,10 @@ import numpy as np
 from scipy.signal import bilinear
 from varied_chains import varied
 
+from benchmarks.varied_chains import Chain, family_from_chains
 from piezoid.design.loop_search import FamilyGrid, family_grid, magnitudes, search
 from piezoid.design.observer import ObserverFrame, disturbance_model, feedback_polynomials
-from piezoid.design.plant import Chain, PlantFamily, Section, family_from_chains
+from piezoid.design.plant import PlantFamily, Section
 from piezoid.design.rst import section_poles
 from piezoid.design.specification import Specification, default_specification
 from piezoid.errors import DesignError

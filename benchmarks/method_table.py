@@ -27,10 +27,10 @@ from seed_paper_design import (
 from stepped_ceramic import VOLTS, STROKE_m, displacement_m, drawn, stepped
 from varied_chains import varied
 
+from benchmarks.varied_chains import Chain, family_from_chains, plant_from_chain
 from piezoid.design.design import AxisDesign
 from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.lateral import design_lateral, with_sector
-from piezoid.design.plant import Chain, family_from_chains, plant_from_chain
 from piezoid.export.export_stage import lateral_axis
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.hysteresis.coordinates import Shape, to_si_units

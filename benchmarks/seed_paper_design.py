@@ -14,18 +14,12 @@ from dataclasses import replace
 import numpy as np
 from varied_chains import varied
 
+from benchmarks.varied_chains import Chain, family_from_chains, plant_from_chain
 from piezoid.design.design import AxisDesign, Design, LoopDesign
 from piezoid.design.hysteresis_bounds import HysteresisBounds, affine_bounds, inverse_bounds
 from piezoid.design.junction_task import design_vertical
 from piezoid.design.lateral import design_lateral, with_sector
-from piezoid.design.plant import (
-    Chain,
-    Plant,
-    PlantFamily,
-    Section,
-    family_from_chains,
-    plant_from_chain,
-)
+from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.specification import Specification, default_specification
 from piezoid.errors import TemplateError
 from piezoid.operators.dead_zone import LINEAR

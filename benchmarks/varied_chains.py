@@ -1,8 +1,48 @@
-"""A chain with gain, slowest mode, damping and delay changed: the families of the examples."""
+"""Plants of sections in series, and families with gain, slowest mode, damping or delay changed."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from piezoid.design.plant import Chain
+import numpy as np
+
+from piezoid.design.plant import Plant, PlantFamily, Section, sampled_plant
+from piezoid.operators.linear import cascade, first_order, resonance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chain:
+    """Sections in series, from volts to metres or nepers, behind a delay.
+
+    gain  output unit per volt, at rest
+    """
+
+    label: str
+    sampling_rate_Hz: float
+    gain: float
+    output_unit: str
+    sections: tuple[Section, ...]
+    delay_s: float = 0.0
+
+
+def plant_from_chain(chain: Chain) -> Plant:
+    """Sample a chain; first-order sections whose sampled pole is below 2^-52 have no state."""
+    systems = [
+        first_order(f) if damping is None else resonance(f, damping)
+        for f, damping in ((s.frequency_Hz, s.damping) for s in chain.sections)
+        if damping is not None or np.exp(-2.0 * np.pi * f / chain.sampling_rate_Hz) >= 2.0**-52
+    ]
+    system = cascade(*systems)
+    return sampled_plant(
+        chain.label,
+        replace(system, B=chain.gain * system.B, delay_s=chain.delay_s),
+        chain.sampling_rate_Hz,
+        output_unit=chain.output_unit,
+    )
+
+
+def family_from_chains(nominal: Chain, variations: Sequence[Chain]) -> PlantFamily:
+    """Sample a nominal chain and its variations."""
+    return PlantFamily(members=tuple(map(plant_from_chain, (nominal, *variations))))
 
 
 def varied(

@@ -1,6 +1,7 @@
 """All statements about one stage, from its fit to the verification of its controllers."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from piezoid.design.design import Design
 from piezoid.design.design_statements import design_statements
@@ -46,7 +47,7 @@ def stage_statements(
         verification: of the controllers.
     """
     reasons = unshipped or {}
-    statements = [*verification_statements(verification, stated=tuple(reasons.values()))]
+    statements = verification_statements(verification, stated=tuple(reasons.values()))
     for name, reason in reasons.items():
         statements.append(_limit(Level.ACTION, "not_shipped", reason, name))
     statements += [_limit(Level.ACTION, "not_diagnosed", text) for text in undiagnosed]
@@ -86,55 +87,38 @@ def stage_statements(
 
 def verification_statements(
     verification: Verification | None, stated: Sequence[str]
-) -> tuple[Statement, ...]:
+) -> list[Statement]:
     """Return statements about failed verdicts, differing builds and missing proofs.
 
     stated  texts that already name failed verdicts
     """
     if verification is None:
-        return ()
-    failed = {
-        describe_failure(verdict): verdict
-        for verdict in verification.verdicts
-        if not verdict.passed
-    }
-    differing = [proof for proof in verification.proofs if not proof.passed]
-    unproved = [proof for proof in verification.limit_proofs if not proof.passed]
-    return (
-        *(
-            Statement(
-                kind=Kind.FINDING,
-                level=Level.ACTION,
-                quantity=verdict.name,
-                text=f"Failed: {failure}.",
-                value=verdict.value,
-                unit=verdict.unit,
+        return []
+    failed = {describe_failure(v): v for v in verification.verdicts if not v.passed}
+    statements = [
+        _finding(verdict.name, f"Failed: {failure}.", value=verdict.value, unit=verdict.unit)
+        for failure, verdict in failed.items()
+        if not any(failure in text for text in stated)
+    ]
+    for proof in verification.proofs:
+        if not proof.passed:
+            text = f"{proof.differing} of {proof.samples} samples differ: {proof.build}."
+            statements.append(_finding("build", text))
+    for limit_proof in verification.limit_proofs:
+        if not limit_proof.passed:
+            text = (
+                f"Not proved to stay within its limits in {limit_proof.precision}: "
+                f"{limit_proof.verdict}."
             )
-            for failure, verdict in failed.items()
-            if not any(failure in text for text in stated)
-        ),
-        *(
-            _finding(
-                "build", f"{proof.differing} of {proof.samples} samples differ: {proof.build}."
-            )
-            for proof in differing
-        ),
-        *(
-            _finding(
-                "limits",
-                f"Not proved to stay within its limits in {p.precision}: {p.verdict}.",
-                p.axis,
-            )
-            for p in unproved
-        ),
-    )
+            statements.append(_finding("limits", text, axis=limit_proof.axis))
+    return statements
 
 
 def _limit(level: Level, quantity: str, text: str, axis: str = "") -> Statement:
     return Statement(kind=Kind.LIMIT, level=level, quantity=quantity, text=text, axis=axis)
 
 
-def _finding(quantity: str, text: str, axis: str = "") -> Statement:
+def _finding(quantity: str, text: str, **details: Any) -> Statement:
     return Statement(
-        kind=Kind.FINDING, level=Level.ACTION, quantity=quantity, text=text, axis=axis
+        kind=Kind.FINDING, level=Level.ACTION, quantity=quantity, text=text, **details
     )

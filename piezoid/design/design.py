@@ -1,5 +1,6 @@
 """The record of a design, and its file ``design.json``."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -7,10 +8,10 @@ import numpy as np
 
 from piezoid.design.certificate import Certificate
 from piezoid.design.decoupling import Decoupling
-from piezoid.design.feedforward import ReferencePath
+from piezoid.design.feedforward import ReferencePath, fit_reference_path
+from piezoid.design.loop_search import Solution
 from piezoid.design.observer import DisturbanceObserver
 from piezoid.design.plant import Fraction
-from piezoid.design.rst import RstController
 from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins, sensitivities
 from piezoid.design.specification import Specification
 from piezoid.digests import seal
@@ -282,19 +283,20 @@ def design_from_json(content: bytes, source: str = "design.json") -> Design:
 
 def assemble_loop(
     method: str,
-    bandwidth_Hz: float,
     members: tuple[Fraction, ...],
-    controller: RstController,
-    reference: ReferencePath,
-    candidates: tuple[Candidate, ...],
-    *,
-    observer: DisturbanceObserver | None = None,
-    certificate: Certificate | None = None,
+    bandwidth_Hz: float,
+    solutions: Sequence[Solution],
+    figure_name: str,
 ) -> LoopDesign:
-    """Return a loop with margins and rejections over its family, computed from R and S.
+    """Return the best feasible solution with reference path, margins and rejections.
 
     The rejections are |Syp| at 1, 10, 100 Hz and at the bandwidth, nominal and worst.
+
+    solutions    at least one meets the specification
+    figure_name  describes the figure by which they are compared
     """
+    best = min((s for s in solutions if not s.violations), key=lambda solution: solution.figure)
+    controller = best.controller
     R, S = controller.R, controller.S
     frequency_Hz = (*_REPORTED_Hz, bandwidth_Hz)
     grid = np.array(frequency_Hz)
@@ -311,17 +313,29 @@ def assemble_loop(
     )
     return LoopDesign(
         method=method,
-        observer=observer,
+        observer=best.observer,
         bandwidth_Hz=bandwidth_Hz,
         R=R,
         S=S,
         T=controller.T,
         A_0=np.ones(1),
-        reference=reference,
+        reference=fit_reference_path(members, R, S, controller.T, band_Hz=bandwidth_Hz),
         margins=tuple(margins(member, R, S) for member in members),
         rejections=rejections,
-        certificate=certificate,
-        candidates=candidates,
+        certificate=None,
+        candidates=tuple(
+            Candidate(
+                name=solution.name,
+                is_chosen=solution is best,
+                is_feasible=not solution.violations,
+                figure=solution.figure,
+                figure_name=figure_name,
+                parameters=solution.parameters,
+                R=solution.controller.R,
+                S=solution.controller.S,
+            )
+            for solution in solutions
+        ),
         members=members,
     )
 

@@ -12,10 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.design.design import AxisDesign, Candidate, assemble_loop
-from piezoid.design.feasibility import refuse, severity, unmet
-from piezoid.design.feedforward import fit_reference_path
-from piezoid.design.plant import Chain, PlantFamily, Section, family_from_chains
+from piezoid.design.design import AxisDesign, assemble_loop
+from piezoid.design.feasibility import refuse, severity
+from piezoid.design.plant import Plant, PlantFamily, sampled_plant
 from piezoid.design.sensitivity import Template, Violation
 from piezoid.design.shaping import shape
 from piezoid.design.specification import Specification, converters_of, default_specification
@@ -28,6 +27,7 @@ from piezoid.identification.tunnelling.junction_plant import DriveMode, Junction
 from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.loop_noise import CurrentChain
 from piezoid.numerics.polynomial import decibel
+from piezoid.operators.linear import cascade, first_order
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab
 
@@ -39,6 +39,7 @@ _ROUGHNESS_m = 1e-10  # rms, of an atomically flat terrace with a step or two
 _MODE_MARGIN = 0.5  # of the small gain, as of the modulus
 _LOWEST_MODE = 0.01  # of the sampling rate: no drive of a tip resonates lower
 _INSTANTANEOUS = 5.0  # sampling rates, beyond which a pole is instantaneous
+_LAST_DIGIT = 2.0**-52  # smallest sampled pole that has a state: 5.7 sampling rates
 
 
 def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> tuple[PlantFamily, Specification]:
@@ -76,8 +77,7 @@ def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> tuple[PlantFamily, S
             needed="a pole that limits the speed of the loop",
             remedy=f"Declare bandwidth_Hz of [axis.{axis}.amplifier] and fit again.",
         )
-    chains = [_chain(member, index) for index, member in enumerate(members)]
-    family = family_from_chains(chains[0], chains[1:])
+    family = PlantFamily(members=tuple(_sample(m, index) for index, m in enumerate(members)))
     noise = reading_noise_A(loop.plant, lab, axis) / set_point_A(lab)
     default = default_specification(
         family,
@@ -178,11 +178,11 @@ def reading_noise_A(plant: JunctionPlant, lab: Lab, axis: str) -> float:
 
     sqrt(2 e i B + 4 k T B / R + step^2 / 12),   B = pi f / 2 of a first-order sensor
     """
-    converters, resistor_ohm = converters_of(lab, axis), lab.tunnelling.feedback_ohm
+    resistor_ohm = lab.tunnelling.feedback_ohm
     chain = CurrentChain(
         bandwidth_Hz=0.5 * math.pi * plant.sensor_pole_Hz,
         feedback_ohm=resistor_ohm,
-        adc_step_A=None if resistor_ohm is None else converters.reading_step_V / resistor_ohm,
+        adc_step_A=converters_of(lab, axis).reading_step_V / (resistor_ohm or math.inf),
     )
     return math.hypot(chain.shot_A(set_point_A(lab)), chain.johnson_A, chain.quantisation_A)
 
@@ -209,31 +209,32 @@ def missing_line(lab: Lab, line: str, meaning: str, table: str = "[tunnelling]")
     )
 
 
-def _chain(plant: JunctionPlant, index: int) -> Chain:
+def _sample(junction: JunctionPlant, index: int) -> Plant:
+    """Sample one member of the family; poles that leave no trace in a sample have no state."""
     description = (
-        f"{plant.gain_nepers_per_V:.4g} nepers/V, sensor {1e-3 * plant.sensor_pole_Hz:.3g} kHz, "
-        f"delay {with_unit(plant.delay_s, 's')}"
+        f"{junction.gain_nepers_per_V:.4g} nepers/V, sensor "
+        f"{1e-3 * junction.sensor_pole_Hz:.3g} kHz, delay {with_unit(junction.delay_s, 's')}"
     )
-    return Chain(
-        label=description if index else f"nominal: {description}",
-        sampling_rate_Hz=plant.sampling_rate_Hz,
-        gain=plant.gain_nepers_per_V,
+    rate_Hz = junction.sampling_rate_Hz
+    poles_Hz = (junction.amplifier_pole_Hz, junction.sensor_pole_Hz)
+    poles = [
+        first_order(pole_Hz)
+        for pole_Hz in poles_Hz
+        if math.exp(-2.0 * math.pi * pole_Hz / rate_Hz) >= _LAST_DIGIT
+    ]
+    chain = cascade(*poles)
+    return sampled_plant(
+        description if index else f"nominal: {description}",
+        replace(chain, B=chain.B * junction.gain_nepers_per_V, delay_s=junction.delay_s),
+        rate_Hz,
         output_unit="1",
-        sections=(
-            Section(frequency_Hz=plant.amplifier_pole_Hz),
-            Section(frequency_Hz=float(np.minimum(plant.sensor_pole_Hz, 1e9))),
-        ),
-        delay_s=plant.delay_s,
     )
 
 
-def design_vertical(
-    axis: str, family: PlantFamily, specification: Specification, *, taps: int = 10
-) -> AxisDesign:
+def design_vertical(axis: str, family: PlantFamily, specification: Specification) -> AxisDesign:
     """Design R, S, T of the tunnelling axis by band-stops and by convex steps, and choose one.
 
     family  for example over a range of barriers: the loop gain is proportional to their root
-    taps    free coefficients of R' and of S' of the convex problem
 
     The feasible controller with the better rejection over the whole family is chosen. Raises
     ``TemplateError`` if neither controller meets the specification.
@@ -241,43 +242,20 @@ def design_vertical(
 
     def attempt(candidate: Specification) -> tuple[Violation, ...]:
         """Return the violations by band-stops or by a few convex steps, whichever are smaller."""
-        start = shape(family, candidate).controller
-        violations = unmet(family.members, start.R, start.S, candidate)
-        if not violations:
+        shaped = shape(family, candidate)
+        if not shaped.violations:
             return ()
-        convex = optimise(family, candidate, start, taps=taps, max_iterations=_TRIAL_ITERATIONS)
-        R, S = convex.controller.R, convex.controller.S
-        return min(violations, unmet(family.members, R, S, candidate), key=severity)
+        start = shaped.controller
+        convex = optimise(family, candidate, start, max_iterations=_TRIAL_ITERATIONS)
+        return min(shaped.violations, convex.violations, key=severity)
 
     shaped = shape(family, specification)
-    convex = optimise(family, specification, shaped.controller, taps=taps)
-    solutions = {"band-stop": shaped, "convex": convex}
-    violations = {
-        name: unmet(family.members, solution.controller.R, solution.controller.S, specification)
-        for name, solution in solutions.items()
-    }
-    feasible = [name for name in solutions if not violations[name]]
-    if not feasible:
-        smallest = min(violations.values(), key=severity)
+    solutions = (shaped, optimise(family, specification, shaped.controller))
+    smallest = min((solution.violations for solution in solutions), key=severity)
+    if smallest:
         refuse(axis, specification, smallest, attempt)
-    best_name = min(feasible, key=lambda name: solutions[name].rejection)
-    members, best = family.fractions, solutions[best_name].controller
     bandwidth_Hz = specification.bandwidth_Hz
-    path = fit_reference_path(members, best.R, best.S, best.T, band_Hz=bandwidth_Hz)
-    candidates = tuple(
-        Candidate(
-            name=name,
-            is_chosen=name == best_name,
-            is_feasible=not violations[name],
-            figure=solution.rejection,
-            figure_name=_FIGURE,
-            parameters=solution.parameters,
-            R=solution.controller.R,
-            S=solution.controller.S,
-        )
-        for name, solution in solutions.items()
-    )
-    loop = assemble_loop("rst", bandwidth_Hz, members, best, path, candidates)
+    loop = assemble_loop("rst", family.fractions, bandwidth_Hz, solutions, _FIGURE)
     return AxisDesign(
         axis=axis,
         output_unit=family.nominal.output_unit,

@@ -1,11 +1,8 @@
 """Design X and Y: a disturbance observer in both forms, the best of several tunings.
 
-A loop can raise its bandwidth by damping a lightly damped mode. State feedback from an observer
+A loop can raise its bandwidth by damping a lightly damped mode: state feedback from an observer
 several times as fast as the mode moves the mode's poles to the left and keeps their frequency.
-Integral resonant control and positive position feedback do the same with two or three parameters.
-Over a family about a mode at 700 Hz known to 10 % they reach a bandwidth of a fifth of the mode's
-frequency, the observer 500 Hz. All of them are limited by the phase lag of the loop's delay at the
-mode, and by the width of the mode's interval; docs/theory/control.md has the figures.
+docs/theory/control.md compares it with other controllers, and says what limits it.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,12 +12,11 @@ from functools import partial
 import numpy as np
 
 from piezoid.design.certificate import Certificate, Disturbances, certify
-from piezoid.design.design import AxisDesign, Candidate, LoopDesign, assemble_loop
+from piezoid.design.design import AxisDesign, LoopDesign, assemble_loop
 from piezoid.design.feasibility import at_feasible_bandwidth, refuse, rounded_down, severity
-from piezoid.design.feedforward import ReferencePath, fit_reference_path
 from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.plant import Fraction, Plant, PlantFamily
-from piezoid.design.rst import Mode, RstController, ringing_mode
+from piezoid.design.rst import Mode, ringing_mode
 from piezoid.design.sensitivity import Template, Violation
 from piezoid.design.specification import MODE_SHARE, Specification
 from piezoid.design.tuning import DAMPED, METHODS, tune_observer
@@ -140,42 +136,29 @@ def _design_loop(
                 break
         return min(violations, key=severity)
 
-    tunings = [tune(specification, method=m) for m in _methods(family, specification)]
-    feasible = [tuning for tuning in tunings if not tuning.violations]
+    methods = _methods(family, specification)
+    tunings = [tune(specification, method=method) for method in methods]
+    smallest = min((tuning.violations for tuning in tunings), key=severity)
     bandwidth_Hz = specification.bandwidth_Hz
-    if not feasible:
-        refuse(
-            axis,
-            specification,
-            min((tuning.violations for tuning in tunings), key=severity),
-            smallest_violations,
-            because=_describe_obstacle(family, bandwidth_Hz),
-        )
-    best = min(feasible, key=lambda tuning: tuning.error)
-    members, controller = family.fractions, best.controller
-    R, S, T = controller.R, controller.S, controller.T
-    path = fit_reference_path(members, R, S, T, band_Hz=bandwidth_Hz)
-    certificate = None
-    if bounds is not None:
-        certificate = _certificate(family, controller, path, bounds, disturbances, specification)
-    candidates = tuple(
-        Candidate(
-            name=tuning.method,
-            is_chosen=tuning is best,
-            is_feasible=not tuning.violations,
-            figure=tuning.error,
-            figure_name=_FIGURE,
-            parameters=tuning.parameters,
-            R=tuning.controller.R,
-            S=tuning.controller.S,
-        )
-        for tuning in tunings
-    )
-    return assemble_loop(
-        *(_LOOP_OF_FORM[form], bandwidth_Hz, members, controller, path, candidates),
-        observer=best.observer,
-        certificate=certificate,
-    )
+    if smallest:
+        because, plant = "", family.nominal
+        if must_damp(plant, bandwidth_Hz):
+            modes = [mode for mode in map(ringing_mode, family.members) if mode is not None]
+            frequencies_Hz = [mode.frequency_Hz for mode in modes]
+            because = (
+                f"To get there the loop must damp the mode at "
+                f"{with_unit(frequencies_Hz[0], 'Hz', 4)}, damping ratio "
+                f"{significant(modes[0].damping)}. It lies anywhere from "
+                f"{with_unit(min(frequencies_Hz), 'Hz', 4)} to "
+                f"{with_unit(max(frequencies_Hz), 'Hz', 4)}, and "
+                f"{_describe_delay(plant, modes[0])}, which the feedback must lead"
+            )
+        refuse(axis, specification, smallest, smallest_violations, because=because)
+    loop = assemble_loop(_LOOP_OF_FORM[form], family.fractions, bandwidth_Hz, tunings, _FIGURE)
+    if bounds is None:
+        return loop
+    certificate = _certificate(loop, family, bounds, disturbances, specification)
+    return replace(loop, certificate=certificate)
 
 
 def _methods(family: PlantFamily, specification: Specification) -> tuple[str, ...]:
@@ -184,9 +167,8 @@ def _methods(family: PlantFamily, specification: Specification) -> tuple[str, ..
 
 
 def _certificate(
+    loop: LoopDesign,
     family: PlantFamily,
-    controller: RstController,
-    path: ReferencePath,
     bounds: HysteresisBounds,
     disturbances: Disturbances,
     specification: Specification,
@@ -202,8 +184,8 @@ def _certificate(
         amplifier_m_per_s = specification.voltage_slew_V_per_s * gain
         slew_m_per_s = min(slew_m_per_s, _SLEW_SHARE * amplifier_m_per_s)
     return certify(
-        *(family.members, controller.R, controller.S, controller.T),
-        path=path,
+        *(family.members, loop.R, loop.S, loop.T),
+        path=loop.reference,
         bounds=bounds,
         reference_slew_m_per_s=float(slew_m_per_s),
         voltage_step_V=specification.voltage_step_V,
@@ -216,21 +198,6 @@ def must_damp(plant: Fraction, bandwidth_Hz: float) -> bool:
     """Whether a loop of this bandwidth must damp the plant's lowest resonance."""
     mode = ringing_mode(plant)
     return mode is not None and bandwidth_Hz > (1.0 + 1e-9) * MODE_SHARE * mode.frequency_Hz
-
-
-def _describe_obstacle(family: PlantFamily, bandwidth_Hz: float) -> str:
-    """Describe why the resonance is hard to damp; empty if the loop need not damp it."""
-    plant = family.nominal
-    if not must_damp(plant, bandwidth_Hz):
-        return ""
-    modes = [mode for mode in map(ringing_mode, family.members) if mode is not None]
-    frequencies_Hz = [mode.frequency_Hz for mode in modes]
-    return (
-        f"To get there the loop must damp the mode at {with_unit(frequencies_Hz[0], 'Hz', 4)}, "
-        f"damping ratio {significant(modes[0].damping)}. It lies anywhere from "
-        f"{with_unit(min(frequencies_Hz), 'Hz', 4)} to {with_unit(max(frequencies_Hz), 'Hz', 4)}, "
-        f"and {_describe_delay(plant, modes[0])}, which the feedback must lead"
-    )
 
 
 def _describe_delay(plant: Fraction, mode: Mode) -> str:

@@ -22,7 +22,7 @@ from piezoid.design.hysteresis_bounds import (
     inverse_bounds,
 )
 from piezoid.design.lateral import with_sector
-from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.plant import Plant, PlantFamily, sampled_plant
 from piezoid.design.sensitivity import Template
 from piezoid.design.specification import Specification, default_specification
 from piezoid.errors import DesignError
@@ -38,7 +38,6 @@ from piezoid.identification.loop_model import (
 )
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.polynomial import decibel
-from piezoid.numerics.zero_order_hold import fraction, sample
 from piezoid.operators.linear import cascade, first_order
 
 FORMS = ("inverse", "affine")
@@ -87,24 +86,17 @@ def lateral_task(
     """
     inverse = plant_family(axis, sampling_rate_Hz)
     # The inverse form has a bound only if enough draws of the fit have an inverse.
-    reach_V, discrepancy = axis.certificate.reach_V, axis.discrepancy
-    steepest_m_per_V = 0.0 if discrepancy is None else discrepancy.steepest_m_per_V
-    affine = affine_bounds(
-        axis.operator,
-        reach_V,
-        remainder_m=axis.certificate.bound_m,
-        remainder_m_per_V=steepest_m_per_V,
-    )
+    affine = affine_bounds_of(axis)
     bounds = {"affine": affine}
     replicates = draw_replicates(axis, np.random.default_rng(0))
     if len(replicates) >= _MIN_REPLICATES:
         bounds["inverse"] = inverse_bounds(
             axis.operator,
             replicates,
-            reach_V,
+            affine.reach_V,
             gain_m_per_V=affine.gain_m_per_V,
             remainder_m=axis.certificate.remainder_m,
-            remainder_m_per_V=steepest_m_per_V,
+            remainder_m_per_V=_steepest_remainder(axis),
         )
     families = {"inverse": inverse, "affine": with_sector(inverse, affine)}
     loop = loop_model(axis, sampling_rate_Hz)
@@ -130,6 +122,21 @@ def lateral_task(
             readings=tuple((e.reading_Hz, e.reading_m) for e in loop.effects if e.reading_m > 0),
         ),
     )
+
+
+def affine_bounds_of(axis: AxisModel) -> HysteresisBounds:
+    """Bound the hysteresis of an identified axis after an affine map."""
+    return affine_bounds(
+        axis.operator,
+        axis.certificate.reach_V,
+        remainder_m=axis.certificate.bound_m,
+        remainder_m_per_V=_steepest_remainder(axis),
+    )
+
+
+def _steepest_remainder(axis: AxisModel) -> float:
+    """Return the largest slope of the displacement that the model class cannot represent."""
+    return 0.0 if axis.discrepancy is None else axis.discrepancy.steepest_m_per_V
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,20 +267,12 @@ def _plant(label: str, loop: LoopModel, gain_m_per_V: float, rate_Hz: float) -> 
         pole = INSTANTANEOUS if loop.delay_s == 0.0 else _FAST_POLE
         stage = cascade(stage, first_order(pole * rate_Hz))
     chain = cascade(stage, loop.sensor)
-    system = sample(chain.A, chain.B[:, 0] * gain_m_per_V, chain.C[0], 1.0 / rate_Hz, loop.delay_s)
-    numerator, denominator = fraction(system)
-    position_row = np.concatenate([stage.C[0], np.zeros(len(loop.sensor.A))])
-    position, _ = fraction(replace(system, C=position_row))
-    return Plant(
-        label=label,
-        sampling_rate_Hz=rate_Hz,
+    return sampled_plant(
+        label,
+        replace(chain, B=chain.B * gain_m_per_V, delay_s=loop.delay_s),
+        rate_Hz,
         output_unit="m",
-        state_matrix=system.A,
-        input_taps=system.taps,
-        output_vector=system.C,
-        B=numerator,
-        A=denominator,
-        B_position=position,
+        position_row=np.concatenate([stage.C[0], np.zeros(len(loop.sensor.A))]),
     )
 
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from piezoid.design.observer import DisturbanceObserver
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.rst import LIGHT, damping_ratios
-from piezoid.design.sensitivity import FUNCTIONS, delay_limit
+from piezoid.design.rst import LIGHT, RstController, damping_ratios
+from piezoid.design.sensitivity import FUNCTIONS, Violation, delay_limit
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.derivative_free import direct_search
@@ -66,15 +67,38 @@ class FamilyGrid:
 class LoopFigures:
     """Figures of one candidate loop on the grid.
 
+    function         Syp, Sup, Syb or Syv: the one with the largest excess over its limit
+    frequency_Hz     of that excess
     excess_dB        largest excess over any limit; <= 0 if all are met
+    rejection        max over members and f <= bandwidth of |Syp(f)| bandwidth / f
     predicted_error  rms, output unit, worst member: scan disturbance, sensor noise, converter
-    disturbance_rms, noise_rms   its two contributions, worst member each
     """
 
+    function: str
+    frequency_Hz: float
     excess_dB: float
+    rejection: float
     predicted_error: float
-    disturbance_rms: float
-    noise_rms: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Solution:
+    """A loop that one method found for a family.
+
+    name        of the method
+    controller  R, S, T
+    parameters  result of the search, by name
+    figure      that the choice between methods minimises
+    violations  of the specification by members of the family, worst first
+    observer    gains of a disturbance observer; None: the controller is its polynomials
+    """
+
+    name: str
+    controller: RstController
+    parameters: dict[str, float]
+    figure: float
+    violations: tuple[Violation, ...]
+    observer: DisturbanceObserver | None = None
 
 
 def family_grid(
@@ -120,29 +144,17 @@ def mode_lines_Hz(plant: Plant) -> Array:
     return np.asarray(lines.ravel())
 
 
-@dataclass(frozen=True, kw_only=True)
-class WorstExcess:
-    """Largest excess of a loop over its limits, and its rejection figure.
-
-    function      Syp, Sup, Syb or Syv
-    frequency_Hz  of the largest excess
-    excess_dB     over the limit; <= 0 if every limit is met
-    rejection     max over members and f <= bandwidth of |Syp(f)| bandwidth / f
-    """
-
-    function: str
-    frequency_Hz: float
-    excess_dB: float
-    rejection: float
-
-
 def evaluate_loop(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> LoopFigures:
-    """Return excess over the limits and predicted error of one loop over the family."""
+    """Return excess over the limits, rejection and predicted error of one loop over the family."""
     functions, unstable_poles = magnitudes(grid, R, S)
-    excess_dB = float(decibel((functions / grid.limits[:, None, :]).max()))
+    ratio = (functions / grid.limits[:, None, :]).max(axis=1)
+    row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+    excess_dB = float(decibel(ratio[row, column]))
     if unstable_poles:
         excess_dB = _UNSTABLE_dB * unstable_poles + max(excess_dB, 0.0)
     specification = grid.specification
+    band = grid.frequency_Hz <= specification.bandwidth_Hz * (1.0 + 1e-12)
+    scale = specification.bandwidth_Hz / grid.frequency_Hz[band]
     r, s = polynomial_response(R, grid.q_scan), polynomial_response(S, grid.q_scan)
     sensitivity = np.abs(grid.A_scan * s / (grid.A_scan * s + grid.B_scan * r))
     harmonics = sensitivity * specification.disturbance_rms / _HARMONICS
@@ -150,32 +162,14 @@ def evaluate_loop(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> LoopFigures:
     sensor = (functions[2] ** 2 @ grid.weight) * specification.sensor_noise_rms**2
     converter = (functions[3] ** 2 @ grid.weight) * specification.voltage_step_V**2 / 12.0
     noise = np.sqrt(sensor + converter)
-    limit = specification.noise_limit_rms
-    if limit is not None:
-        excess_dB = max(excess_dB, float(decibel(noise.max() / limit)))
+    if specification.noise_limit_rms is not None:
+        excess_dB = max(excess_dB, float(decibel(noise.max() / specification.noise_limit_rms)))
     return LoopFigures(
-        excess_dB=excess_dB,
-        predicted_error=float(np.hypot(disturbance, noise).max()),
-        disturbance_rms=float(disturbance.max()),
-        noise_rms=float(noise.max()),
-    )
-
-
-def worst_excess(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> WorstExcess:
-    """Return the largest excess of a loop over its limits, over the family."""
-    functions, unstable_poles = magnitudes(grid, R, S)
-    ratio = (functions / grid.limits[:, None, :]).max(axis=1)
-    row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
-    excess_dB = float(decibel(ratio[row, column]))
-    if unstable_poles:
-        excess_dB = _UNSTABLE_dB * unstable_poles + max(excess_dB, 0.0)
-    band = grid.frequency_Hz <= grid.specification.bandwidth_Hz * (1.0 + 1e-12)
-    scale = grid.specification.bandwidth_Hz / grid.frequency_Hz[band]
-    return WorstExcess(
         function=FUNCTIONS[row],
         frequency_Hz=float(grid.frequency_Hz[column]),
         excess_dB=excess_dB,
         rejection=float((functions[0][:, band].max(axis=0) * scale).max()),
+        predicted_error=float(np.hypot(disturbance, noise).max()),
     )
 
 

@@ -27,8 +27,6 @@ _UNREACHABLE = 1e-12
 _NEAR_ZERO, _WEAK = 1e-4, 1e-9
 _ROUNDING = 1e-14  # of the largest entry; entries in m/V are larger
 
-FORMS = ("affine", "inverse")
-
 
 def placement(A: Array, B: Array) -> Callable[[ArrayLike], Array]:
     """Return the placement of the poles of a system, as a function of the desired poles.
@@ -95,9 +93,6 @@ class DisturbanceModel:
     def __post_init__(self) -> None:
         freeze(self, "transition", ndim=2)
         freeze(self, "output")
-        states = len(self.output)
-        if not states or self.transition.shape != (states, states):
-            raise ValueError(f"{states} outputs of a transition of shape {self.transition.shape}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,16 +124,8 @@ class DisturbanceObserver:
     reference_gain: float
 
     def __post_init__(self) -> None:
-        if self.form not in FORMS:
-            raise ValueError(f"form is {self.form!r}, expected one of {FORMS}")
         freeze(self, "A", ndim=2)
         freeze(self, "B", "C", "state_gain", "disturbance_gain", "feedback_gain")
-        order, states = len(self.A), len(self.disturbance.output)
-        lengths = dict.fromkeys(("B", "C", "state_gain", "feedback_gain"), order)
-        for name, expected in {**lengths, "disturbance_gain": states}.items():
-            length = len(getattr(self, name))
-            if length != expected:
-                raise ValueError(f"{name} has {length} values, expected {expected}")
 
 
 def disturbance_model(

@@ -1,4 +1,4 @@
-"""Linear plants: their chain of sections, the chain sampled, and families of sampled plants."""
+"""Sampled linear plants and their families."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -9,8 +9,7 @@ import numpy as np
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.polynomial import Roots, roots_of
 from piezoid.numerics.zero_order_hold import SampledSystem, fraction, realised, sample
-
-_INSTANTANEOUS = float(np.finfo(np.float64).eps)
+from piezoid.operators.linear import ContinuousSystem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,30 +24,6 @@ class Section:
 
     frequency_Hz: float
     damping: float | None = None
-
-    def __post_init__(self) -> None:
-        if not self.frequency_Hz > 0 or (self.damping is not None and not self.damping > 0):
-            raise ValueError(f"a section needs a positive frequency and damping, found {self}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Chain:
-    """Physical description of a plant from command voltage to displacement (or nepers).
-
-    label             the member's name in tables
-    sampling_rate_Hz  > 0
-    gain              output unit per volt, at rest
-    output_unit       ``m``, or ``1`` for the logarithm of a tunnelling current
-    sections          amplifier, mechanics, sensor, ... in the order of the signal
-    delay_s           >= 0, of converters and computation; need not be whole samples
-    """
-
-    label: str
-    sampling_rate_Hz: float
-    gain: float
-    output_unit: str
-    sections: tuple[Section, ...]
-    delay_s: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,13 +75,6 @@ class Plant(Fraction):
         super().__post_init__()
         freeze(self, "state_matrix", "input_taps", ndim=2)
         freeze(self, "output_vector")
-        if not self.sampling_rate_Hz > 0:
-            raise ValueError(f"sampling_rate_Hz is {self.sampling_rate_Hz}, expected > 0")
-        if self.B[0] != 0.0 or self.A[0] != 1.0:
-            raise ValueError(
-                f"B[0] is {self.B[0]} and A[0] is {self.A[0]}, expected 0 and 1: a sampled plant "
-                "answers one sample late. Was B given in powers of z, or without its delay?"
-            )
 
     @property
     def gain(self) -> float:
@@ -163,14 +131,6 @@ class PlantFamily:
 
     members: tuple[Plant, ...]
 
-    def __post_init__(self) -> None:
-        if not self.members:
-            raise ValueError("a family has at least its nominal member")
-        rates = {member.sampling_rate_Hz for member in self.members}
-        units = {member.output_unit for member in self.members}
-        if len(rates) != 1 or len(units) != 1:
-            raise ValueError(f"members differ in rate {sorted(rates)} or unit {sorted(units)}")
-
     @property
     def nominal(self) -> Plant:
         """The member from which the controller is computed."""
@@ -185,40 +145,36 @@ class PlantFamily:
         )
 
 
-def plant_from_chain(chain: Chain) -> Plant:
-    """Sample a chain behind its zero-order hold.
+def sampled_plant(
+    label: str,
+    system: ContinuousSystem,
+    sampling_rate_Hz: float,
+    *,
+    output_unit: str,
+    position_row: Array | None = None,
+) -> Plant:
+    """Sample a system of one input and one output behind its zero-order hold.
 
-    A first-order section whose sampled pole exp(-2 pi f / fs) is below the precision of float64
-    (f > 5.7 fs) is instantaneous at this rate and has no state.
+    system        from the command to the reading, without direct term
+    position_row  (states,)  the position in front of the sensor; None: it equals the reading
     """
-    rate_Hz = chain.sampling_rate_Hz
-    slow = [
-        section
-        for section in chain.sections
-        if section.damping is not None
-        or np.exp(-2.0 * np.pi * section.frequency_Hz / rate_Hz) >= _INSTANTANEOUS
-    ]
-    if not slow:
-        raise ValueError(f"{chain.label}: no section is slow enough to have a state")
-    A, B, outputs = cascade(slow)
-    C = np.eye(len(A))[outputs[-1]]
-    system = sample(A, chain.gain * B, C, 1.0 / rate_Hz, chain.delay_s)
-    numerator, denominator = fraction(system)
+    A, B, C = system.A, system.B[:, 0], system.C[0]
+    sampled = sample(A, B, C, 1.0 / sampling_rate_Hz, system.delay_s)
+    numerator, denominator = fraction(sampled)
+    position = numerator
+    if position_row is not None:
+        position, _ = fraction(replace(sampled, C=position_row))
     return Plant(
-        label=chain.label,
-        sampling_rate_Hz=rate_Hz,
-        output_unit=chain.output_unit,
-        state_matrix=system.A,
-        input_taps=system.taps,
-        output_vector=system.C,
+        label=label,
+        sampling_rate_Hz=sampling_rate_Hz,
+        output_unit=output_unit,
+        state_matrix=sampled.A,
+        input_taps=sampled.taps,
+        output_vector=sampled.C,
         B=numerator,
         A=denominator,
+        B_position=position,
     )
-
-
-def family_from_chains(nominal: Chain, variations: Sequence[Chain]) -> PlantFamily:
-    """Sample a nominal chain and its variations."""
-    return PlantFamily(members=tuple(plant_from_chain(c) for c in (nominal, *variations)))
 
 
 def cascade(sections: Sequence[Section]) -> tuple[Array, Array, list[int]]:

@@ -4,11 +4,17 @@ After Landau & Zito 2006: dominant pair, auxiliary poles, then pairs of fixed pa
 pole around the frequency of the worst violation, and the equation is solved again.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from piezoid.design.loop_search import FamilyGrid, family_grid, search, worst_excess
+from piezoid.design.feasibility import unmet
+from piezoid.design.loop_search import (
+    FamilyGrid,
+    LoopFigures,
+    Solution,
+    evaluate_loop,
+    family_grid,
+    search,
+)
 from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import (
     INTEGRATOR,
@@ -26,76 +32,38 @@ _INFEASIBLE = (1e3, 1e3)
 _MIN_RATIO, _MAX_RATIO = 0.25, 0.7  # of the dampings of a band-stop
 _MIN_TIGHTENING_dB = 0.02
 _MIN_IMPROVEMENT = 0.95  # ratio of rejection figures
-_DENOMINATOR_DAMPING = 0.8
+_DENOMINATOR_DAMPING = 0.8  # of a band-stop
+
+BandStop = tuple[str, float, float]
+"""``S`` to lower |Syp| or ``R`` to lower |Sup|; frequency in Hz; damping of the numerator."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class BandStop:
-    """One digital band-stop around a frequency.
-
-    part               ``S`` lowers |Syp| there, ``R`` lowers |Sup|
-    frequency_Hz       of the deepest attenuation
-    numerator_damping  > 0
-    denominator_damping  larger; the ratio is the attenuation, before the equation is re-solved
-    """
-
-    part: str
-    frequency_Hz: float
-    numerator_damping: float
-    denominator_damping: float
-
-    def __post_init__(self) -> None:
-        if self.part not in ("S", "R"):
-            raise ValueError(f"part is {self.part!r}, expected 'S' or 'R'")
-        if not 0 < self.numerator_damping < self.denominator_damping:
-            raise ValueError(
-                f"dampings are {self.numerator_damping} over {self.denominator_damping}, expected "
-                "0 < numerator < denominator"
-            )
-
-
-def band_stop_polynomials(filter_: BandStop, sampling_rate_Hz: float) -> tuple[Array, Array]:
-    """Return the monic numerator and denominator in q^-1.
+def band_stop_polynomials(
+    frequency_Hz: float, damping: float, sampling_rate_Hz: float
+) -> tuple[Array, Array]:
+    """Return the monic numerator and denominator of a band-stop in q^-1.
 
         (s^2 + 2 z_n w0 s + w0^2) / (s^2 + 2 z_d w0 s + w0^2),  s = c (1 - q^-1)/(1 + q^-1)
 
     with c = 2 fs and w0 = c tan(pi f0 / fs): the bilinear map, prewarped so that the attenuation
-    is exactly at f0.                                                     [Landau & Zito 2006]
+    z_n / z_d is exactly at f0; z_d is 0.8.                               [Landau & Zito 2006]
+
+    damping  z_n of the numerator
     """
     c = 2.0 * sampling_rate_Hz
-    w0 = c * np.tan(np.pi * filter_.frequency_Hz / sampling_rate_Hz)
+    w0 = c * np.tan(np.pi * frequency_Hz / sampling_rate_Hz)
 
     def mapped(damping: float) -> Array:
         middle, side = 2.0 * w0**2 - 2.0 * c**2, 2.0 * damping * w0 * c
         raw = np.array([c**2 + side + w0**2, middle, c**2 - side + w0**2])
         return np.asarray(raw / raw[0])
 
-    return mapped(filter_.numerator_damping), mapped(filter_.denominator_damping)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ShapedController:
-    """A controller by pole placement or by convex optimisation, with its figures.
-
-    controller  R, S, T
-    parameters  result of the search, by name
-    rejection   max over members and f <= bandwidth of |Syp| bandwidth / f; smaller is better
-    excess_dB   <= 0: every member meets every limit on the grid of the search
-    band_stops  in the order they were added
-    history     (iterations + 1,)  the rejection at the start and after each convex problem
-    """
-
-    controller: RstController
-    parameters: dict[str, float]
-    rejection: float
-    excess_dB: float
-    band_stops: tuple[BandStop, ...] = ()
-    history: tuple[float, ...] = ()
+    return mapped(damping), mapped(_DENOMINATOR_DAMPING)
 
 
 def shape(
     family: PlantFamily, specification: Specification, *, max_band_stops: int = 3
-) -> ShapedController:
+) -> Solution:
     """Search P_D and P_F for the smallest rejection figure under all limits, and add band-stops.
 
     A band-stop is tried at the frequency that is worst relative to its limit. Its attenuation is
@@ -103,31 +71,35 @@ def shape(
     at the same excess; the first band-stop that is not kept ends the search.
     """
     grid = family_grid(family, specification)
-    best = _best_placement(family.nominal, grid, ())
+    stops: tuple[BandStop, ...] = ()
+    controller, parameters, figures = _best_placement(family.nominal, grid, stops)
     for _ in range(max_band_stops):
-        worst = worst_excess(grid, best.controller.R, best.controller.S)
-        ratio = 10.0 ** (-max(worst.excess_dB, 3.0) / 20.0)
-        stop = BandStop(
-            part="R" if worst.function == "Sup" else "S",
-            frequency_Hz=worst.frequency_Hz,
-            numerator_damping=float(np.clip(ratio, _MIN_RATIO, _MAX_RATIO)) * _DENOMINATOR_DAMPING,
-            denominator_damping=_DENOMINATOR_DAMPING,
-        )
-        placement = _best_placement(family.nominal, grid, (*best.band_stops, stop))
+        ratio = 10.0 ** (-max(figures.excess_dB, 3.0) / 20.0)
+        damping = float(np.clip(ratio, _MIN_RATIO, _MAX_RATIO)) * _DENOMINATOR_DAMPING
+        part = "R" if figures.function == "Sup" else "S"
+        more_stops = (*stops, (part, figures.frequency_Hz, damping))
+        candidate = _best_placement(family.nominal, grid, more_stops)
+        tightened = candidate[-1]
         # The band-stop must justify two more coefficients in R, S and P.
-        tightened_dB = max(best.excess_dB, 0.0) - max(placement.excess_dB, 0.0)
+        tightened_dB = max(figures.excess_dB, 0.0) - max(tightened.excess_dB, 0.0)
         is_better = tightened_dB > 0.0
         if abs(tightened_dB) <= _MIN_TIGHTENING_dB:
-            is_better = placement.rejection < _MIN_IMPROVEMENT * best.rejection
+            is_better = tightened.rejection < _MIN_IMPROVEMENT * figures.rejection
         if not is_better:
             break
-        best = placement
-    return best
+        stops, (controller, parameters, figures) = more_stops, candidate
+    return Solution(
+        name="band-stop",
+        controller=controller,
+        parameters=parameters,
+        figure=figures.rejection,
+        violations=unmet(family.members, controller.R, controller.S, specification),
+    )
 
 
 def _best_placement(
     plant: Plant, grid: FamilyGrid, band_stops: tuple[BandStop, ...]
-) -> ShapedController:
+) -> tuple[RstController, dict[str, float], LoopFigures]:
     """Search log f0 and zeta of the dominant pair and the auxiliary root for fixed band-stops.
 
         P = P_D P_F,   P_F = (1 - alpha q^-1)^n,   R and S contain 1 + q^-1, 1 - q^-1 and the stops
@@ -136,10 +108,10 @@ def _best_placement(
     """
     rate_Hz = plant.sampling_rate_Hz
     fixed_r, fixed_s, denominators = OPEN_AT_NYQUIST, INTEGRATOR, np.ones(1)
-    for stop in band_stops:
-        numerator, denominator = band_stop_polynomials(stop, rate_Hz)
+    for part, frequency_Hz, damping in band_stops:
+        numerator, denominator = band_stop_polynomials(frequency_Hz, damping, rate_Hz)
         denominators = product(denominators, denominator)
-        if stop.part == "S":
+        if part == "S":
             fixed_s = product(fixed_s, numerator)
         else:
             fixed_r = product(fixed_r, numerator)
@@ -152,31 +124,27 @@ def _best_placement(
         for share, root in ((1.0, 0.2), (0.3, 0.2), (0.1, 0.4))
     ]
 
-    def build(x: Array) -> ShapedController:
-        frequency_Hz, damping, root = float(np.exp(x[0])), float(x[1]), float(x[2])
-        dominant = Section(frequency_Hz=frequency_Hz, damping=damping)
-        target = closed_loop_target(dominant, rate_Hz, auxiliary_root=root, auxiliary_count=free)
-        P = product(target, denominators)
-        controller = place_poles(plant, P, H_R=fixed_r, H_S=fixed_s)
-        worst = worst_excess(grid, controller.R, controller.S)
-        return ShapedController(
-            controller=controller,
-            parameters={
-                "dominant_Hz": frequency_Hz,
-                "dominant_damping": damping,
-                "auxiliary_root": root,
-                **{f"stop_{k}_Hz": stop.frequency_Hz for k, stop in enumerate(band_stops)},
-            },
-            rejection=worst.rejection,
-            excess_dB=worst.excess_dB,
-            band_stops=band_stops,
+    def place(x: Array) -> RstController:
+        dominant = Section(frequency_Hz=float(np.exp(x[0])), damping=float(x[1]))
+        target = closed_loop_target(
+            dominant, rate_Hz, auxiliary_root=float(x[2]), auxiliary_count=free
         )
+        return place_poles(plant, product(target, denominators), H_R=fixed_r, H_S=fixed_s)
 
     def cost(x: Array) -> tuple[float, float]:
         try:
-            shaped = build(x)
+            controller = place(x)
         except DesignError:
             return _INFEASIBLE
-        return float(np.log(shaped.rejection)), shaped.excess_dB
+        figures = evaluate_loop(grid, controller.R, controller.S)
+        return float(np.log(figures.rejection)), figures.excess_dB
 
-    return build(search(cost, lower, upper, starts))
+    x = search(cost, lower, upper, starts)
+    controller = place(x)
+    parameters = {
+        "dominant_Hz": float(np.exp(x[0])),
+        "dominant_damping": float(x[1]),
+        "auxiliary_root": float(x[2]),
+        **{f"stop_{k}_Hz": frequency_Hz for k, (_, frequency_Hz, _) in enumerate(band_stops)},
+    }
+    return controller, parameters, evaluate_loop(grid, controller.R, controller.S)

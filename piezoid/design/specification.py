@@ -65,16 +65,14 @@ class Specification:
     resonant_harmonics: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("bandwidth_Hz", "delay_margin_s", "scan_frequency_Hz"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected > 0")
         if not 0 < self.modulus_margin < 1:
             raise ValueError(f"modulus_margin is {self.modulus_margin}, expected between 0 and 1")
         if not self.voltage_min_V < self.voltage_max_V:
             raise ValueError(
                 f"voltage limits {self.voltage_min_V} and {self.voltage_max_V} V cross"
             )
-        for name in ("noise_limit_rms", "voltage_slew_V_per_s"):
+        positive = ("bandwidth_Hz", "delay_margin_s", "scan_frequency_Hz")
+        for name in (*positive, "noise_limit_rms", "voltage_slew_V_per_s"):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ValueError(f"{name} is {value}, expected > 0")

@@ -1,11 +1,9 @@
 """Search an observer's poles or noise variances over a plant family."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from piezoid.design.feasibility import unmet
-from piezoid.design.loop_search import evaluate_loop, family_grid, search
+from piezoid.design.loop_search import Solution, evaluate_loop, family_grid, search
 from piezoid.design.observer import (
     DisturbanceModel,
     DisturbanceObserver,
@@ -18,13 +16,11 @@ from piezoid.design.observer import (
 from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import (
     LIGHT,
-    RstController,
     damping_ratios,
     feedback_poles,
     observer_poles,
     slow_and_fast,
 )
-from piezoid.design.sensitivity import Violation
 from piezoid.design.specification import Specification, slowest_Hz
 from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array
@@ -89,18 +85,24 @@ def kalman_gain(
     q_d is E[(D d)^2], for example of the hysteresis model's remainder along the planned scan.
     Returns (n + w,), of plant and disturbance states.
     """
-    if not (drift_variance > 0.0 and sensor_variance > 0.0 and input_variance >= 0.0):
-        raise ValueError(
-            f"variances are {input_variance}, {drift_variance}, {sensor_variance}; the drift and "
-            "the sensor need > 0: an exact constant needs no observer, an exact sensor no filter"
-        )
     A_e, C_e = extended(plant, disturbance)
     order, states = len(plant.state_matrix), len(disturbance.output)
     drive = np.concatenate([plant.input_taps.sum(axis=1), np.zeros(states)])
     Q = input_variance * np.outer(drive, drive)
     Q[order:, order:] += drift_variance * np.eye(states)
+    # P = A' P (I + G P)^-1 A + Q by doubling the horizon in each iteration [Chu, Fan, Lin & Wang
+    # 2004]. A search solves it thousands of times; scipy's solver takes four times as long.
+    A, G, covariance = A_e.T, np.outer(C_e, C_e) / sensor_variance, Q
     try:
-        covariance = _solve_riccati(A_e.T, np.outer(C_e, C_e) / sensor_variance, Q)
+        for _ in range(_DOUBLINGS):
+            blocks = np.linalg.solve(np.eye(len(A)) + G @ covariance, np.hstack([A, G]))
+            inner_a, inner_g = np.hsplit(blocks, 2)
+            increment = A.T @ covariance @ inner_a
+            G, A, covariance = G + A @ inner_g @ A.T, A @ inner_a, covariance + increment
+            if np.abs(increment).max() <= _LAST_DIGIT * np.abs(covariance).max():
+                break
+        else:
+            raise np.linalg.LinAlgError(f"it still changes after {_DOUBLINGS} doublings")
     except np.linalg.LinAlgError as fault:
         raise DesignError(
             f"the Riccati equation of '{plant.label}' has no stabilising solution: {fault}",
@@ -108,24 +110,6 @@ def kalman_gain(
             remedy="Raise the drift variance, or place the observer's poles.",
         ) from fault
     return np.asarray(covariance @ C_e / float(C_e @ covariance @ C_e + sensor_variance))
-
-
-def _solve_riccati(A: Array, G: Array, Q: Array) -> Array:
-    """Solve P = A' P (I + G P)^-1 A + Q by doubling the horizon in each iteration.
-
-    A search solves it thousands of times; ``scipy.linalg.solve_discrete_are`` takes four times as
-    long.
-
-    Source: Chu, Fan, Lin & Wang, International Journal of Control 77 (2004).
-    """
-    P: Array = Q
-    for _ in range(_DOUBLINGS):
-        inner_a, inner_g = np.hsplit(np.linalg.solve(np.eye(len(A)) + G @ P, np.hstack([A, G])), 2)
-        increment = A.T @ P @ inner_a
-        G, A, P = G + A @ inner_g @ A.T, A @ inner_a, P + increment
-        if np.abs(increment).max() <= _LAST_DIGIT * np.abs(P).max():
-            return np.asarray(P)
-    raise np.linalg.LinAlgError(f"the solution still changes after {_DOUBLINGS} doublings")
 
 
 def _search_box(plant: Plant, method: str) -> tuple[tuple[str, ...], Array, list[Array]]:
@@ -163,26 +147,6 @@ def _search_box(plant: Plant, method: str) -> tuple[tuple[str, ...], Array, list
     return tuple(starts), columns[:2], list(columns[2:])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TunedObserver:
-    """An observer that a search chose.
-
-    method      ``placed``, ``kalman`` or ``DAMPED``
-    observer    the gains
-    parameters  by name
-    error       predicted tracking error on the search's grid, rms, worst member
-    controller  the same loop as R, S and T
-    violations  of the specification by members of the family, worst first
-    """
-
-    method: str
-    observer: DisturbanceObserver
-    parameters: dict[str, float]
-    error: float
-    controller: RstController
-    violations: tuple[Violation, ...]
-
-
 def tune_observer(
     family: PlantFamily,
     specification: Specification,
@@ -191,7 +155,7 @@ def tune_observer(
     form: str = "affine",
     method: str = "placed",
     until_met: bool = False,
-) -> TunedObserver:
+) -> Solution:
     """Search the observer and feedback with the smallest predicted error that meet every limit.
 
         minimise    max over members of rms(scan disturbance + sensor noise + converter)
@@ -227,13 +191,13 @@ def tune_observer(
     parameters = parameters_of(result)
     observer = _observer(frame, specification, parameters, method)
     controller = linear_controller(observer)
-    return TunedObserver(
-        method=method,
-        observer=observer,
-        parameters=parameters,
-        error=evaluate_loop(grid, controller.R, controller.S).predicted_error,
+    return Solution(
+        name=method,
         controller=controller,
+        parameters=parameters,
+        figure=evaluate_loop(grid, controller.R, controller.S).predicted_error,
         violations=unmet(family.members, controller.R, controller.S, specification),
+        observer=observer,
     )
 
 

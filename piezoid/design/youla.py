@@ -7,14 +7,12 @@ becomes a condition around reference polynomials: with P_d,i stable,
     Re{P_i conj(P_d,i)} > 0 for all w   implies   P_i stable (it cannot wind around zero)
 
 P_d,i are the polynomials of the previous design, and the problem is solved repeatedly until the
-rejection converges. Each step keeps every member stable and every limit met.  [Landau & Zito 2006]
-
-Each convex problem uses the closed-loop polynomials P_d,i of the previous design,
+rejection converges. Each step keeps every member stable and every limit met, because
 
     |A_i S| <= limit Re{P_i conj(P_d,i)} / |P_d,i|   implies   |A_i S| / |P_i| <= limit
 
-where the left side is a second-order cone in the free coefficients of R and S. It is solved on the
-active rows.                                                       [Karimi & Galdos 2010]
+where the left side is a second-order cone in the free coefficients of R and S [Landau & Zito 2006;
+Karimi & Galdos 2010].
 """
 
 from dataclasses import dataclass
@@ -23,10 +21,10 @@ from warnings import catch_warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.design.loop_search import FamilyGrid, family_grid, worst_excess
+from piezoid.design.feasibility import unmet
+from piezoid.design.loop_search import FamilyGrid, Solution, evaluate_loop, family_grid
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.rst import INTEGRATOR, OPEN_AT_NYQUIST, RstController
-from piezoid.design.shaping import ShapedController
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import Response, polynomial_response, product
@@ -39,7 +37,8 @@ _TOLERANCE = 1e-7
 _RESERVES_dB = (0.05, 0.2, 0.5)
 _MIN_IMPROVEMENT = 0.01
 _TIE = 1e-4
-_EVERY = 10
+_TAPS = 10  # free coefficients of R' and of S', at least
+_EVERY = 10  # rows of the grid, of which one is active at first; violated rows are added
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -194,10 +193,8 @@ def optimise(
     specification: Specification,
     start: RstController,
     *,
-    taps: int = 10,
     max_iterations: int = 8,
-    every: int = _EVERY,
-) -> ShapedController:
+) -> Solution:
     """Minimise the rejection figure over R' and S', from a start that stabilises every member.
 
         minimise    gamma
@@ -205,39 +202,36 @@ def optimise(
                     |A_i S| <= Syp_max Re_i,  |A_i R| <= Sup_max Re_i,  |B_i R| <= Syb_max Re_i
         with        Re_i = Re{P_i conj(P_d,i)} / |P_d,i|,  S = H_S S',  R = H_R R',  s'_0 = 1
 
-    every  step of the rows of the grid that are active at first; violated rows are added
-
     Limits that the start exceeds are relaxed together, as little as possible. Each step is
     checked on a grid ten times finer, and solved again with more reserve if it fails there. The
     figures of the result are those on the fine grid.
     """
-    count = max(taps, len(start.S) - len(INTEGRATOR) + 1, len(start.R) - len(OPEN_AT_NYQUIST) + 1)
+    count = max(_TAPS, len(start.S) - len(INTEGRATOR) + 1, len(start.R) - len(OPEN_AT_NYQUIST) + 1)
     coarse = family_grid(family, specification, count=20 * count)
     fine = family_grid(family, specification, count=200 * count)
-    active = np.arange(coarse.A.size) % every == 0
-    best, R, S = worst_excess(fine, start.R, start.S), start.R, start.S
-    history = [best.rejection]
-    while len(history) <= max_iterations:
+    active = np.arange(coarse.A.size) % _EVERY == 0
+    best, R, S = evaluate_loop(fine, start.R, start.S), start.R, start.S
+    iterations = 0
+    while iterations < max_iterations:
         allowed_dB = max(best.excess_dB, 0.0) + _TIE
         for reserve_dB in _RESERVES_dB:
             reserve = 10.0 ** (-reserve_dB / 20.0)
             step = solve(coarse, family.nominal, R, S, count, reserve, active)
             if step is not None:
-                worst = worst_excess(fine, *step)
+                worst = evaluate_loop(fine, *step)
                 if worst.excess_dB <= allowed_dB:
                     break
         else:
             break
         tightened_dB = max(best.excess_dB, 0.0) - max(worst.excess_dB, 0.0)
-        improvement = history[-1] - worst.rejection
-        if tightened_dB <= _TIE and improvement <= _MIN_IMPROVEMENT * history[-1]:
+        improvement = best.rejection - worst.rejection
+        if tightened_dB <= _TIE and improvement <= _MIN_IMPROVEMENT * best.rejection:
             break
-        (R, S), best = step, worst
-        history.append(worst.rejection)
-    return ShapedController(
+        (R, S), best, iterations = step, worst, iterations + 1
+    return Solution(
+        name="convex",
         controller=RstController(R=R, S=S, T=np.array([R.sum()])),
-        parameters={"taps": float(count), "iterations": float(len(history) - 1)},
-        rejection=best.rejection,
-        excess_dB=best.excess_dB,
-        history=tuple(history),
+        parameters={"taps": float(count), "iterations": float(iterations)},
+        figure=best.rejection,
+        violations=unmet(family.members, R, S, specification),
     )

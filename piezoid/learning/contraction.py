@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.design.lateral_task import lateral_task, unseen
+from piezoid.design.lateral import with_sector
+from piezoid.design.lateral_task import affine_bounds_of, plant_family, unseen
 from piezoid.design.plant import Plant
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
@@ -90,10 +91,10 @@ def learning_filter(
 
     Raises ``DesignError`` if the first harmonic does not contract.
     """
-    task = lateral_task(model, sampling_rate_Hz)
-    is_affine = values is not None and METHODS[int(values["method"])] == "dob"
-    members = task.families["affine" if is_affine else "inverse"].members
-    sector, seen_Hz = task.bounds["affine"].increment_gain, unseen(model).from_Hz
+    family, bounds = plant_family(model, sampling_rate_Hz), affine_bounds_of(model)
+    if values is not None and METHODS[int(values["method"])] == "dob":
+        family = with_sector(family, bounds)
+    members, sector, seen_Hz = family.members, bounds.increment_gain, unseen(model).from_Hz
     harmonic_Hz = sampling_rate_Hz / points * np.arange(points // 2 + 1, dtype=np.float64)
     q = unit_circle(harmonic_Hz, sampling_rate_Hz)
     responses, nominal = np.stack([table_response(m, values, q) for m in members]), members[0]

@@ -27,6 +27,7 @@ from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.polynomial import Response
 from piezoid.record_json import read_sealed, to_json
 from piezoid.records.recording import Recording
+from piezoid.runtime.controller import Status
 from piezoid.targets.waveform import inverse_V
 from piezoid.verification.plant import AxisPlant
 
@@ -292,13 +293,16 @@ def _check_reference(
             needed=f"one period of at least {_MIN_POINTS} finite numbers, one for each sample",
             remedy="Pass the period in metres, at the controller's rate.",
         )
-    low_m, high_m = (
-        _recorded_range_m(model)
-        if parameters is None
-        else tuple(
-            float(parameters.values[f"reference_{end}_m"]) for end in ("minimum", "maximum")
-        )
-    )
+    if parameters is None:  # of the hysteresis between the ends of the recorded drive
+        operator, (low_V, high_V) = model.operator, model.voltage_V
+        cycle_V = np.array([high_V, low_V, high_V])
+        ends_m, _ = operator.run(cycle_V, operator.virgin_memory())
+        offset_m = operator.displacement_offset_m
+        ends_m = model.polarity * (ends_m[1:] - offset_m) + offset_m
+        low_m, high_m = float(ends_m.min()), float(ends_m.max())
+    else:
+        low_m = float(parameters.values["reference_minimum_m"])
+        high_m = float(parameters.values["reference_maximum_m"])
     min_m, max_m = float(wanted_m.min()), float(wanted_m.max())
     if min_m < low_m or max_m > high_m:
         raise ParameterFileError(
@@ -329,16 +333,6 @@ def _check_reference(
     return wanted_m
 
 
-def _recorded_range_m(model: AxisModel) -> tuple[float, float]:
-    """Return the range of the hysteresis between the ends of the recorded drive."""
-    operator = model.operator
-    low_V, high_V = model.voltage_V
-    displacement_m, _ = operator.run(np.array([high_V, low_V, high_V]), operator.virgin_memory())
-    ends_m = model.polarity * (displacement_m[1:] - operator.displacement_offset_m)
-    ends_m = ends_m + operator.displacement_offset_m
-    return float(ends_m.min()), float(ends_m.max())
-
-
 def _simulate_period(
     model: AxisModel,
     plant: AxisPlant,
@@ -354,11 +348,11 @@ def _simulate_period(
     values = None if parameters is None else parameters.values
     played = play(noiseless, wanted_m, table_V, values=values, rng=np.random.default_rng(0))
     low_V, high_V = float(played.voltage_V.min()), float(played.voltage_V.max())
-    limited = played.status & LIMITED
+    limited = Status(int(played.status[-1])) & LIMITED
     slack_V = 1e-9 * (model.voltage_V[1] - model.voltage_V[0])
     is_recorded = low_V >= model.voltage_V[0] - slack_V and high_V <= model.voltage_V[1] + slack_V
     if is_recorded and not limited:
-        return np.asarray(played.position_m[0])
+        return played.position
     names = [(flag.name or "").lower().replace("_", " ") for flag in LIMITED if flag in limited]
     raise ParameterFileError(
         f"axis {model.axis}: the period takes {low_V:.4g} V to {high_V:.4g} V"

@@ -1,6 +1,6 @@
 """Simulate a table, and average the recorded periods of a motion."""
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,11 +11,11 @@ from piezoid.numerics.polynomial import Response
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller, Status
 from piezoid.runtime.library import Values
-from piezoid.verification.closed_loop import approach_path, run_law
+from piezoid.verification.closed_loop import LoopRecord, approach_path, run_law
 from piezoid.verification.loop_plant import SettledPlant
 from piezoid.verification.plant import AxisPlant
 
-_SETTLING_s = 0.1  # before the periods that are returned: ten time constants of a loop of 16 Hz
+_SETTLING_s = 0.1  # before the period that is returned: ten time constants of a loop of 16 Hz
 LIMITED = Status.VOLTAGE_LIMITED | Status.VOLTAGE_STEP | Status.REFERENCE_LIMITED
 
 MAX_CLOCK_ERROR = 1e-3  # relative difference of two clocks of the same rate
@@ -29,69 +29,47 @@ _MIN_DEVIATION, _MAX_SHIFTED_RATIO = 0.2, 0.5
 _MIN_POWER = 4.0  # of a harmonic, relative to its noise
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Played:
-    """Settled periods of a simulated table, (periods, points) each.
-
-    position_m  in front of the sensor
-    measured_m  reading
-    voltage_V   output
-    status      bits of the controller since its start
-    """
-
-    position_m: Array
-    measured_m: Array
-    voltage_V: Array
-    status: Status
-
-
 def play(
     plant: AxisPlant,
     wanted_m: Array,
     table_V: Array,
     *,
     values: Values | None,
-    periods: int = 1,
     rng: np.random.Generator,
-) -> Played:
-    """Simulate a table from rest, and return the periods after the motion has settled.
+) -> LoopRecord:
+    """Simulate a table from rest, and return the last period, after the motion has settled.
 
     values  of the controller; None: the table is the whole voltage
 
     With a controller the stage first approaches the start of the period, and the table fades in
-    over the first period, as recommended for the laboratory.
+    over the first period, as recommended for the laboratory. The status contains the bits of the
+    controller since its start.
     """
     points = len(wanted_m)
-    settling = 1 + int(np.ceil(_SETTLING_s * plant.sampling_rate_Hz / points))
+    periods = 2 + int(np.ceil(_SETTLING_s * plant.sampling_rate_Hz / points))
     if values is None:
-        drive = iter(np.tile(table_V, settling + periods).tolist())
-        reference_m = np.zeros((settling + periods) * points)
+        drive = iter(np.tile(table_V, periods).tolist())
+        reference_m = np.zeros(periods * points)
         record = run_law(plant, lambda _reference, _measured: next(drive), reference_m, rng=rng)
-        status = Status(0)
-    else:
-        approach_m = approach_path(plant, float(wanted_m[0]))
-        reference_m = np.concatenate([approach_m, np.tile(wanted_m, settling + periods)])
-        ahead = np.arange(len(reference_m)) + int(values["preview_samples"])
-        is_after = ahead >= len(reference_m)
-        ahead[is_after] -= points  # the motion continues after the record
-        faded_V = np.tile(table_V, settling + periods)
-        faded_V[:points] *= np.arange(points) / points
-        controller = Controller(values)
-        rest_m = float(np.clip(SettledPlant(plant).rest_position, *plant.reading_range))
-        controller.start(plant.rest_voltage_V, rest_m)
-        table = iter(np.concatenate([np.zeros(len(approach_m)), faded_V]).tolist())
+        return record.after((periods - 1) * points)
+    approach_m = approach_path(plant, float(wanted_m[0]))
+    reference_m = np.concatenate([approach_m, np.tile(wanted_m, periods)])
+    ahead = np.arange(len(reference_m)) + int(values["preview_samples"])
+    is_after = ahead >= len(reference_m)
+    ahead[is_after] -= points  # the motion continues after the record
+    faded_V = np.tile(table_V, periods)
+    faded_V[:points] *= np.arange(points) / points
+    controller = Controller(values)
+    rest_m = float(np.clip(SettledPlant(plant).rest_position, *plant.reading_range))
+    controller.start(plant.rest_voltage_V, rest_m)
+    table = iter(np.concatenate([np.zeros(len(approach_m)), faded_V]).tolist())
 
-        def step(reference_m: float, measured_m: float) -> float:
-            return controller.step(reference_m, measured_m, next(table))
+    def step(reference_m: float, measured_m: float) -> float:
+        return controller.step(reference_m, measured_m, next(table))
 
-        record = run_law(plant, step, reference_m[ahead], rng=rng)
-        status = controller.status_ever
-    last_periods = (
-        signal[-periods * points :].reshape(periods, points)
-        for signal in (record.position, record.measured, record.voltage_V)
-    )
-    position_m, measured_m, voltage_V = last_periods
-    return Played(position_m=position_m, measured_m=measured_m, voltage_V=voltage_V, status=status)
+    record = run_law(plant, step, reference_m[ahead], rng=rng)
+    status = np.full(points, int(controller.status_ever), dtype=np.uint32)
+    return replace(record.after(len(reference_m) - points), status=status)
 
 
 def mean_period(
@@ -130,33 +108,26 @@ def mean_period(
         )
     periods_m = displacement_m[: count * points].reshape(count, points)
     measured_m = np.asarray(periods_m.mean(axis=0))
-    _refuse_other_motion(recording.name, measured_m, expected_m)
+    # Another motion, or this one from another row on.
+    size_m, deviation_m = float(np.std(expected_m)), float(np.std(measured_m - expected_m))
+    spectra = [np.fft.rfft(values - values.mean()) for values in (measured_m, expected_m)]
+    correlation = np.fft.irfft(spectra[0] * np.conj(spectra[1]), points)
+    shift = int(np.argmax(correlation))
+    shifted_m = float(np.std(np.roll(measured_m, -shift) - expected_m))
+    fits_better = shifted_m < _MAX_SHIFTED_RATIO * deviation_m
+    is_late = deviation_m > _MIN_DEVIATION * size_m and fits_better
+    if not deviation_m <= _MAX_DEVIATION * size_m or is_late:
+        raise RecordingError(
+            f"{recording.name}: it deviates from the period by {with_unit(deviation_m, 'm')} rms, "
+            f"and the motion itself has {with_unit(size_m, 'm')} rms; from its row {shift} on it "
+            f"would deviate by {with_unit(shifted_m, 'm')}",
+            needed="the period of this table from point 0, with a deviation of less than "
+            f"{with_unit(_MAX_DEVIATION * size_m, 'm')}",
+            remedy="Start the recording with point 0, or check reference, unit and axis.",
+        )
     if count > 1:
         noise_rms_m = float(np.sqrt(np.mean(np.var(periods_m, axis=0, ddof=1))))
     return measured_m, noise_rms_m / float(np.sqrt(count))
-
-
-def _refuse_other_motion(name: str, measured_m: Array, expected_m: Array) -> None:
-    """Refuse a recording that deviates from the period, or fits much better from another row."""
-    size_m = float(np.std(expected_m))
-    deviation_m = float(np.std(measured_m - expected_m))
-    spectra = [np.fft.rfft(values - values.mean()) for values in (measured_m, expected_m)]
-    correlation = np.fft.irfft(spectra[0] * np.conj(spectra[1]), len(measured_m))
-    shift = int(np.argmax(correlation))
-    shifted_m = float(np.std(np.roll(measured_m, -shift) - expected_m))
-    is_shifted = (
-        deviation_m > _MIN_DEVIATION * size_m and shifted_m < _MAX_SHIFTED_RATIO * deviation_m
-    )
-    if deviation_m <= _MAX_DEVIATION * size_m and not is_shifted:
-        return
-    raise RecordingError(
-        f"{name}: it deviates from the period by {with_unit(deviation_m, 'm')} rms, and the "
-        f"motion itself has {with_unit(size_m, 'm')} rms; from its row {shift} on it would "
-        f"deviate by {with_unit(shifted_m, 'm')}",
-        needed=f"the period of this table from point 0, with a deviation of less than "
-        f"{with_unit(_MAX_DEVIATION * size_m, 'm')}",
-        remedy="Start the recording with point 0, or check reference, unit and axis.",
-    )
 
 
 def learning_shares(error: Response, points: int, noise_rms_m: float) -> Array:

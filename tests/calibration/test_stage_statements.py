@@ -1,6 +1,7 @@
 """A fact is judged once: which statements a stage makes, and how much each matters."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -28,21 +29,32 @@ def with_quality(**changes: object) -> AxisModel:
     return replace(axis, quality=replace(axis.quality, **changes))
 
 
-@pytest.mark.parametrize(
-    ("score", "level"), [(20, Level.ACTION), (70, Level.ACTION), (85, Level.WARNING)]
-)
-def test_what_was_never_measured_asks_for_a_recording(score: int, level: Level) -> None:
-    axis = with_quality(limits=(Limit(lack="speed", reason="one speed", most=score),))
-    assert levels(axis)["speed"] is level
+def with_uncertainty(**changes: object) -> AxisModel:
+    axis = axis_model()
+    return replace(axis, uncertainty=replace(axis.uncertainty, **changes))
+
+
+def one_speed(score: int) -> AxisModel:
+    return with_quality(limits=(Limit(lack="speed", reason="one speed", most=score),))
 
 
 @pytest.mark.parametrize(
-    ("changes", "quantity"),
-    [({"converged": False}, "convergence"), ({"noise_is_most": True}, "noise")],
+    ("axis", "quantity", "level"),
+    [
+        (one_speed(20), "speed", Level.ACTION),
+        (one_speed(70), "speed", Level.ACTION),
+        (one_speed(85), "speed", Level.WARNING),
+        (with_quality(converged=False), "convergence", Level.WARNING),
+        (with_quality(noise_is_most=True), "noise", Level.WARNING),
+        (with_uncertainty(blocks=9), "blocks", Level.WARNING),
+        (with_uncertainty(loop_width_m=(1e-6, 3e-7)), "loop_width", Level.WARNING),
+    ],
 )
-def test_a_weak_fit_has_a_warning(changes: dict[str, object], quantity: str) -> None:
+def test_each_weakness_of_a_fit_is_stated_with_its_level(
+    axis: AxisModel, quantity: str, level: Level
+) -> None:
     assert quantity not in levels(axis_model())
-    assert levels(with_quality(**changes))[quantity] is Level.WARNING
+    assert levels(axis)[quantity] is level
 
 
 def test_a_noise_above_the_error_of_the_model_is_an_upper_limit() -> None:
@@ -57,18 +69,8 @@ def test_a_noise_above_the_error_of_the_model_is_an_upper_limit() -> None:
     assert with_noise_bound(larger) is larger
 
 
-def test_intervals_on_few_blocks_and_a_loose_loop_width_have_warnings() -> None:
-    axis = axis_model()
-    few = replace(axis, uncertainty=replace(axis.uncertainty, blocks=9))
-    loose = replace(axis, uncertainty=replace(axis.uncertainty, loop_width_m=(1e-6, 3e-7)))
-    assert levels(few)["blocks"] is Level.WARNING
-    assert levels(loose)["loop_width"] is Level.WARNING
-    assert not {"blocks", "loop_width"} & set(levels(axis))
-
-
 def test_an_interval_that_contradicts_the_held_out_error_is_not_stated() -> None:
-    axis = axis_model()
-    wild = replace(axis, uncertainty=replace(axis.uncertainty, loop_width_m=(5.1e-6, 7.2e-6)))
+    wild = with_uncertainty(loop_width_m=(5.1e-6, 7.2e-6))
     (fact,) = (fact for fact in fit_statements(wild) if fact.quantity == "loop_width")
     assert "7.2" not in fact.text
     assert "held-out error, 30.0 nm rms" in fact.text
@@ -182,29 +184,18 @@ def verification(value: float) -> Verification:
     )
 
 
-def test_a_failed_verdict_and_an_axis_that_does_not_ship_need_action() -> None:
-    facts = stage_statements(
-        stage_model(axis_model()),
-        verification=verification(0.9),
-        unshipped={"y": "no margin"},
-        undesigned="no sampling rate",
-    )
-    actions = {(fact.axis, fact.quantity) for fact in select(facts, minimum=Level.ACTION)}
+def test_a_failed_verdict_and_an_axis_that_does_not_ship_need_action_once() -> None:
+    model, failed = stage_model(axis_model()), verification(0.9)
+
+    def needed(verified: Verification, **reasons: Any) -> set[tuple[str, str]]:
+        facts = stage_statements(model, verification=verified, **reasons)
+        return {(f.axis, f.quantity) for f in select(facts, minimum=Level.ACTION)}
+
+    actions = needed(failed, unshipped={"y": "no margin"}, undesigned="no sampling rate")
     assert actions == {("", "tracking"), ("y", "not_shipped"), ("", "not_designed")}
-    assert not select(
-        stage_statements(stage_model(axis_model()), verification=verification(0.2)),
-        minimum=Level.ACTION,
-    )
-
-
-def test_a_failed_verdict_is_stated_once_where_the_axis_does_not_ship() -> None:
-    failed = verification(0.9)
+    assert not needed(verification(0.2))
     reason = f"failed: {criteria.describe_failure(failed.verdicts[0])}. Record more."
-    facts = stage_statements(
-        stage_model(axis_model()), verification=failed, unshipped={"x": reason}
-    )
-    actions = {(fact.axis, fact.quantity) for fact in select(facts, minimum=Level.ACTION)}
-    assert actions == {("x", "not_shipped")}
+    assert needed(failed, unshipped={"x": reason}) == {("x", "not_shipped")}
 
 
 def test_no_statement_is_made_twice() -> None:

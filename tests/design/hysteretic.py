@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from benchmarks.varied_chains import plant_from_chain
 from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.observer import DisturbanceObserver
-from piezoid.design.plant import Plant, plant_from_chain
+from piezoid.design.plant import Plant
 from piezoid.operators.dead_zone import LINEAR, DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii

@@ -4,15 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.varied_chains import varied
-from piezoid.design.plant import (
-    Chain,
-    Plant,
-    PlantFamily,
-    Section,
-    family_from_chains,
-    plant_from_chain,
-)
+from benchmarks.varied_chains import Chain, family_from_chains, plant_from_chain, varied
+from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import closed_loop_target, place_poles, section_poles
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from benchmarks.varied_chains import varied
+from benchmarks.varied_chains import Chain, family_from_chains, varied
 from piezoid.design.certificate import Certificate
 from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.lateral import damped_mode, describe_mode, design_lateral, raise_bandwidth
-from piezoid.design.plant import Chain, PlantFamily, Section, family_from_chains
+from piezoid.design.plant import PlantFamily, Section
 from piezoid.design.rst import ringing_mode
 from piezoid.design.specification import Specification, default_specification
 from piezoid.errors import TemplateError

@@ -6,6 +6,7 @@ import pytest
 
 import piezoid
 from piezoid.design.design import Design
+from piezoid.design.design_stage import design_stage
 from piezoid.design.design_statements import (
     bandwidth_limit_Hz,
     design_statements,
@@ -15,6 +16,7 @@ from piezoid.design.design_statements import (
 from piezoid.identification.dynamics.bandwidth import unmeasured
 from piezoid.identification.model import AxisModel
 from piezoid.statement import Level
+from tests.design.designed import known_design
 from tests.verification.known_fit import fitted
 from tests.verification.rig import RATE_Hz
 
@@ -29,15 +31,15 @@ def levels_of(design: Design, axis: AxisModel) -> dict[str, Level]:
     return {fact.quantity: fact.level for fact in design_statements(design, of(axis))}
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def known() -> Design:
-    return piezoid.design(fitted(), sampling_rate_Hz=RATE_Hz)
+    return known_design()
 
 
 @pytest.fixture(scope="module")
 def unshown() -> Design:
     axis = replace(fitted()["x"], bandwidth=UNKNOWN)
-    return piezoid.design(of(axis), sampling_rate_Hz=RATE_Hz)
+    return design_stage(of(axis), model_digest="", sampling_rate_Hz=RATE_Hz, forms=("inverse",))
 
 
 def test_a_loop_without_a_known_resonance_asks_for_a_chirp(unshown: Design) -> None:

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from piezoid.design.hysteresis_bounds import affine_bounds, inverse_bounds
-from piezoid.design.lateral import with_sector
-from piezoid.design.plant import PlantFamily
 from piezoid.operators.dead_zone import LINEAR, DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from tests.design.hysteretic import ATTAINED, REACH_V, curved, hysteresis, loop
+from tests.design.hysteretic import ATTAINED, REACH_V, curved, hysteresis
 from tests.design.rig import LATERAL_m_per_V
 
 
@@ -108,19 +106,3 @@ def test_what_one_part_has_too_much_and_another_too_little_is_not_added_up(rng):
     bends_m = 0.8 * 0.2 * reach_m  # what either part alone does at the end of the range
     assert worst <= bounds.error_m < 2.0 * worst
     assert bounds.error_m < 0.2 * bends_m
-
-
-def test_the_sector_of_the_example_is_its_extreme_slopes():
-    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
-    assert bounds.increment_gain == pytest.approx((1.02 - 0.72) / (1.02 + 0.72))
-
-
-def test_the_sector_joins_the_family_as_gains():
-    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
-    plant, _ = loop(bounds)
-    family = with_sector(PlantFamily(members=(plant,)), bounds)
-    gains = [member.gain / plant.gain for member in family.members]
-    assert gains == pytest.approx([1.0, bounds.slope_min, bounds.slope_max])
-    A, B, C = family.members[1].realised()
-    at_rest = C @ np.linalg.solve(np.eye(len(A)) - A, B)
-    assert at_rest == pytest.approx(family.members[1].gain)

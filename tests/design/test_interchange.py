@@ -6,7 +6,7 @@ import pytest
 import piezoid
 from piezoid.design.sensitivity import sensitivities
 from piezoid.errors import DesignError
-from tests.verification.known_fit import fitted
+from tests.design.designed import known_design
 from tests.verification.rig import RATE_Hz
 
 FREQUENCY_Hz = np.array([1.0, 30.0, 400.0, 3000.0])
@@ -14,7 +14,7 @@ FREQUENCY_Hz = np.array([1.0, 30.0, 400.0, 3000.0])
 
 @pytest.fixture(scope="module")
 def loop() -> piezoid.LoopDesign:
-    return piezoid.design(fitted(), sampling_rate_Hz=RATE_Hz).axes[0].recommended
+    return known_design().axes[0].recommended
 
 
 def test_the_sensitivity_is_that_of_the_margins(loop) -> None:

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.plant import Chain, PlantFamily, Section, plant_from_chain
+from benchmarks.varied_chains import plant_from_chain
+from piezoid.design.junction_task import vertical_task
+from piezoid.identification.tunnelling.junction import TunnellingModel
 from piezoid.numerics.polynomial import response
-from tests.design.placed import plant_from_fraction
-from tests.design.rig import LATERAL_m_per_V, RATE_Hz, lateral_chain, random_chain, vertical_chain
+from tests.design.junction_lab import LAB, NOMINAL, loop_plant
+from tests.design.rig import RATE_Hz, lateral_chain, random_chain
 
 PRINTED = 5.1e-11
 
@@ -31,37 +33,13 @@ def test_the_gain_at_rest_is_the_chains(rng):
         assert np.abs(plant.poles).max() < 1.0
 
 
-def test_a_pole_that_float64_cannot_see_leaves_no_state():
-    assert len(plant_from_chain(vertical_chain()).A) == 3  # 120 kHz at 20 kHz: exp(-37.7)
-    slower = Chain(
-        label="s",
-        sampling_rate_Hz=RATE_Hz,
-        gain=1.0,
-        output_unit="m",
-        sections=(Section(frequency_Hz=110e3),),
-    )
-    assert len(plant_from_chain(slower).A) == 2
-    with pytest.raises(ValueError, match="no section is slow enough"):
-        plant_from_chain(replace(slower, sections=(Section(frequency_Hz=120e3),)))
-
-
-def test_a_numerator_without_its_delay_is_refused():
-    with pytest.raises(ValueError, match="answers one sample late"):
-        plant_from_fraction("p", [1.0], [1.0, -0.5], sampling_rate_Hz=RATE_Hz, output_unit="m")
-
-
-def test_a_family_shares_rate_and_unit():
-    metres = plant_from_chain(lateral_chain(LATERAL_m_per_V))
-    with pytest.raises(ValueError, match="differ in rate"):
-        PlantFamily(members=(metres, plant_from_chain(vertical_chain())))
-    with pytest.raises(ValueError, match="at least its nominal"):
-        PlantFamily(members=())
-
-
-@pytest.mark.parametrize(("frequency_Hz", "damping"), [(0.0, None), (100.0, 0.0)])
-def test_a_section_without_frequency_or_damping_is_refused(frequency_Hz, damping):
-    with pytest.raises(ValueError, match="positive frequency and damping"):
-        Section(frequency_Hz=frequency_Hz, damping=damping)
+@pytest.mark.parametrize(("sensor_Hz", "order"), [(110e3, 2), (120e3, 1), (np.inf, 1)])
+def test_a_pole_that_float64_cannot_see_leaves_no_state(sensor_Hz, order):
+    """120 kHz at 20 kHz: exp(-37.7)."""
+    junction = replace(NOMINAL, sensor_pole_Hz=sensor_Hz)
+    loop = replace(loop_plant(), plant=junction, family=(junction,))
+    tip = TunnellingModel(gap_law=None, loop_plant=loop)
+    assert len(vertical_task(tip, LAB)[0].nominal.state_matrix) == order
 
 
 def test_a_delay_as_a_late_pole_is_the_same_plant_to_a_slow_loop() -> None:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.varied_chains import plant_from_chain
 from piezoid.design.feedforward import filter_sections, fit_reference_path
 from piezoid.design.observer import disturbance_model, linear_controller
-from piezoid.design.plant import plant_from_chain
 from piezoid.design.rst import place_poles
 from piezoid.export.export_stage import observer_values
 from piezoid.numerics.arrays import Array

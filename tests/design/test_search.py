@@ -31,11 +31,6 @@ def test_the_best_point_leaves_the_reserve_and_no_more(reserve_dB):
     assert cost < 1.03 * 0.5 * (0.8 - edge)  # flat beside the edge
 
 
-def test_where_no_limit_is_near_the_least_cost_is_found():
-    judge = towards(np.array([-0.4, 25.0]), 0.0)
-    assert judge(search(judge, LOWER, UPPER, STARTS))[0] < FOUND
-
-
 def test_where_nothing_meets_the_limits_the_least_excess_is_found_inside_the_box():
     found = search(towards(np.array([0.8, 20.0]), -50.0), LOWER, UPPER, STARTS)
     assert found[0] == pytest.approx(LOWER[0], abs=2.0 * FOUND)

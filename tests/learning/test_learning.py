@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from piezoid.design.plant import plant_from_chain
+from benchmarks.varied_chains import plant_from_chain
 from piezoid.errors import DesignError, ParameterFileError, RecordingError
 from piezoid.learning.contraction import learning_filter, table_response
 from piezoid.learning.learn import (
@@ -57,8 +57,8 @@ def stranger():
 
 def recorded(played, **changed):
     given = {
-        "voltage_V": played.voltage_V.ravel(),
-        "displacement_m": played.measured_m.ravel(),
+        "voltage_V": played.voltage_V,
+        "displacement_m": played.measured,
         "sampling_rate_Hz": RATE_Hz,
     }
     return from_arrays(**{**given, **changed})
@@ -71,7 +71,7 @@ def test_three_periods_bring_a_plant_of_other_hysteresis_below_the_noise(closed)
     errors_m = []
     for _ in range(3):
         played = play(stranger(), learned.wanted_m, learned.table_V, values=values, rng=rng)
-        error_m = learned.wanted_m - played.position_m[0]
+        error_m = learned.wanted_m - played.position
         errors_m.append(float(np.std(error_m)))
         learned = next_table(learned, AXIS, PLANT, recorded(played), parameters=parameters)
     assert errors_m[0] > 3 * PLANT.noise_rms
@@ -90,7 +90,7 @@ def test_a_volt_of_the_table_moves_what_the_response_says():
     table_V = 0.5 * np.sin(2 * np.pi * np.arange(POINTS) / POINTS)
     rest_m = np.zeros(POINTS)
     rng = np.random.default_rng(0)
-    moved = play(linear, rest_m, table_V, values=values, rng=rng).position_m[0]
+    moved = play(linear, rest_m, table_V, values=values, rng=rng).position
     q = unit_circle(np.array([RATE_Hz / POINTS]), RATE_Hz)
     said = table_response(plant_from_chain(chain()), values, q)[0]
     shown = np.fft.rfft(moved)[1] / np.fft.rfft(table_V)[1]
@@ -156,18 +156,14 @@ def test_a_recording_that_is_not_the_period_is_refused_with_figures(changed, sai
         next_table(learned, AXIS, PLANT, seen, parameters=shipped())
 
 
-def test_a_changed_reference_is_refused_with_where_it_differs():
-    changed_m = triangle()
+def test_a_table_of_another_reference_model_or_loop_is_refused():
+    before, changed_m = first(), triangle()
+    same = {"sources": before.sources, "closed_loop": before.closed_loop}
+    refuse_changed(before, triangle(), **same)
     changed_m[17] += 2e-9
     with pytest.raises(RecordingError, match=r"by up to 2\.00 nm, at point 17"):
-        refuse_changed(first(), changed_m, sources={}, closed_loop=True)
-
-
-def test_a_table_of_another_model_or_loop_is_refused():
-    before = first()
-    refuse_changed(before, triangle(), sources=before.sources, closed_loop=before.closed_loop)
+        refuse_changed(before, changed_m, **same)
     with pytest.raises(ParameterFileError, match="learnt of another model"):
-        refuse_changed(before, triangle(), sources={"model": "x"}, closed_loop=True)
-    other = not before.closed_loop
+        refuse_changed(before, triangle(), **{**same, "sources": {"model": "x"}})
     with pytest.raises(ParameterFileError, match=r"learnt with(out)? a controller"):
-        refuse_changed(before, triangle(), sources=before.sources, closed_loop=other)
+        refuse_changed(before, triangle(), **{**same, "closed_loop": not before.closed_loop})

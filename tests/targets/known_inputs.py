@@ -3,9 +3,8 @@
 from dataclasses import replace
 from functools import cache
 
-from benchmarks.varied_chains import varied
+from benchmarks.varied_chains import Chain, family_from_chains, varied
 from piezoid.design.design_stage import design_stage
-from piezoid.design.plant import Chain, family_from_chains
 from piezoid.export.export_stage import export_stage
 from piezoid.records.lab import Lab
 from piezoid.targets.pid import Pid

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from piezoid.design.plant import PlantFamily, plant_from_chain
+from benchmarks.varied_chains import plant_from_chain
+from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import Template, margins, sensitivities
 from piezoid.design.specification import default_specification
 from piezoid.errors import DesignError

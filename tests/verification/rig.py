@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from piezoid.design.plant import Chain, Section, plant_from_chain
+from benchmarks.varied_chains import Chain, plant_from_chain
+from piezoid.design.plant import Section
 from piezoid.export.export_stage import observer_values
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.operators.dead_zone import DeadZones

@@ -84,8 +84,6 @@ class ApproachCurve:
         same_length([("height_m", self.height_m), ("current_A", self.current_A)])
         if self.bias_V is not None and not math.isfinite(self.bias_V):
             raise ValueError(f"{self.label}: bias_V is {self.bias_V}, expected a voltage")
-        if self.rows < self.points + self.saturated:
-            raise ValueError(f"{self.label}: {self.rows} rows hold {self.points} points")
 
     @property
     def points(self) -> int:

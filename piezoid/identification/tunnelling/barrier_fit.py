@@ -17,7 +17,6 @@ from piezoid.identification.tunnelling.confidence import Confidence, Reason, low
 from piezoid.identification.tunnelling.weighted_fit import (
     CLEAR_OF_FLOOR,
     OUTLIER,
-    TipJump,
     WeightedFit,
     fit_sweeps,
 )
@@ -63,58 +62,31 @@ class GapLaw:
     offset_standard_A: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class SweepEvidence:
-    """Properties of the sweeps and of their fit that decide how far the barrier may be trusted.
-
-    points             used in the fit
-    rows               of the recordings
-    saturated          rows excluded because the amplifier was at its limit
-    peak_A             largest modelled current
-    floor_A            rms noise without current
-    relative_noise     noise proportional to the current, 1
-    jumps              number of tip jumps
-    largest_jump       nepers, of the largest magnitude
-    reaches_floor      the sweep reaches heights at which the current is below the noise
-    slope_change       decay of the weak half over that of the strong half, minus one
-    outliers           share of the points beyond three standard deviations
-    """
-
-    points: int
-    rows: int
-    saturated: int
-    peak_A: float
-    floor_A: float
-    relative_noise: float
-    jumps: int
-    largest_jump: float
-    reaches_floor: bool
-    slope_change: float
-    outliers: float
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BarrierFit(GapLaw):
-    """The gap law of sweeps of one direction, and the evidence for its confidence.
+    """The gap law of sweeps of one direction, with the fit from which it follows.
 
-    labels      of the sweeps
+    curves      the sweeps
     covariance  (2, 2) of k and ln I_0, correlated residuals allowed for
-    jumps       fitted tip jumps
-    evidence    for the confidence
+    weighted    points and least-squares fit
     """
 
-    labels: tuple[str, ...]
+    curves: tuple[ApproachCurve, ...]
     covariance: Array
-    jumps: tuple[TipJump, ...]
-    evidence: SweepEvidence
+    weighted: WeightedFit
 
     def __post_init__(self) -> None:
         freeze(self, "covariance", ndim=2)
 
     @property
     def law(self) -> GapLaw:
-        """The gap law without covariance and evidence, as stored in a model."""
+        """The gap law alone, as stored in a model."""
         return GapLaw(**{field.name: getattr(self, field.name) for field in fields(GapLaw)})
+
+    @property
+    def peak_A(self) -> float:
+        """Largest modelled current."""
+        return float(self.weighted.mean_A.max())
 
 
 def fit_barrier(curves: Sequence[ApproachCurve]) -> BarrierFit:
@@ -166,11 +138,10 @@ def fit_barrier(curves: Sequence[ApproachCurve]) -> BarrierFit:
     inflation = max(float(covariance[0, 0]) / independent, between / independent, 1.0)
     quantile = float(student_quantile(0.975, max(blocks - 1, 1)))
     interval = fit.decay_interval(quantile**2 * inflation)
-    evidence = _evidence(fit, curves)
-    confidence, reasons = lowest_grade(barrier_reasons(evidence, decay, interval))
+    confidence, reasons = lowest_grade(barrier_reasons(fit, curves, decay, interval))
     log_current = float(np.mean(np.log(np.maximum(fit.amplitude_A[pieces], TINY))))
     return BarrierFit(
-        labels=tuple(curve.label for curve in curves),
+        curves=tuple(curves),
         polarity=fit.polarity,
         decay_per_m=decay,
         decay_interval_per_m=interval,
@@ -183,66 +154,62 @@ def fit_barrier(curves: Sequence[ApproachCurve]) -> BarrierFit:
         floor_A=fit.floor_A,
         gap_jitter_m=fit.relative_noise / decay,
         sweep_decay_per_m=decays,
-        jumps=fit.jumps,
-        evidence=evidence,
+        weighted=fit,
         confidence=confidence,
         reasons=reasons,
     )
 
 
-def _evidence(fit: WeightedFit, curves: Sequence[ApproachCurve]) -> SweepEvidence:
-    mean_A, height_m, is_clear = fit.mean_A, fit.height_m, fit.is_clear
-    slope_change = 0.0
-    if is_clear.sum() >= MIN_POINTS:
-        middle_m = 0.5 * (height_m[is_clear].min() + height_m[is_clear].max())
-        halves = [is_clear & (height_m <= middle_m), is_clear & (height_m > middle_m)]
-        if min(half.sum() for half in halves) >= 5:
-            root = np.sqrt(fit.weight) * mean_A
-            residual = fit.log_residual
-            near_decay, far_decay = (
-                fit.decay_per_m - np.polyfit(height_m[half], residual[half], 1, w=root[half])[0]
-                for half in halves
-            )
-            slope_change = float(far_decay / near_decay - 1.0)
-    deviation = np.sqrt(fit.reading_variance)
-    return SweepEvidence(
-        points=sum(curve.points for curve in curves),
-        rows=sum(curve.rows for curve in curves),
-        saturated=sum(curve.saturated for curve in curves),
-        peak_A=float(mean_A.max()),
-        floor_A=fit.floor_A,
-        relative_noise=fit.relative_noise,
-        jumps=len(fit.jumps),
-        largest_jump=max((jump.nepers for jump in fit.jumps), key=abs, default=0.0),
-        reaches_floor=bool(mean_A.min() < fit.floor_A),
-        slope_change=slope_change,
-        outliers=float(np.mean(np.abs(fit.residual_A) > OUTLIER * deviation)),
+def slope_change(fit: WeightedFit) -> float:
+    """Return the decay of the weak half of the sweeps over that of the strong half, minus one."""
+    height_m, is_clear = fit.height_m, fit.is_clear
+    if is_clear.sum() < MIN_POINTS:
+        return 0.0
+    middle_m = 0.5 * (height_m[is_clear].min() + height_m[is_clear].max())
+    halves = [is_clear & (height_m <= middle_m), is_clear & (height_m > middle_m)]
+    if min(half.sum() for half in halves) < 5:
+        return 0.0
+    root, residual = np.sqrt(fit.weight) * fit.mean_A, fit.log_residual
+    near_decay, far_decay = (
+        fit.decay_per_m - np.polyfit(height_m[half], residual[half], 1, w=root[half])[0]
+        for half in halves
     )
+    return float(far_decay / near_decay - 1.0)
 
 
 def barrier_reasons(
-    evidence: SweepEvidence, decay_per_m: float, interval_per_m: Interval
+    fit: WeightedFit,
+    curves: Sequence[ApproachCurve],
+    decay_per_m: float,
+    interval_per_m: Interval,
 ) -> tuple[Reason, ...]:
     """Return the criteria that a barrier does not meet, in the order of the rules.
 
     decay_per_m, interval_per_m  k and its 95 % interval, of these sweeps or of all sweeps of a tip
     """
-    e, rows = evidence, evidence.rows
-    missing = f"{rows - e.points - e.saturated} of {rows} rows contain no number"
-    decades = math.log10(max(e.peak_A, 1e-30) / (CLEAR_OF_FLOOR * e.floor_A))
+    rows, points = sum(curve.rows for curve in curves), sum(curve.points for curve in curves)
+    saturated = sum(curve.saturated for curve in curves)
+    peak_A, ends_above_floor = float(fit.mean_A.max()), not fit.mean_A.min() < fit.floor_A
+    largest_jump = max((jump.nepers for jump in fit.jumps), key=abs, default=0.0)
+    bend_share = slope_change(fit)
+    outliers = float(np.mean(np.abs(fit.residual_A) > OUTLIER * np.sqrt(fit.reading_variance)))
+    missing = f"{rows - points - saturated} of {rows} rows contain no number"
+    decades = math.log10(max(peak_A, 1e-30) / (CLEAR_OF_FLOOR * fit.floor_A))
     barrier_eV = barrier_of_decay(decay_per_m)
     low_eV, high_eV = (barrier_of_decay(end) for end in interval_per_m)
-    clipped = f"{e.saturated} of {rows} rows lie at the amplifier's limit"
+    clipped = f"{saturated} of {rows} rows lie at the amplifier's limit"
     span = (
-        f"the current spans {decades:.2g} decades above three times its noise: {e.peak_A:.3g} A "
-        f"at most, noise {e.floor_A:.3g} A"
+        f"the current spans {decades:.2g} decades above three times its noise: {peak_A:.3g} A "
+        f"at most, noise {fit.floor_A:.3g} A"
     )
     width = f"the 95 % interval runs from {low_eV:.3g} to {high_eV:.3g} eV"
-    unstable = f"the current fluctuates by {100 * e.relative_noise:.2g} % of itself: unstable tip"
-    jumps = f"{e.jumps} tip jump(s), the largest of {e.largest_jump:.2g} nepers"
-    floor = f"the sweep ends above the noise of {e.floor_A:.3g} A: the offset is extrapolated"
+    unstable = (
+        f"the current fluctuates by {100 * fit.relative_noise:.2g} % of itself: unstable tip"
+    )
+    jumps = f"{len(fit.jumps)} tip jump(s), the largest of {largest_jump:.2g} nepers"
+    floor = f"the sweep ends above the noise of {fit.floor_A:.3g} A: the offset is extrapolated"
     bend = (
-        f"the decay of the weaker half differs by {100 * e.slope_change:.2g} % from that of the "
+        f"the decay of the weaker half differs by {100 * bend_share:.2g} % from that of the "
         "stronger: creep of the height, or not one exponential"
     )
     implausible = (
@@ -250,17 +217,17 @@ def barrier_reasons(
         "and is its calibration right?"
     )
     rules = (  # quantity; above it medium, above it low confidence; sentence
-        (e.saturated / rows, 0.0, 0.5, clipped),
-        (1.0 - (e.points + e.saturated) / rows, 0.1, 0.5, missing),
-        (-e.points, -40, -20, f"only {e.points} points"),
+        (saturated / rows, 0.0, 0.5, clipped),
+        (1.0 - (points + saturated) / rows, 0.1, 0.5, missing),
+        (-points, -40, -20, f"only {points} points"),
         (-decades, -2.5, -1.5, span),
         ((high_eV - low_eV) / barrier_eV, 0.2, 0.5, width),
-        (e.relative_noise, 0.1, 0.3, unstable),
-        (e.jumps, 0, 1, jumps),
-        (abs(e.largest_jump), 0.3, 1.0, f"a tip jump of {e.largest_jump:.2g} nepers"),
-        (float(not e.reaches_floor), 0.5, np.inf, floor),
-        (abs(e.slope_change), 0.1, 0.3, bend),
-        (e.outliers, 0.05, 0.2, f"{100 * e.outliers:.2g} % of the points are outliers"),
+        (fit.relative_noise, 0.1, 0.3, unstable),
+        (len(fit.jumps), 0, 1, jumps),
+        (abs(largest_jump), 0.3, 1.0, f"a tip jump of {largest_jump:.2g} nepers"),
+        (float(ends_above_floor), 0.5, np.inf, floor),
+        (abs(bend_share), 0.1, 0.3, bend),
+        (outliers, 0.05, 0.2, f"{100 * outliers:.2g} % of the points are outliers"),
         (max(barrier_eV / 7.0, 0.05 / barrier_eV), 1.0, 2.0, implausible),
     )
     return tuple(

@@ -11,7 +11,7 @@ dither as instrument the estimate is consistent: S_yr / S_ur = G.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -22,11 +22,11 @@ from piezoid.identification.tunnelling.instrument_fit import (
     MISFIT,
     InstrumentFit,
     MIN_POLE_Hz,
-    ModeEstimate,
     bounds_of_logs,
     fit_with_instrument,
 )
-from piezoid.identification.tunnelling.loop_files import LoopRecord
+from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig
+from piezoid.identification.tunnelling.loop_noise import LoopNoise, measure_loop_noise
 from piezoid.identification.tunnelling.loop_spectra import (
     LoopSpectra,
     naive_gain,
@@ -45,76 +45,82 @@ _PASSES = 2  # with the recorded drive, then with the drive filtered by the fitt
 _UNKNOWN_OFFSET_A = 2e-12  # standard deviation: preamplifiers are nulled to a few picoamperes
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ClosedLoopFit(InstrumentFit):
-    """Plant and barrier identified from one record in closed loop.
+@dataclass(frozen=True, kw_only=True)
+class LoopSummary:
+    """Results of one closed-loop record.
 
-    label                  of the record
-    gain_interval          95 %, nepers per volt
-    sensor_pole_interval_Hz  95 %
-    delay_interval_s       95 %
-    decay_per_m            gain over the drive's extension per volt
-    barrier_eV             (k / 10.246 nm^-1)^2
-    barrier_interval_eV    95 %, the uncertainty of the extension per volt included
-    naive_gain             nepers per volt, median of |S_yu / S_uu| below a fiftieth of the rate
-    naive_reason           explanation of its error
-    dither_share           gamma^2 over all lines: share of the dither in the power of the drive
-    confidence, reasons    rating and its reasons
-    declared_pole_Hz       of the current sensor; None: not declared
+    recording     name
+    gain          nepers per volt, and its 95 % interval
+    barrier_eV    apparent, and its 95 % interval
+    naive_gain    of the transfer function S_yu / S_uu, for comparison only
+    naive_reason  explanation of its error
+    dither_share  share of the dither in the power of the drive
+    period_s      of the dither; None: not periodic
+    unrest        motion of the gap; None: the record is too short
     """
 
-    label: str
+    recording: str
+    gain: float
     gain_interval: Interval
-    sensor_pole_interval_Hz: Interval
-    delay_interval_s: Interval
-    decay_per_m: float
     barrier_eV: float
     barrier_interval_eV: Interval
     naive_gain: float
     naive_reason: str
     dither_share: float
-    confidence: Confidence
-    reasons: tuple[str, ...]
-    declared_pole_Hz: float | None = None
+    period_s: float | None
+    unrest: LoopNoise | None
 
     @property
     def naive_error(self) -> float:
         """Relative error of the naive gain."""
-        return self.naive_gain / self.plant.gain_nepers_per_V - 1.0
+        return self.naive_gain / self.gain - 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClosedLoopFit(InstrumentFit, LoopSummary):
+    """Plant and barrier identified from one record in closed loop.
+
+    sensor_pole_interval_Hz  95 %
+    delay_interval_s         95 %
+    confidence, reasons      rating and its reasons
+    declared_pole_Hz         of the current sensor; None: not declared
+    """
+
+    sensor_pole_interval_Hz: Interval
+    delay_interval_s: Interval
+    confidence: Confidence
+    reasons: tuple[str, ...]
+    declared_pole_Hz: float | None
+
+    @property
+    def summary(self) -> LoopSummary:
+        """The results as stored in a model."""
+        names = [field.name for field in fields(LoopSummary)]
+        return LoopSummary(**{name: getattr(self, name) for name in names})
 
 
 def identify_closed_loop(
     record: LoopRecord,
+    rig: LoopRig,
     *,
-    amplifier_pole_Hz: float,
-    drive_gain_m_per_V: float,
-    drive_gain_relative_uncertainty: float = 0.0,
-    sensor_pole_Hz: float | None = None,
     offset_A: tuple[float, float] | None = None,
-    known_mode: ModeEstimate | None = None,
 ) -> ClosedLoopFit:
     """Identify gain, sensor pole and delay of a junction under its controller, and the barrier.
 
         K = k g_z,   phi = (k / 10.246 nm^-1)^2 eV
 
-    record              with an external dither as reference
-    amplifier_pole_Hz   declared; the pole of the sensor is fitted in addition
-    sensor_pole_Hz      declared; None: estimated from the record. Declared poles have a tolerance
-                        of 10 %, which the intervals of delay and gain contain
-    offset_A            of the current and its standard deviation, from sweeps; None: zero within a
-                        few picoamperes. An unknown offset changes ln K by offset over set point
-    known_mode          mode of the drive, estimated from another record of the rig; None: searched
-                        for in this record
-    drive_gain_m_per_V  g_z, extension of the tip per volt at the converter
-    drive_gain_relative_uncertainty  standard uncertainty of g_z; the barrier has twice as much. 0:
-                        the interval takes the extension as exact
+    record      with an external dither as reference
+    rig         declared; its poles have a tolerance of 10 %, which the intervals of delay and gain
+                contain. A sensor's pole that is not declared is estimated from the record
+    offset_A    of the current and its standard deviation, from sweeps; None: zero within a few
+                picoamperes. An unknown offset changes ln K by offset over set point
 
     Intervals follow from the scatter over periods or blocks with Student's t. The naive estimate
     is the transfer function S_yu / S_uu of the same record, for comparison.
     """
     value_A, standard_A = offset_A or (0.0, _UNKNOWN_OFFSET_A)
-    record = replace(record, current_A=record.current_A - value_A)
-    rate_Hz = record.sampling_rate_Hz
+    recorded, record = record, replace(record, current_A=record.current_A - value_A)
+    rate_Hz, is_declared = record.sampling_rate_Hz, rig.bandwidth_Hz is not None
     through = None
     for _ in range(_PASSES):
         spectra = spectra_of_dither(record, highest_Hz=_HIGHEST_SHARE * rate_Hz, through=through)
@@ -122,9 +128,8 @@ def identify_closed_loop(
             _reject_falling_current(spectra, record)
         fit = fit_with_instrument(
             spectra,
-            amplifier_pole_Hz=amplifier_pole_Hz,
-            sensor_pole_Hz=sensor_pole_Hz,
-            known_mode=known_mode,
+            amplifier_pole_Hz=rig.amplifier_pole_Hz,
+            sensor_pole_Hz=rig.bandwidth_Hz,
             sampling_rate_Hz=rate_Hz,
         )
         through = fit.plant
@@ -137,36 +142,45 @@ def identify_closed_loop(
     naive, share = naive_gain(
         record, highest_Hz=_HIGHEST_SHARE * rate_Hz, flat_Hz=_FLAT_SHARE * rate_Hz
     )
-    low, high = _intervals(fit, spectra.blocks, declared=sensor_pole_Hz is not None)
-    decay = fit.plant.gain_nepers_per_V / drive_gain_m_per_V
-    half_gain = float(high[0] - fit.logs[0])
-    half = math.hypot(half_gain, 1.96 * drive_gain_relative_uncertainty)
-    confidence, reasons = _confidence(fit, half_gain, declared=sensor_pole_Hz is not None)
-    naive_error = 100.0 * (naive / fit.plant.gain_nepers_per_V - 1.0)
+    low, high = _intervals(fit, spectra.blocks, declared=is_declared)
+    gain, half_gain = fit.plant.gain_nepers_per_V, float(high[0] - fit.logs[0])
+    barrier_eV, barrier_interval_eV = barrier_of_gain(gain, half_gain, rig)
+    confidence, reasons = _confidence(fit, half_gain, declared=is_declared)
     return ClosedLoopFit(
         **vars(fit),
-        label=record.label,
+        recording=record.label,
+        gain=gain,
         gain_interval=(math.exp(low[0]), math.exp(high[0])),
-        sensor_pole_interval_Hz=pole_interval(low[1], high[1], rate_Hz, sensor_pole_Hz),
+        sensor_pole_interval_Hz=pole_interval(low[1], high[1], rate_Hz, rig.bandwidth_Hz),
         delay_interval_s=(max(float(low[2]), 0.0) / rate_Hz, float(high[2]) / rate_Hz),
-        decay_per_m=decay,
-        barrier_eV=barrier_of_decay(decay),
-        barrier_interval_eV=(
-            barrier_of_decay(decay * math.exp(-half)),
-            barrier_of_decay(decay * math.exp(half)),
-        ),
+        barrier_eV=barrier_eV,
+        barrier_interval_eV=barrier_interval_eV,
         naive_gain=naive,
         naive_reason=(
             f"{100.0 * share:.0f} % of the power of the drive is dither; the rest is converter "
             "steps and the response of the controller to noise, which adds minus the "
             "controller's inverse to the naive transfer function: at low frequency the gain is "
-            f"off by {naive_error:+.0f} %"
+            f"off by {100.0 * (naive / gain - 1.0):+.0f} %"
         ),
         dither_share=share,
+        period_s=record.period_s,
+        unrest=measure_loop_noise(recorded, fit.plant, rig),
         confidence=confidence,
         reasons=reasons,
-        declared_pole_Hz=sensor_pole_Hz,
+        declared_pole_Hz=rig.bandwidth_Hz,
     )
+
+
+def barrier_of_gain(gain: float, half_gain: float, rig: LoopRig) -> tuple[float, Interval]:
+    """Return the barrier of a gain in nepers per volt, and its 95 % interval, eV.
+
+    half_gain  half the relative width of the interval of the gain; the barrier's also contains the
+               uncertainty of the extension per volt
+    """
+    decay = gain / rig.drive_gain_m_per_V
+    half = math.hypot(half_gain, 1.96 * rig.extension_uncertainty)
+    low_eV, high_eV = (barrier_of_decay(decay * math.exp(end)) for end in (-half, half))
+    return barrier_of_decay(decay), (low_eV, high_eV)
 
 
 def _reject_falling_current(spectra: LoopSpectra, record: LoopRecord) -> None:
@@ -232,8 +246,8 @@ def _confidence(
         reasons.append((Confidence.MEDIUM, text))
     if fit.mode is not None:
         text = (
-            f"the drive shows a mode at {1e-3 * fit.mode.mode.frequency_Hz:.3g} kHz that carries "
-            f"{100.0 * fit.mode.mode.share:.2g} % of the extension; the loop stays well below it"
+            f"the drive shows a mode at {1e-3 * fit.mode.frequency_Hz:.3g} kHz that carries "
+            f"{100.0 * fit.mode.share:.2g} % of the extension; the loop stays well below it"
         )
         reasons.append((Confidence.MEDIUM, text))
     pole_Hz = fit.plant.sensor_pole_Hz

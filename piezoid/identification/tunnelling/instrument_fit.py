@@ -52,20 +52,6 @@ _PLANT, _WITH_TAIL = 3, 4  # number of parameters of the plant, and with the tai
 _LN_POLE, _TAIL = 1, 3  # their indices
 
 
-@dataclass(frozen=True, kw_only=True)
-class ModeEstimate:
-    """Mode of the drive, estimated from one record.
-
-    mode        estimate
-    parameters  ln(frequency / sampling rate), ln quality, share
-    deviations  standard deviations of ``parameters``
-    """
-
-    mode: DriveMode
-    parameters: tuple[float, ...]
-    deviations: tuple[float, ...]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InstrumentFit:
     """Plant between drive and log current, with its uncertainty.
@@ -83,7 +69,7 @@ class InstrumentFit:
     covariance: Array
     common: Array
     misfit: float
-    mode: ModeEstimate | None
+    mode: DriveMode | None
 
     def __post_init__(self) -> None:
         freeze(self, "logs")
@@ -95,15 +81,12 @@ def fit_with_instrument(
     *,
     amplifier_pole_Hz: float,
     sensor_pole_Hz: float | None = None,
-    known_mode: ModeEstimate | None = None,
     sampling_rate_Hz: float,
 ) -> InstrumentFit:
     """Fit the plant by instrumental variables, with the reference as instrument.
 
     spectra         of the loop
     sensor_pole_Hz  declared, within 10 %; None: estimated from the record
-    known_mode      mode of the drive from another record of the rig, used as a prior with its
-                    standard deviations; None: estimated
 
     Moments are weighted by their variance over blocks. The parameters are logarithms of gain and
     pole, which keep both positive. Several starts of the delay are tried, because the phase is
@@ -113,22 +96,20 @@ def fit_with_instrument(
         spectra=spectra,
         amplifier_pole_Hz=amplifier_pole_Hz,
         declared_pole_Hz=sensor_pole_Hz,
-        known_mode=known_mode,
         sampling_rate_Hz=sampling_rate_Hz,
     )
     drive = np.where(np.abs(problem.drive) > 0.0, problem.drive, 1e-300)
     response = problem.output / drive * problem.filter_response  # S_yz / S_uz
     gain = float(np.median(np.abs(response[: max(len(response) // 4, 1)])))
     poles_Hz = (0.1 * sampling_rate_Hz, 0.4 * sampling_rate_Hz)
-    tail_or_mode = [0.0] if known_mode is None else list(known_mode.parameters)
     starts = [
-        np.array([math.log(max(gain, 1e-12)), math.log(pole_Hz), delay, *tail_or_mode])
+        np.array([math.log(max(gain, 1e-12)), math.log(pole_Hz), delay, 0.0])
         for pole_Hz in (poles_Hz if sensor_pole_Hz is None else (sensor_pole_Hz,))
         for delay in (0.2, 1.0, 2.0)
     ]
     logs, cost, deviation = problem.settle(starts, problem.deviation(response))
     freedom = problem.freedom(_WITH_TAIL)
-    if known_mode is None and cost > freedom + 2.0 * math.sqrt(2.0 * freedom):
+    if cost > freedom + 2.0 * math.sqrt(2.0 * freedom):
         starts_with_mode = [
             np.append(logs[:_PLANT], [math.log(frequency), math.log(10.0), share])
             for frequency in _MODE_STARTS
@@ -139,20 +120,13 @@ def fit_with_instrument(
             logs, cost, deviation = with_mode
     misfit = cost / problem.freedom(len(logs))
     covariance, common = problem.covariance(logs, deviation, max(misfit, 1.0))
-    mode = None
-    if (drive_mode := problem.mode(logs)) is not None:
-        mode = ModeEstimate(
-            mode=drive_mode,
-            parameters=tuple(logs[_PLANT:].tolist()),
-            deviations=tuple(np.sqrt(np.diag(covariance))[_PLANT:].tolist()),
-        )
     return InstrumentFit(
         plant=problem.plant(logs),
         logs=logs[:_PLANT],
         covariance=covariance[:_PLANT, :_PLANT],
         common=common[:_PLANT, :_PLANT],
         misfit=misfit,
-        mode=mode,
+        mode=problem.mode(logs),
     )
 
 
@@ -175,7 +149,6 @@ class _Moments:
     spectra: LoopSpectra
     amplifier_pole_Hz: float
     declared_pole_Hz: float | None
-    known_mode: ModeEstimate | None
     sampling_rate_Hz: float
 
     @cached_property
@@ -279,9 +252,6 @@ class _Moments:
         facts = [(_TAIL, 0.0, _TAIL_SPREAD)] if parameters == _WITH_TAIL else []
         if self.declared_pole_Hz is not None:
             facts.append((_LN_POLE, math.log(self.declared_pole_Hz), POLE_SPREAD))
-        if self.known_mode is not None:
-            of_mode = zip(self.known_mode.parameters, self.known_mode.deviations, strict=True)
-            facts += [(_PLANT + number, *fact) for number, fact in enumerate(of_mode)]
         rows = np.zeros((len(facts), parameters))
         for row, (number, _, spread) in zip(rows, facts, strict=True):
             row[number] = 1.0 / spread

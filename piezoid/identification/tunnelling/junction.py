@@ -20,17 +20,10 @@ from piezoid.identification.tunnelling.approach import (
 )
 from piezoid.identification.tunnelling.barrier_fit import GapLaw, fit_barrier
 from piezoid.identification.tunnelling.closed_loop import (
-    ClosedLoopFit,
     identify_closed_loop,
 )
-from piezoid.identification.tunnelling.instrument_fit import ModeEstimate
-from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, loops_of
-from piezoid.identification.tunnelling.loop_model import (
-    LoopPlant,
-    LoopSummary,
-    describe_loop_plant,
-)
-from piezoid.identification.tunnelling.loop_noise import measure_loop_noise
+from piezoid.identification.tunnelling.loop_files import is_loop, loops_of
+from piezoid.identification.tunnelling.loop_model import LoopPlant, describe_loop_plant
 from piezoid.identification.tunnelling.sweep_pairs import (
     DirectionShift,
     common_law,
@@ -127,10 +120,6 @@ class TunnellingModel:
     shift: DirectionShift | None = None
     joint: JointBarrier | None = None
 
-    def __post_init__(self) -> None:
-        if self.gap_law is None and self.loop_plant is None:
-            raise ValueError("a TunnellingModel needs a gap law or a loop plant")
-
 
 def fit_junction(
     sweeps: Sequence[RawTable], recordings: Sequence[Recording] = (), lab: Lab | None = None
@@ -166,7 +155,9 @@ def fit_junction(
         return model
     if gap_law is not None:
         offset = (gap_law.offset_A, gap_law.offset_standard_A)
-    loop = fit_loops(*loops_of(recordings, lab or Lab()), offset)
+    rig, records = loops_of(recordings, lab or Lab())
+    fits_of_loops = [identify_closed_loop(record, rig, offset_A=offset) for record in records]
+    loop = describe_loop_plant(fits_of_loops, rig)
     if model is None or gap_law is None:
         return TunnellingModel(gap_law=None, loop_plant=loop)
     low_eV, high_eV = loop.barrier_interval_eV
@@ -183,50 +174,6 @@ def fit_junction(
 def curves_of(sweeps: Sequence[RawTable]) -> tuple[ApproachCurve, ...]:
     """Return all sweeps of all tables, in their order."""
     return tuple(curve for table in sweeps for curve in read_z_spectroscopy(table))
-
-
-def fit_loops(
-    rig: LoopRig, loops: Sequence[LoopRecord], offset: tuple[float, float] | None = None
-) -> LoopPlant:
-    """Identify the plant of every closed-loop record, their mean, and their family.
-
-    offset  of the current and its standard deviation, from sweeps, A; None: unknown
-    """
-
-    def identify(loop: LoopRecord, mode: ModeEstimate | None) -> ClosedLoopFit:
-        return identify_closed_loop(
-            loop,
-            amplifier_pole_Hz=rig.amplifier_pole_Hz,
-            drive_gain_m_per_V=rig.drive_gain_m_per_V,
-            drive_gain_relative_uncertainty=rig.extension_uncertainty,
-            sensor_pole_Hz=rig.bandwidth_Hz,
-            offset_A=offset,
-            known_mode=mode,
-        )
-
-    fits = [identify(loop, None) for loop in loops]
-    mode = next((fit.mode for fit in fits if fit.mode is not None), None)
-    if mode is not None:  # the drive has it in every record, also if noise hides it
-        fits = [
-            identify(loop, mode) if fit.mode is None else fit
-            for loop, fit in zip(loops, fits, strict=True)
-        ]
-    records = [
-        LoopSummary(
-            recording=fit.label,
-            gain=fit.plant.gain_nepers_per_V,
-            gain_interval=fit.gain_interval,
-            barrier_eV=fit.barrier_eV,
-            barrier_interval_eV=fit.barrier_interval_eV,
-            naive_gain=fit.naive_gain,
-            naive_reason=fit.naive_reason,
-            dither_share=fit.dither_share,
-            period_s=loop.period_s,
-            unrest=measure_loop_noise(loop, fit.plant, rig),
-        )
-        for fit, loop in zip(fits, loops, strict=True)
-    ]
-    return describe_loop_plant(fits, rig, records)
 
 
 def remarks_on_currents(recordings: Sequence[Recording]) -> tuple[str, ...]:

@@ -10,45 +10,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit, pole_interval
+from piezoid.identification.tunnelling.closed_loop import (
+    ClosedLoopFit,
+    LoopSummary,
+    barrier_of_gain,
+    pole_interval,
+)
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.instrument_fit import bounds_of_logs
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRig
-from piezoid.identification.tunnelling.loop_noise import LoopNoise
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import NORMAL_95, student_quantile
-from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 
 _GRADES = (Confidence.LOW, Confidence.MEDIUM, Confidence.HIGH)
 _MIN_RECORDS = 3  # to estimate the spread between records
-
-
-@dataclass(frozen=True, kw_only=True)
-class LoopSummary:
-    """Results of one closed-loop record.
-
-    recording     name
-    gain          nepers per volt, and its 95 % interval
-    barrier_eV    apparent, and its 95 % interval
-    naive_gain    of the transfer function S_yu / S_uu, for comparison only
-    naive_reason  explanation of its error
-    dither_share  share of the dither in the power of the drive
-    period_s      of the dither; None: not periodic
-    unrest        motion of the gap; None: the record is too short
-    """
-
-    recording: str
-    gain: float
-    gain_interval: Interval
-    barrier_eV: float
-    barrier_interval_eV: Interval
-    naive_gain: float
-    naive_reason: str
-    dither_share: float
-    period_s: float | None
-    unrest: LoopNoise | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,9 +66,7 @@ class LoopPlant:
     modes: tuple[DriveMode, ...] = ()
 
 
-def describe_loop_plant(
-    fits: Sequence[ClosedLoopFit], rig: LoopRig, records: Sequence[LoopSummary] = ()
-) -> LoopPlant:
+def describe_loop_plant(fits: Sequence[ClosedLoopFit], rig: LoopRig) -> LoopPlant:
     """Combine the fits of the records of one tip into its plant and the family around it.
 
     The intervals are those of a single record, or follow from the scatter of several records.
@@ -109,32 +84,29 @@ def describe_loop_plant(
         if not math.isfinite(pole_Hz[1]):  # the pole may then be part of the delay
             longest_s = max(longest_s, *(fit.delay_interval_s[1] for fit in fits))
         delay_s = (max(float(low[2]), 0.0) / rate_Hz, longest_s)
-    decay = family[0].gain_nepers_per_V / rig.drive_gain_m_per_V
-    half = math.hypot(0.5 * math.log(gain[1] / gain[0]), 1.96 * rig.extension_uncertainty)
+    half_gain = 0.5 * math.log(gain[1] / gain[0])
+    barrier_eV, interval_eV = barrier_of_gain(family[0].gain_nepers_per_V, half_gain, rig)
     return LoopPlant(
         plant=family[0],
         gain_interval=gain,
         sensor_pole_interval_Hz=pole_Hz,
         delay_interval_s=delay_s,
-        barrier_eV=barrier_of_decay(decay),
-        barrier_interval_eV=(
-            barrier_of_decay(decay * math.exp(-half)),
-            barrier_of_decay(decay * math.exp(half)),
-        ),
+        barrier_eV=barrier_eV,
+        barrier_interval_eV=interval_eV,
         naive_gain=math.exp(sum(math.log(fit.naive_gain) for fit in fits) / len(fits)),
         naive_reason=max(fits, key=lambda fit: abs(fit.naive_error)).naive_reason,
         family=family,
         family_records=len(fits),
         confidence=min((fit.confidence for fit in fits), key=_GRADES.index),
         reasons=tuple(
-            reason if len(fits) == 1 else f"{fit.label}: {reason}"
+            reason if len(fits) == 1 else f"{fit.recording}: {reason}"
             for fit in fits
             for reason in fit.reasons
         ),
         axis=rig.axis,
         rig=rig,
-        records=tuple(records),
-        modes=tuple(fit.mode.mode for fit in fits if fit.mode is not None),
+        records=tuple(fit.summary for fit in fits),
+        modes=tuple(fit.mode for fit in fits if fit.mode is not None),
     )
 
 

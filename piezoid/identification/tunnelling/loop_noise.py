@@ -30,34 +30,33 @@ _TEMPERATURE_K = 293.0  # of the feedback resistor
 
 @dataclass(frozen=True, kw_only=True)
 class CurrentChain:
-    """Properties of the current amplifier and converter; None: unknown.
+    """Properties of the current amplifier and converter.
 
     bandwidth_Hz   of one reading: 1 / (2 integration time) for an averaged one
-    feedback_ohm   resistor of the transimpedance stage
-    adc_step_A     one step of the converter, in current
+    feedback_ohm   resistor of the transimpedance stage; None: unknown
+    adc_step_A     one step of the converter, in current; 0: unknown
     """
 
-    bandwidth_Hz: float | None = None
+    bandwidth_Hz: float
     feedback_ohm: float | None = None
-    adc_step_A: float | None = None
+    adc_step_A: float = 0.0
 
     @property
     def johnson_A(self) -> float:
-        """Rms Johnson noise of one reading, sqrt(4 k T B / R); 0 if not declared."""
-        if self.bandwidth_Hz is None or self.feedback_ohm is None:
+        """Rms Johnson noise of one reading, sqrt(4 k T B / R); 0 without a declared resistor."""
+        if self.feedback_ohm is None:
             return 0.0
         power = 4.0 * BOLTZMANN_J_PER_K * _TEMPERATURE_K * self.bandwidth_Hz
         return math.sqrt(power / self.feedback_ohm)
 
     @property
     def quantisation_A(self) -> float:
-        """Rms of one converter step, step / sqrt(12); 0 if unknown."""
-        return 0.0 if self.adc_step_A is None else self.adc_step_A / math.sqrt(12.0)
+        """Rms of one converter step, step / sqrt(12)."""
+        return self.adc_step_A / math.sqrt(12.0)
 
     def shot_A(self, current_A: float) -> float:
-        """Return the rms shot noise of one reading, sqrt(2 e |i| B); 0 if B is unknown."""
-        bandwidth_Hz = self.bandwidth_Hz or 0.0
-        return math.sqrt(2.0 * ELEMENTARY_CHARGE_C * abs(current_A) * bandwidth_Hz)
+        """Return the rms shot noise of one reading, sqrt(2 e |i| B)."""
+        return math.sqrt(2.0 * ELEMENTARY_CHARGE_C * abs(current_A) * self.bandwidth_Hz)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,8 +136,7 @@ def measure_loop_noise(record: LoopRecord, plant: JunctionPlant, rig: LoopRig) -
     half = float(student_quantile(0.975, len(rates) - 1) * standard)
     level_m = np.asarray(detrend(motion_m))  # drift would leak to all frequencies
     frequency_Hz, density = power_density(level_m, rate_Hz)
-    bandwidth_Hz = float(chain.bandwidth_Hz or 0.0)
-    in_band = density[frequency_Hz <= bandwidth_Hz]
+    in_band = density[frequency_Hz <= chain.bandwidth_Hz]
     gap_rms_m = math.sqrt(float(np.sum(in_band)) * float(frequency_Hz[1]))
     sources = budget_resolution(
         set_point_A=record.set_point_A,
@@ -153,7 +151,7 @@ def measure_loop_noise(record: LoopRecord, plant: JunctionPlant, rig: LoopRig) -
         drift_m_per_s=drift,
         drift_interval_m_per_s=(drift - half, drift + half),
         mains=_mains_lines(level_m, rate_Hz),
-        bandwidth_Hz=bandwidth_Hz,
+        bandwidth_Hz=chain.bandwidth_Hz,
         gap_rms_m=gap_rms_m,
         sources=sources,
         limiting_source=max(sources, key=lambda source: source.rms_m).name,
@@ -183,7 +181,7 @@ def budget_resolution(
     volt. The last source, the gap, is the measured motion minus the noise of the current sensor.
     """
     per_ampere = 1.0 / (decay_per_m * abs(set_point_A))
-    in_band = min(2.0 * (chain.bandwidth_Hz or 0.0) / sampling_rate_Hz, 1.0)
+    in_band = min(2.0 * chain.bandwidth_Hz / sampling_rate_Hz, 1.0)
     electronics = (
         NoiseSource(name="shot", rms_m=chain.shot_A(set_point_A) * per_ampere),
         NoiseSource(name="johnson", rms_m=chain.johnson_A * per_ampere),

@@ -83,12 +83,12 @@ def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionSh
     covariances by the delta method, for independent directions.
     """
     fits = (forward, backward)
-    peak_A = min(fit.evidence.peak_A for fit in fits)
+    peak_A = min(fit.peak_A for fit in fits)
     floor_A = 3.0 * max(fit.floor_A for fit in fits)
     if peak_A <= floor_A:
         raise ExcitationError(
-            f"{forward.labels[0]}, {backward.labels[0]}: at most {peak_A:.3g} A over a noise of "
-            f"{floor_A / 3.0:.3g} A",
+            f"{forward.curves[0].label}, {backward.curves[0].label}: at most {peak_A:.3g} A over "
+            f"a noise of {floor_A / 3.0:.3g} A",
             needed="in both directions a current above three times the noise",
             remedy="Approach closer, or average longer.",
         )
@@ -150,7 +150,7 @@ def common_law(curves: Sequence[ApproachCurve], fits: Mapping[Direction, Barrier
     estimates = [_estimate(group) for group in (*pairs.values(), *singles)]
     decay, interval = _combine(estimates)
     laws = tuple(fits.values())
-    peak_A = min(fit.evidence.peak_A for fit in laws)
+    peak_A = min(fit.peak_A for fit in laws)
     # All directions reach that current; the mean of its heights is corrected for drift.
     height_m = np.mean(
         [math.log(law.current_at_zero_height_A / peak_A) / law.decay_per_m for law in laws]
@@ -194,7 +194,7 @@ def _estimate(curves: Sequence[ApproachCurve]) -> DecayEstimate:
         # range above the floor, estimates of decay and shift are independent.
         lowest_m = min(float(curve.height_m.min()) for curve in curves)
         turn_m = max(float(curve.height_m.max()) for curve in curves)
-        ratio = first.evidence.peak_A / (CLEAR_OF_FLOOR * first.floor_A)
+        ratio = first.peak_A / (CLEAR_OF_FLOOR * first.floor_A)
         middle_m = lowest_m + 0.5 * math.log(max(ratio, 1.0)) / first.decay_per_m
         below_turn_m = turn_m - min(middle_m, 0.5 * (lowest_m + turn_m))
         log_ratio = math.log(first.current_at_zero_height_A / second.current_at_zero_height_A)
@@ -254,7 +254,7 @@ def _reasons(
     Reasons common to all directions are listed once.
     """
     by_direction = {
-        direction: barrier_reasons(fit.evidence, decay_per_m, interval_per_m)
+        direction: barrier_reasons(fit.weighted, fit.curves, decay_per_m, interval_per_m)
         for direction, fit in fits.items()
     }
     shared = set.intersection(*(set(reasons) for reasons in by_direction.values()))

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit, identify_closed_loop
-from piezoid.identification.tunnelling.loop_files import LoopRecord
+from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig
 from piezoid_datasets.virtual_lab.junction import Junction, multisine, simulate_junctions
 
 PERIOD_SAMPLES = 2000
@@ -62,13 +62,16 @@ def loop_records(
     seed: int,
     rms: float = 0.15,
     periodic: bool = True,
+    in_drive: bool = False,
 ) -> tuple[LoopRecord, ...]:
-    """Records under one dither; without a period it is held noise."""
+    """Records under one dither, in nepers or (``in_drive``) in volts; without a period: noise."""
     rng = np.random.default_rng(seed)
     if periodic:
         dither = multisine(PERIOD_SAMPLES, periods, lines=LINES, rms=rms, rng=rng)
     else:
         dither = rms * rng.standard_normal(PERIOD_SAMPLES * periods)
+    none = np.zeros_like(dither)
+    nepers, volts = (none, dither) if in_drive else (dither, none)
     seeds = range(seed, seed + len(junctions))
     return tuple(
         LoopRecord(
@@ -76,21 +79,34 @@ def loop_records(
             sampling_rate_Hz=record.sampling_rate_Hz,
             set_point_A=record.set_point_A,
             floor_A=1e-12,
-            reference=record.reference_nepers,
+            reference=dither,
             drive_V=record.drive_V,
             current_A=record.current_A,
             period_samples=PERIOD_SAMPLES if periodic else None,
         )
         for n, record in enumerate(
-            simulate_junctions(junctions, reference_nepers=dither, seeds=seeds)
+            simulate_junctions(
+                junctions, reference_nepers=nepers, drive_dither_V=volts, seeds=seeds
+            )
         )
     )
 
 
-def identified(record: LoopRecord, junction: Junction) -> ClosedLoopFit:
-    """The fit of one record from what a laboratory declares."""
-    return identify_closed_loop(
-        record,
+def rig_of(junction: Junction, **changed: float | None) -> LoopRig:
+    """What a laboratory declares: no pole of the sensor, unless it is changed."""
+    rig = LoopRig(
+        axis="z",
+        set_point_A=1e-9,
+        floor_A=1e-12,
         amplifier_pole_Hz=junction.amplifier_pole_Hz,
         drive_gain_m_per_V=junction.drive_gain_m_per_V,
+        bandwidth_Hz=None,
+        feedback_ohm=None,
+        extension_uncertainty=0.0,
     )
+    return replace(rig, **changed)  # type: ignore[arg-type]
+
+
+def identified(record: LoopRecord, junction: Junction, **changed: float | None) -> ClosedLoopFit:
+    """The fit of one record from what a laboratory declares."""
+    return identify_closed_loop(record, rig_of(junction, **changed))

@@ -64,3 +64,16 @@ def real_sweep(table: RawTable, number: str, direction: Direction) -> ApproachCu
         direction=direction,
         label=f"Current [{number}]{way}",
     )
+
+
+def changed(
+    curve: ApproachCurve, current_A: Array | None = None, *, height_sign: float = 1.0
+) -> ApproachCurve:
+    """The sweep read again with another current, or with its height of the other sign."""
+    return read_approach(
+        height_sign * curve.height_m,
+        curve.current_A if current_A is None else current_A,
+        bias_V=curve.bias_V,
+        direction=curve.direction,
+        label="changed",
+    )

@@ -1,7 +1,9 @@
 """Plant and barrier are found behind a controller, where the plain transfer function is wrong."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,25 +18,26 @@ from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.identification.tunnelling.loop_model import mean_of, spread_family
 from piezoid.identification.tunnelling.loop_spectra import LoopSpectra, spectra_of_dither
 from piezoid.operators.linear import ContinuousSystem, sample
-from piezoid_datasets.virtual_lab.junction import Junction, multisine, simulate_junctions
+from piezoid_datasets.virtual_lab.junction import Junction
 from tests.identification.tunnelling.loops import (
     ATTENUATED_DRIVE,
     BARRIERS,
     FAST_SENSOR,
-    LINES,
     NOISELESS_JUNCTION,
     PERIOD_SAMPLES,
     SLOW_SENSOR,
     identified,
     loop_records,
     record_of,
+    rig_of,
 )
 
 
 def test_barriers_within_five_percent_and_intervals_that_hold() -> None:
-    """Twenty records of four seconds; the benchmark does fifty of eight."""
-    barriers_eV = np.array([junction.barrier_eV for junction in BARRIERS])
-    fits = [identified(record_of(junction), junction) for junction in BARRIERS]
+    """Twelve records of four seconds; the benchmark does fifty of eight."""
+    junctions = [junction for n, junction in enumerate(BARRIERS) if n % 5 < 3]
+    barriers_eV = np.array([junction.barrier_eV for junction in junctions])
+    fits = [identified(record_of(junction), junction) for junction in junctions]
     error = np.array([fit.barrier_eV for fit in fits]) / barriers_eV - 1.0
     held = [
         fit.barrier_interval_eV[0] < truth < fit.barrier_interval_eV[1]
@@ -42,7 +45,7 @@ def test_barriers_within_five_percent_and_intervals_that_hold() -> None:
     ]
     assert np.median(np.abs(error)) < 0.025
     assert np.max(np.abs(error)) < 0.08  # four standard deviations of the longest interval
-    assert sum(held) >= 17  # 19 expected, two standard deviations are 2
+    assert sum(held) >= 10  # 11.4 expected, two standard deviations are 1.5
     naive = np.array([abs(fit.naive_error) for fit in fits])
     assert np.median(naive) > 0.15
     assert np.median(naive) > 5.0 * np.median(np.abs(error))
@@ -97,36 +100,20 @@ def test_the_naive_error_does_not_fall_with_a_longer_record() -> None:
     assert np.ptp(long.gain_interval) < np.ptp(short.gain_interval)
 
 
-def test_a_dither_without_a_period_serves_as_instrument_too() -> None:
-    record = loop_records([ATTENUATED_DRIVE], periods=21, seed=9, periodic=False)[0]
+@pytest.mark.parametrize(
+    ("dither", "rel"),
+    [
+        ({"seed": 9, "periodic": False}, 0.12),
+        ({"seed": 41, "in_drive": True, "rms": 3e-12 / 18e-9}, 0.05),  # three picometres of tip
+    ],
+)
+def test_a_dither_without_a_period_or_added_to_the_drive_serves_as_instrument_too(
+    dither: dict[str, Any], rel: float
+) -> None:
+    (record,) = loop_records([ATTENUATED_DRIVE], periods=21, **dither)
     fit = identified(record, ATTENUATED_DRIVE)
-    truth = ATTENUATED_DRIVE.decay_per_m * ATTENUATED_DRIVE.drive_gain_m_per_V
-    assert fit.gain_interval[0] < truth < fit.gain_interval[1]
-    assert fit.plant.gain_nepers_per_V == pytest.approx(truth, rel=0.06)
-
-
-def test_a_dither_added_to_the_drive_serves_as_instrument_too() -> None:
-    """Three picometres of tip, recorded in volts."""
-    junction = ATTENUATED_DRIVE
-    dither_V = multisine(
-        PERIOD_SAMPLES, 21, lines=LINES, rms=3e-12 / 18e-9, rng=np.random.default_rng(41)
-    )
-    (record,) = simulate_junctions(
-        [junction], reference_nepers=np.zeros_like(dither_V), drive_dither_V=dither_V, seeds=[42]
-    )
-    loop = LoopRecord(
-        label="dithered drive",
-        sampling_rate_Hz=record.sampling_rate_Hz,
-        set_point_A=record.set_point_A,
-        floor_A=1e-12,
-        reference=dither_V,
-        drive_V=record.drive_V,
-        current_A=record.current_A,
-        period_samples=PERIOD_SAMPLES,
-    )
-    fit = identified(loop, junction)
-    assert fit.barrier_interval_eV[0] < junction.barrier_eV < fit.barrier_interval_eV[1]
-    assert fit.barrier_eV == pytest.approx(junction.barrier_eV, rel=0.05)
+    assert fit.barrier_interval_eV[0] < ATTENUATED_DRIVE.barrier_eV < fit.barrier_interval_eV[1]
+    assert fit.barrier_eV == pytest.approx(ATTENUATED_DRIVE.barrier_eV, rel=rel)
 
 
 def test_a_weak_dither_gives_a_wide_interval_and_says_so() -> None:
@@ -136,98 +123,75 @@ def test_a_weak_dither_gives_a_wide_interval_and_says_so() -> None:
     assert any("95 % interval" in reason for reason in fit.reasons)
 
 
-def test_lines_on_the_mains_are_left_out() -> None:
-    record = loop_records([Junction()], periods=10, seed=13, periodic=False)[0]
-    periodic = _changed(record, period_samples=2000)
-    frequency_Hz = spectra_of_dither(periodic, highest_Hz=8000.0).frequency_Hz
-    assert not np.isin([50.0, 60.0, 100.0, 120.0, 150.0], frequency_Hz).any()
-    assert np.isin([40.0, 70.0, 110.0, 1000.0], frequency_Hz).all()
-
-
-def test_the_slowest_line_of_a_dither_is_used_however_slow() -> None:
-    record = record_of(Junction(), 10)
-    slow = _changed(record, sampling_rate_Hz=2.0)
-    found_Hz = spectra_of_dither(slow, highest_Hz=0.9).frequency_Hz
-    np.testing.assert_allclose(found_Hz, np.array(LINES) * 2.0 / PERIOD_SAMPLES)
-
-
-def test_the_unit_of_the_dither_does_not_matter() -> None:
-    junction = Junction()
-    record = record_of(junction, 12)
-    scaled = _changed(record, reference=1e-3 * record.reference)
-    one, other = (identified(r, junction).plant.gain_nepers_per_V for r in (record, scaled))
+@pytest.mark.parametrize(("polarity", "unit"), [(-1.0, 1.0), (1.0, 1e-3)])
+def test_neither_the_sign_of_the_current_nor_the_unit_of_the_dither_matters(
+    polarity: float, unit: float
+) -> None:
+    record = record_of(Junction(), 12)
+    changed = replace(
+        record,
+        current_A=polarity * record.current_A,
+        set_point_A=polarity * record.set_point_A,
+        reference=unit * record.reference,
+    )
+    one, other = (identified(r, Junction()).plant.gain_nepers_per_V for r in (record, changed))
     assert one == pytest.approx(other, rel=1e-6)
 
 
-def test_negative_currents_give_the_same_plant() -> None:
-    junction = Junction()
-    record = record_of(junction, 12)
-    mirrored = _changed(record, current_A=-record.current_A, set_point_A=-record.set_point_A)
-    one, other = (identified(r, junction).plant for r in (record, mirrored))
-    assert one == other
+@pytest.mark.parametrize("is_periodic", [True, False])
+def test_all_lines_but_those_of_the_mains_are_used_however_slow(is_periodic: bool) -> None:
+    record = loop_records([Junction()], periods=10, seed=13, periodic=False)[0]
+    if is_periodic:
+        record = replace(record, period_samples=PERIOD_SAMPLES)
+    frequency_Hz = spectra_of_dither(record, highest_Hz=8000.0).frequency_Hz
+    spacing_Hz = record.sampling_rate_Hz / (PERIOD_SAMPLES if is_periodic else 512)
+    for harmonic_Hz in (50.0, 60.0, 100.0, 120.0, 150.0):
+        assert np.abs(frequency_Hz - harmonic_Hz).min() > 0.5 * spacing_Hz - 1e-9
+    slow = replace(record, sampling_rate_Hz=2.0)
+    slow_Hz = spectra_of_dither(slow, highest_Hz=0.9).frequency_Hz
+    assert slow_Hz[0] == pytest.approx(spacing_Hz * 2.0 / record.sampling_rate_Hz)
 
 
-def test_a_record_without_dither_is_refused() -> None:
-    record = record_of(Junction(), 10)
-    still = _changed(record, reference=np.zeros(record.samples))
-    with pytest.raises(ExcitationError, match="does not move"):
-        identified(still, Junction())
-
-
-def test_too_few_periods_are_refused() -> None:
-    record = record_of(Junction(), 5)
-    with pytest.raises(ExcitationError, match="4 whole periods"):
-        identified(record, Junction())
-
-
-def test_a_set_point_of_the_wrong_sign_is_refused() -> None:
-    record = record_of(Junction(), 5)
-    with pytest.raises(ExcitationError, match="10000 of 10000 currents"):
-        _changed(record, set_point_A=-1e-9)
+@pytest.mark.parametrize(
+    ("periods", "change", "message"),
+    [
+        (10, lambda r: {"reference": 0.0 * r.reference}, "does not move"),
+        (5, lambda _: {}, "4 whole periods"),
+        (5, lambda r: {"set_point_A": -r.set_point_A}, "10000 of 10000 currents"),
+        (10, lambda r: {"drive_V": -r.drive_V}, "falls as the drive rises"),
+    ],
+    ids=["no dither", "too short", "sign of the set point", "sign of the drive"],
+)
+def test_a_record_that_cannot_be_identified_is_refused(
+    periods: int, change: Callable[[LoopRecord], dict[str, Any]], message: str
+) -> None:
+    record = record_of(Junction(), periods)
+    with pytest.raises(ExcitationError, match=message):
+        identified(replace(record, **change(record)), Junction())
 
 
 def test_an_uncertain_extension_widens_the_barrier_only() -> None:
-    record = record_of(Junction(), 12)
-    sure = identified(record, Junction())
-    unsure = identify_closed_loop(
-        record,
-        amplifier_pole_Hz=4000.0,
-        drive_gain_m_per_V=18e-9,
-        drive_gain_relative_uncertainty=0.05,
-    )
-    assert unsure.gain_interval == sure.gain_interval
-    assert np.ptp(unsure.barrier_interval_eV) > 0.38 * unsure.barrier_eV  # 2 * 2 * 1.96 * 5 %
+    fit = identified(record_of(Junction(), 12), Junction(), extension_uncertainty=0.05)
+    assert np.ptp(np.log(fit.gain_interval)) < 0.1
+    assert np.ptp(fit.barrier_interval_eV) > 0.38 * fit.barrier_eV  # 2 * 2 * 1.96 * 5 %
 
 
-def _changed(record: LoopRecord, **fields: object) -> LoopRecord:
-    return replace(record, **fields)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("tolerance", [1.08, 0.92])
+@pytest.mark.parametrize(
+    ("junction", "tolerance"), [(SLOW_SENSOR, 1.08), (SLOW_SENSOR, 0.92), (FAST_SENSOR, 1.0)]
+)
 def test_the_delays_interval_holds_poles_that_a_data_sheet_states_a_little_off(
-    tolerance: float,
+    junction: Junction, tolerance: float
 ) -> None:
     """Eight per cent too slow or too fast, both of them: two microseconds or more of delay."""
-    fit = identify_closed_loop(
-        record_of(SLOW_SENSOR, 21),
-        amplifier_pole_Hz=tolerance * SLOW_SENSOR.amplifier_pole_Hz,
-        sensor_pole_Hz=tolerance * SLOW_SENSOR.sensor_pole_Hz,
-        drive_gain_m_per_V=SLOW_SENSOR.drive_gain_m_per_V,
+    fit = identified(
+        record_of(junction, 21),
+        junction,
+        amplifier_pole_Hz=tolerance * junction.amplifier_pole_Hz,
+        bandwidth_Hz=tolerance * junction.sensor_pole_Hz,
     )
     assert fit.delay_interval_s[0] < 40e-6 < fit.delay_interval_s[1]
     assert np.ptp(fit.delay_interval_s) < 20e-6
-    assert fit.common[2, 2] > 0.0
-
-
-def test_a_declared_pole_beyond_the_hold_leaves_the_delay_what_it_is() -> None:
-    fit = identify_closed_loop(
-        record_of(FAST_SENSOR, 21),
-        amplifier_pole_Hz=FAST_SENSOR.amplifier_pole_Hz,
-        sensor_pole_Hz=FAST_SENSOR.sensor_pole_Hz,
-        drive_gain_m_per_V=FAST_SENSOR.drive_gain_m_per_V,
-    )
-    assert fit.delay_interval_s[0] < 40e-6 < fit.delay_interval_s[1]
-    assert fit.plant.delay_s == pytest.approx(40e-6, abs=4e-6)
+    assert fit.plant.delay_s == pytest.approx(40e-6, abs=4e-6 if tolerance == 1.0 else 8e-6)
 
 
 def test_what_all_records_have_alike_does_not_average() -> None:
@@ -243,12 +207,7 @@ def test_an_offset_of_the_current_is_taken_off_or_held_by_the_interval() -> None
     junction, record = ATTENUATED_DRIVE, record_of(ATTENUATED_DRIVE)
     moved = replace(record, current_A=record.current_A + 50e-12)
     fits = [
-        identify_closed_loop(
-            moved,
-            amplifier_pole_Hz=junction.amplifier_pole_Hz,
-            drive_gain_m_per_V=junction.drive_gain_m_per_V,
-            offset_A=offset,
-        )
+        identify_closed_loop(moved, rig_of(junction), offset_A=offset)
         for offset in (
             (50e-12, 1e-13),
             (0.0, 30e-12),
@@ -276,9 +235,18 @@ def test_blocks_that_cut_a_dither_take_nothing_off_the_gain() -> None:
     assert np.mean(gains) == pytest.approx(truth, rel=1.5e-3)
 
 
+def spectra_of(plant: JunctionPlant, mode: DriveMode, *, seed: int, noise: float) -> LoopSpectra:
+    """Thirty-two blocks of 200 lines; the dither is the drive, the output carries noise."""
+    frequency_Hz = np.linspace(40.0, 8000.0, 200)
+    parts = np.random.default_rng(seed).standard_normal((4, 32, 200))
+    drive = parts[0] + 1j * parts[1]
+    output = plant.frequency_response(frequency_Hz, mode) * drive
+    output = output + noise * (parts[2] + 1j * parts[3])
+    return LoopSpectra(frequency_Hz=frequency_Hz, reference=drive, drive=drive, output=output)
+
+
 def test_a_mode_of_the_drive_passes_for_neither_gain_nor_delay() -> None:
     """A fifth of the extension swings at 5 kHz: the response is the plant times the mode."""
-    mode = DriveMode(frequency_Hz=5000.0, quality=12.0, share=0.2)
     plant = JunctionPlant(
         gain_nepers_per_V=0.3,
         sensor_pole_Hz=6000.0,
@@ -286,19 +254,16 @@ def test_a_mode_of_the_drive_passes_for_neither_gain_nor_delay() -> None:
         amplifier_pole_Hz=3000.0,
         sampling_rate_Hz=20e3,
     )
-    rng = np.random.default_rng(5)
-    frequency_Hz = np.linspace(40.0, 8000.0, 200)
-    parts = rng.standard_normal((4, 32, 200))
-    drive = parts[0] + 1j * parts[1]
-    response = plant.frequency_response(frequency_Hz, mode)
-    output = response * drive + 0.01 * (parts[2] + 1j * parts[3])
-    spectra = LoopSpectra(frequency_Hz=frequency_Hz, reference=drive, drive=drive, output=output)
+    mode = DriveMode(frequency_Hz=5000.0, quality=12.0, share=0.2)
     fit = fit_with_instrument(
-        spectra, amplifier_pole_Hz=3000.0, sensor_pole_Hz=6300.0, sampling_rate_Hz=20e3
+        spectra_of(plant, mode, seed=5, noise=0.01),
+        amplifier_pole_Hz=3000.0,
+        sensor_pole_Hz=6300.0,
+        sampling_rate_Hz=20e3,
     )
     assert fit.mode is not None
-    assert fit.mode.mode.frequency_Hz == pytest.approx(5000.0, rel=0.01)
-    assert fit.mode.mode.share == pytest.approx(0.2, rel=0.1)
+    assert fit.mode.frequency_Hz == pytest.approx(5000.0, rel=0.01)
+    assert fit.mode.share == pytest.approx(0.2, rel=0.1)
     assert fit.plant.gain_nepers_per_V == pytest.approx(0.3, rel=0.01)
     assert fit.plant.delay_s == pytest.approx(70e-6, abs=2e-6)
 
@@ -337,17 +302,12 @@ def test_the_delay_is_as_sure_as_modes_beyond_the_recorded_lines_allow() -> None
             amplifier_pole_Hz=5000.0,
             sampling_rate_Hz=20e3,
         )
-        frequency_Hz = np.linspace(40.0, 8000.0, 200)
-        parts = rng.standard_normal((4, 32, 200))
-        drive = parts[0] + 1j * parts[1]
-        output = plant.frequency_response(frequency_Hz, mode) * drive
-        output = output + 0.09 * (parts[2] + 1j * parts[3])
-        spectra = LoopSpectra(
-            frequency_Hz=frequency_Hz, reference=drive, drive=drive, output=output
-        )
         fit = fit_with_instrument(
-            spectra, amplifier_pole_Hz=5000.0, sensor_pole_Hz=3000.0, sampling_rate_Hz=20e3
+            spectra_of(plant, mode, seed=seed, noise=0.09),
+            amplifier_pole_Hz=5000.0,
+            sensor_pole_Hz=3000.0,
+            sampling_rate_Hz=20e3,
         )
         half_s = 1.96 * math.sqrt(fit.covariance[2, 2]) / 20e3
         held += abs(fit.plant.delay_s - plant.delay_s) <= half_s
-    assert held >= 9  # seven of these twelve without the tail
+    assert held >= 9  # seven of twelve without the tail

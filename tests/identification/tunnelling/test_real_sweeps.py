@@ -1,5 +1,6 @@
 """The recorded Z spectroscopy: three sweeps each way, nothing selected."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from tests.identification.tunnelling.sweeps import real_sweep, real_table, sweep
 PUBLISHED_PER_M = {Direction.FORWARD: 20.60e9, Direction.BACKWARD: 20.76e9}
 
 
+@cache
 def _fit(realdata: Path, direction: Direction, *numbers: str) -> BarrierFit:
     table = real_table(realdata)
     return fit_barrier([real_sweep(table, number, direction) for number in numbers])

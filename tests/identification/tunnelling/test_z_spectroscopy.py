@@ -83,7 +83,7 @@ def test_a_table_without_current_is_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["Current (A)", "I (A)"])
-def test_a_table_without_bias_is_read_by_the_sign_of_its_current(name: str) -> None:
+def test_a_table_without_bias_has_none(name: str) -> None:
     (curve,) = read_z_spectroscopy(_table("Z rel (m)", name))
     assert curve.bias_V is None
 
