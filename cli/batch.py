@@ -1,23 +1,15 @@
 """`piezoid batch`: calibrate a folder of stages and summarise them on one page."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import typer
 
-from piezoid_cli.progress import VERBOSE, show_progress
-from piezoid_cli.terminal import (
-    JsonFile,
-    Quiet,
-    one_line,
-    print_raw,
-    rich_text,
-    step_column,
-    table,
-)
+from piezoid_cli.progress import show_progress
+from piezoid_cli.terminal import JsonFile, Quiet, print_raw, rich_text, table
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -82,7 +74,7 @@ def batch(
     with StagesOnDisk() as stages:
         with (
             cluster_client(scheduler, workers) as client,
-            _progress(len(tasks), quiet=quiet or json) as progress,
+            show_progress(quiet=quiet or json) as progress,
         ):
             n_earlier = calibrate_stages(client, tasks, stages, retries, progress)
         fleet = Fleet(name=folder.resolve().name, stages=stages)
@@ -98,14 +90,14 @@ def calibrate_stages(
     tasks: "Sequence[StageTask]",
     stages: "StagesOnDisk",
     retries: int = 2,
-    progress: Callable[[int, str], None] = lambda _count, _name: None,
+    progress: Callable[[str], None] = lambda _: None,
     *,
     work: "Callable[[StageTask], bytes] | None" = None,
 ) -> int:
     """Calibrate the unfinished stages on workers, which write the results.
 
     stages    receives the record of every stage
-    progress  called with the number of finished stages and the name of the latest
+    progress  called with the number of finished stages and the name of the latest, as a text
     work      calibrates one stage on a worker; default: ``run_task``
 
     Returns the number of stages that an earlier run had finished.
@@ -119,7 +111,7 @@ def calibrate_stages(
     store = result_store(tasks[0].results)
     pending = pending_stages(tasks, stages)
     n_earlier = len(stages)
-    progress(n_earlier, "")
+    progress(f"{n_earlier} of {len(tasks)} stages done")
     store.create()
     for task, packed, failure in run_on_workers(client, work or run_task, pending, retries):
         record = packed
@@ -129,7 +121,7 @@ def calibrate_stages(
             with suppress(OutputFolderError):  # the user may have written files there meanwhile
                 store.write_stage(task.name, {RECORD: crashed.to_json()})
         stages.add(task.name, record)
-        progress(len(stages), task.name)
+        progress(f"{len(stages)} of {len(tasks)} stages done: {task.name}")
     store.remove_unfinished(task.name for task in tasks)
     return n_earlier
 
@@ -155,28 +147,6 @@ def write_summary(out: str, fleet: "Fleet", *, printed: bool = False, force: boo
     store.write_file(page, lambda stream: stream.write(render_fleet(fleet).encode()))
     store.write_file(parameters, lambda stream: write_table(fleet, stream))
     store.write_file(record, write_record)
-
-
-@contextmanager
-def _progress(total: int, *, quiet: bool) -> Iterator[Callable[[int, str], None]]:
-    """Yield a function that shows the number of finished stages and the name of the latest."""
-    from rich import progress as bar
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    if quiet or VERBOSE.get() or not console.is_terminal:
-        with show_progress(quiet=quiet) as report:
-            yield lambda count, name: report(
-                f"{count} of {total} stages done{': ' * bool(name)}{name}"
-            )
-        return
-    columns = (step_column(), bar.BarColumn(), bar.MofNCompleteColumn())
-    times = (bar.TimeElapsedColumn(), bar.TimeRemainingColumn())
-    with bar.Progress(*columns, *times, console=console, transient=True) as progress:
-        task = progress.add_task("stages", total=total)
-        yield lambda count, name: progress.update(
-            task, completed=count, description=one_line(name) or "stages"
-        )
 
 
 def _show(fleet: "Fleet", n_earlier: int, out: str) -> None:

@@ -17,7 +17,6 @@ import typer
 from piezoid.errors import RecordingError
 from piezoid.manifest import lists_results
 from piezoid_cli.batch_stage import LAB, StageTask, earlier_result
-from piezoid_cli.result_store import result_store
 from piezoid_cli.workers import unreachable_by_interrupts
 
 if TYPE_CHECKING:
@@ -84,8 +83,6 @@ def pending_stages(tasks: Sequence[StageTask], finished: "StagesOnDisk") -> list
     Raises ``typer.BadParameter`` if results of other files or of another version would be replaced
     without ``force``, and ``OutputFolderError`` if results may not be written.
     """
-    if not result_store(tasks[0].results).has_stages:
-        return list(tasks)
     pending, outdated = [], []
     with ThreadPoolExecutor() as threads:
         results = threads.map(earlier_result, tasks)

@@ -178,7 +178,6 @@ def _record(task: StageTask, inputs: Mapping[str, str], calibration: "Calibratio
 
 
 def _axis(axis: "AxisModel", calibration: "Calibration") -> FleetAxis:
-    """Return the quantities of an axis in SI units, with their standard errors if known."""
     from math import isfinite
 
     from piezoid.raw_counts import in_counts

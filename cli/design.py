@@ -6,9 +6,7 @@ from typing import Annotated
 import typer
 
 from piezoid_cli.statements import show_statements
-from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, say, table
-
-HEADINGS = ("axis", "method", "bandwidth", "modulus margin", "delay margin", "guaranteed")
+from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, report_table, say
 
 
 def design(
@@ -39,15 +37,15 @@ def design(
     from rich.console import Console
 
     from piezoid.design.design_stage import SpecificationText, design_stage
-    from piezoid.design.design_statements import design_statements, guaranteed_error_m
-    from piezoid.formatting import with_unit
+    from piezoid.design.design_statements import design_statements
     from piezoid.output_folder import add_to_folder, check_folder
-    from piezoid.runtime.schema import METHOD_NAMES
     from piezoid.statement import Level
     from piezoid_cli.export import show_unshipped
     from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, text_of
+    from piezoid_reports.page import Page
     from piezoid_reports.render import render_design
+    from piezoid_reports.sections.controllers import loops_table
 
     folder = StageFolder(stage, lab)
     model = folder.model
@@ -68,19 +66,8 @@ def design(
     if json:
         print_raw(content)
     elif not quiet:
-        rows = []
-        for axis in result.axes:
-            for loop in axis.loops:
-                delay_s, margin = loop.worst_delay_margin_s, f"{loop.worst_modulus_margin:.3f}"
-                delay = "any" if delay_s is None else with_unit(delay_s, "s")
-                bandwidth = with_unit(loop.bandwidth_Hz, "Hz")
-                bound_m: float | str = "none"
-                if axis.axis in model.axes:
-                    bound_m = guaranteed_error_m(loop.certificate, model.axes[axis.axis])
-                bound = bound_m if isinstance(bound_m, str) else with_unit(bound_m, "m")
-                method = METHOD_NAMES[loop.method]
-                rows.append((axis.axis, method, bandwidth, margin, delay, bound))
-        Console().print(table("controllers, worst case over each plant family", HEADINGS, rows))
+        loops = loops_table(Page(model=model, design=result))
+        Console().print(report_table(loops, "controllers, worst case over each plant family"))
         show_statements(design_statements(result, model), Level.WARNING)
         show_unshipped(result.refused)
         say(f"design: {stage / 'design.json'}, {stage / 'design.html'}")

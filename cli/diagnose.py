@@ -14,9 +14,9 @@ from piezoid_cli.terminal import (
     Quiet,
     RecordingLab,
     print_raw,
+    report_table,
     rich_text,
     say,
-    table,
 )
 
 if TYPE_CHECKING:
@@ -165,31 +165,20 @@ def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:
 
 
 def _show(diagnosis: "Diagnosis") -> None:
-    """Print the effects, the errors with and without them, and the statements."""
     from rich.console import Console
 
-    from piezoid.diagnosis.diagnosis_statements import diagnosis_statements, largest_first
-    from piezoid.formatting import interval_digits, significant, with_unit
+    from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
+    from piezoid.formatting import with_unit
     from piezoid.raw_counts import in_counts, record_in_counts
     from piezoid.statement import Level
+    from piezoid_reports.parts import count_of
+    from piezoid_reports.sections.findings import findings_table
 
     console, counted = Console(), diagnosis.counted
     if diagnosis.findings:
-        rows = [
-            (
-                finding.effect + (f" ({finding.coordinate})" if finding.coordinate else ""),
-                in_counts(with_unit(finding.held_out_rms_before_m, "m"), counted),
-                in_counts(with_unit(finding.held_out_rms_after_m, "m"), counted),
-                f"{significant(finding.size.value, digits)} {finding.size.unit}",
-                " .. ".join(significant(end, digits) for end in finding.size.ci95),
-            )
-            for finding in largest_first(diagnosis)
-            for digits in (interval_digits(*finding.size.ci95),)
-        ]
-        headings = ("effect", "error without", "with", "size", "95 %")
-        count = len(diagnosis.findings)
-        title = f"axis {diagnosis.axis}: {count} {'effect' if count == 1 else 'effects'} found"
-        console.print(table(title, headings, rows, n_words=5))
+        findings = record_in_counts(findings_table([diagnosis]), counted)
+        title = f"axis {diagnosis.axis}: {count_of(len(diagnosis.findings), 'effect')} found"
+        console.print(report_table(findings, title))
     baseline, final = (with_unit(e.rms_m, "m") for e in (diagnosis.baseline, diagnosis.final))
     line = (
         f"axis {diagnosis.axis}: held-out error {baseline} without the findings, {final} with "

@@ -106,7 +106,6 @@ def export(
 def _target_inputs(
     file: "ParameterFile", folder: "StageFolder", hardware: "ControllerHardware"
 ) -> "TargetInputs":
-    """Return the inputs of the targets, with the plants of the verification."""
     from piezoid.records.lab import Lab
     from piezoid.targets.target_inputs import TargetInputs
     from piezoid.verification.verify_stage import stage_plants

@@ -192,7 +192,6 @@ def show(calibration: "Calibration") -> None:
 
 
 def _table(calibration: "Calibration") -> "Table":
-    """Return a table with error, noise, their ratio, loop and verdict of each axis."""
     from piezoid.design.design_statements import guaranteed_error_m
     from piezoid.formatting import significant, with_unit
     from piezoid.identification.fit_statements import grade_of

@@ -105,7 +105,6 @@ def learn(
 
 
 def _select_axis(axes: list[str], requested: str | None) -> str:
-    """Return the requested axis, or the only axis."""
     if requested is None and len(axes) == 1:
         return axes[0]
     if requested not in axes:
@@ -118,7 +117,6 @@ def _select_axis(axes: list[str], requested: str | None) -> str:
 
 
 def _lines(learned: "Learned", out: Path, files: Iterable[str]) -> list[str]:
-    """Return convergence, errors, files and the next step as lines."""
     from piezoid.formatting import with_unit
 
     lines = [

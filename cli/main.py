@@ -17,6 +17,7 @@ os.environ.update(
     dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 )
 
+from piezoid.errors import printable
 from piezoid_cli.batch import batch
 from piezoid_cli.demo import demo
 from piezoid_cli.design import design
@@ -30,7 +31,7 @@ from piezoid_cli.plan import plan
 from piezoid_cli.progress import VERBOSE
 from piezoid_cli.report import report
 from piezoid_cli.simulate import simulate
-from piezoid_cli.terminal import guard_output, one_line, rich_text
+from piezoid_cli.terminal import guard_output, rich_text
 from piezoid_cli.verify import verify
 
 VERBOSE_OPTIONS = ("-v", "--verbose")
@@ -53,26 +54,12 @@ class Verbs(TyperGroup):
         try:
             return super().invoke(ctx)
         except _UsageError as error:
-            error.message = one_line(error.message)
+            error.message = printable(error.message)
             raise
         except Exception as error:
             if getattr(error, "exit_status", 0) != USAGE:
                 raise
-            raise _UsageError(one_line(str(error)), ctx) from error
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the verb of a name, or list all verbs if it does not exist."""
-        from difflib import get_close_matches
-
-        if args and not args[0].startswith("-") and args[0] not in self.commands:
-            matches = get_close_matches(args[0], self.commands, n=1)
-            remedy = f"Did you mean {matches[0]}?" if matches else "See piezoid --help."
-            raise _UsageError(
-                f"there is no command {args[0]!r}. Needed: one of {', '.join(self.commands)}. "
-                f"{remedy}",
-                ctx,
-            )
-        return super().resolve_command(ctx, args)
+            raise _UsageError(printable(str(error)), ctx) from error
 
 
 app = typer.Typer(
@@ -156,7 +143,6 @@ _OUT_OF_MEMORY = (
 
 
 def _report(error: Exception) -> int:
-    """Print an error as one message and return its exit status."""
     from rich.console import Console
     from rich.text import Text
 

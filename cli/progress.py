@@ -5,9 +5,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import partial
-from threading import Event, Lock, Thread
+from threading import Event, Thread
 
-from piezoid_cli.terminal import one_line, say, step_column
+from piezoid.errors import printable
+from piezoid_cli.terminal import say, step_column
 
 INTERVAL_s = 10.0  # between lines in a log
 REPEAT_s = 60.0  # after which the line of a long step is repeated
@@ -27,60 +28,48 @@ def show_progress(
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 
-    console, write = Console(stderr=True, quiet=quiet), partial(say, err=True)
+    console, log = Console(stderr=True, quiet=quiet), Log(partial(say, err=True))
     if quiet:
         yield lambda _: None
     elif VERBOSE.get():
-        yield Log(write).begin
+        yield log.write
     elif console.is_terminal:
         columns = (SpinnerColumn(), step_column(), TimeElapsedColumn())
         with Progress(*columns, console=console, transient=True) as progress:
             task = progress.add_task("starting", total=None)
-            yield lambda text: progress.update(task, description=one_line(text))
+            yield lambda text: progress.update(task, description=printable(text))
     else:
-        with Log(write).at_intervals(interval_s) as report:
+        with log.at_intervals(interval_s) as report:
             yield report
 
 
 class Log:
     """Log of the steps, one line each with the elapsed seconds."""
 
-    def __init__(self, write: Callable[[str], None]) -> None:
-        """Start the clock; ``write`` receives each line."""
-        self._write = write
-        self._start_s = time.monotonic()
-        self._lock = Lock()
-        self._step = self._written = ""
-        self._written_s = 0.0
+    def __init__(self, print_line: Callable[[str], None]) -> None:
+        """Start the clock; ``print_line`` receives each line."""
+        self._print_line = print_line
+        self._start_s = self._printed_s = time.monotonic()
+        self._latest = ""
 
-    def begin(self, step: str) -> None:
-        """Write a step at once, unless the latest line already shows it."""
-        self._set(step)
-        self._write_step(repeat_s=float("inf"))
+    def write(self, step: str, *, repeat_s: float = float("inf")) -> None:
+        """Write a step, unless the latest line shows it and is younger than ``repeat_s``."""
+        now_s = time.monotonic()
+        if step and (step != self._latest or now_s - self._printed_s >= repeat_s):
+            self._latest, self._printed_s = step, now_s
+            self._print_line(f"{now_s - self._start_s:5.0f} s  {step}")
 
     @contextmanager
     def at_intervals(self, interval_s: float) -> Iterator[Callable[[str], None]]:
         """Yield a function that sets the current step, which is written once per interval."""
-        ended = Event()
+        ended, steps = Event(), [""]
 
         def write() -> None:
             while not ended.wait(interval_s):
-                self._write_step(repeat_s=REPEAT_s)
+                self.write(steps[-1], repeat_s=REPEAT_s)
 
         Thread(target=write, daemon=True).start()
         try:
-            yield self._set
+            yield steps.append
         finally:
             ended.set()
-
-    def _set(self, step: str) -> None:
-        with self._lock:
-            self._step = step
-
-    def _write_step(self, *, repeat_s: float) -> None:
-        with self._lock:
-            now_s = time.monotonic() - self._start_s
-            is_due = self._step != self._written or now_s - self._written_s >= repeat_s
-            if self._step and is_due:
-                self._written, self._written_s = self._step, now_s
-                self._write(f"{now_s:5.0f} s  {self._step}")

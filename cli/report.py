@@ -79,25 +79,22 @@ def report(
 
 
 def _page(folder: "StageFolder", recorded: "Collection", files: Mapping[str, bytes]) -> str:
-    """Return report.html for the sealed files that are up to date."""
+    from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
     from piezoid.verification.verification import verification_from_json
     from piezoid_reports.page import Page
     from piezoid_reports.render import render
 
-    def path(name: str) -> str:
-        return str(folder.folder / name)
-
     design = folder.design if "design.json" in files else None
     unshipped: Mapping[str, str] = {} if design is None else design.refused
     if "params.json" in files:
         unshipped = folder.parameters.unshipped
-    diagnoses = verification = None
-    if "diagnosis.json" in files:
-        diagnoses = read_diagnoses(files["diagnosis.json"], path("diagnosis.json"))
-    if "verification.json" in files:
-        name = "verification.json"
-        verification = verification_from_json(files[name], path(name))
+    diagnoses: tuple[Diagnosis, ...] = ()
+    verification = None
+    if (name := "diagnosis.json") in files:
+        diagnoses = read_diagnoses(files[name], str(folder.folder / name))
+    if (name := "verification.json") in files:
+        verification = verification_from_json(files[name], str(folder.folder / name))
     page = Page(
         model=folder.model,
         recordings=recorded.recordings,
@@ -105,7 +102,7 @@ def _page(folder: "StageFolder", recorded: "Collection", files: Mapping[str, byt
         responses=recorded.responses,
         design=design,
         undesigned="" if design else UNDESIGNED,
-        diagnoses=diagnoses or (),
+        diagnoses=diagnoses,
         verification=verification,
         unshipped=unshipped,
         files=files,

@@ -52,11 +52,6 @@ class FolderStore:
         self._folder, self._force = folder.absolute(), force
         self._stages = self._folder / STAGES
 
-    @property
-    def has_stages(self) -> bool:
-        """Whether an earlier run wrote stages."""
-        return self._stages.is_dir()
-
     def check(self) -> None:
         """Raise ``OutputFolderError`` if the folder may not be written."""
         check_folder(self._folder, force=self._force, names=SUMMARY)
@@ -122,12 +117,6 @@ class ObjectStore:
             self._files, self._root = fsspec.core.url_to_fs(url.rstrip("/"))
         except (ImportError, ValueError) as error:
             raise typer.BadParameter(f"cannot write to {url}: {error}") from error
-
-    @property
-    def has_stages(self) -> bool:
-        """Whether an earlier run wrote stages."""
-        self._files.invalidate_cache()
-        return bool(self._files.exists(f"{self._root}/{STAGES}"))
 
     def check(self) -> None:
         """Raise ``OutputFolderError`` if the URL contains objects without a manifest."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
-from piezoid_reports.plain_text import printable
+from piezoid.errors import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
+    from piezoid_reports.parts import Table as ReportTable
+
+NARROW, MINUS = "\u202f", "\u2212"  # typography of the report
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print only errors.")]
 Force = Annotated[
     bool,
@@ -98,19 +101,14 @@ def _guarded(stream: TextIO | None, name: str = "") -> TextIO:
 
 def say(text: str, *, err: bool = False) -> None:
     """Print one line without wrapping, so that a path in it can be copied."""
-    typer.echo(one_line(text), err=err)
-
-
-def one_line(text: str) -> str:
-    """Return a text with its control characters and line breaks escaped."""
-    return str(printable(text))
+    typer.echo(printable(text), err=err)
 
 
 def rich_text(text: str, style: str = "") -> "Text":
     """Return text of one or more lines for a console, without markup and control characters."""
     from rich.text import Text
 
-    return Text("\n".join(one_line(line) for line in text.split("\n")), style)
+    return Text(printable(text, keep="\n"), style)
 
 
 def table(
@@ -128,6 +126,13 @@ def table(
     for row in rows:
         cells.add_row(*(rich_text(cell) if isinstance(cell, str) else cell for cell in row))
     return cells
+
+
+def report_table(part: "ReportTable", title: str = "") -> "Table":
+    """Return a table of the report for a console; default title: that of the report."""
+    plain = str.maketrans({NARROW: " ", MINUS: "-"})
+    rows = ([cell.translate(plain) for cell in row] for row in part.rows)
+    return table(title or part.summary, part.columns, rows, n_words=len(part.columns))
 
 
 def print_raw(content: str | bytes) -> None:

@@ -7,16 +7,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piezoid_cli.statements import MAX_SHOWN
-from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, rich_text, say, table
+from piezoid_cli.terminal import (
+    Force,
+    JsonFile,
+    Quiet,
+    StageLab,
+    print_raw,
+    report_table,
+    rich_text,
+    say,
+)
 
 if TYPE_CHECKING:
     from piezoid.design.design import Design
-    from piezoid.export.parameter_file import ParameterFile
-    from piezoid.verification.rebuild import Proof
     from piezoid.verification.verification import Verification
     from piezoid_cli.stage_files import StageFolder
-
-CORE_Hz = 168e6  # clock of a common Cortex-M4F, for the load of the processor
+    from piezoid_reports.page import Page
 
 
 def verify(
@@ -71,6 +77,7 @@ def verify(
     from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, changed_in_bundle, text_of
     from piezoid_cli.workers import usable_cores
+    from piezoid_reports.page import Page
 
     folder = StageFolder(stage, lab)
     file, model = folder.parameters, folder.model
@@ -115,7 +122,7 @@ def verify(
     if json:
         print_raw(content)
     elif not quiet:
-        show(verification, file)
+        show(Page(model=model, design=design, verification=verification), verification)
         say(f"verification: {stage / 'verification.json'}")
     if not verification.passed:
         raise typer.Exit(1)
@@ -147,28 +154,21 @@ def _design(folder: "StageFolder") -> "Design":
     return design
 
 
-def show(verification: "Verification", file: "ParameterFile") -> None:
+def show(page: "Page", verification: "Verification") -> None:
     """Print the comparison, the proofs, and the verdicts that failed."""
     from rich.console import Console
 
     from piezoid.formatting import with_unit
-    from piezoid.runtime.schema import METHOD_NAMES
     from piezoid.verification.criteria import describe_failure
+    from piezoid_reports.sections.verification import comparison_table, proof_tables
 
     console = Console()
+    tables = [*proof_tables(verification)]
     if verification.comparison:
-        # The rms error of each method on spirals, with one column per rate.
-        rows_of = verification.comparison
-        rates_Hz = sorted({row.frequency_Hz for row in rows_of})
-        errors = {(row.method, row.frequency_Hz): with_unit(row.rms_m, "m") for row in rows_of}
-        rows = [
-            (METHOD_NAMES[method], *(errors.get((method, rate_Hz), "") for rate_Hz in rates_Hz))
-            for method in dict.fromkeys(row.method for row in rows_of)
-        ]
-        radius = with_unit(verification.radius_m, "m")
-        title = f"spirals of radius {radius}: simulated rms error by frequency"
-        headings = ("method", *(with_unit(rate, "Hz") for rate in rates_Hz))
-        console.print(table(title, headings, rows, n_words=1))
+        tables.insert(0, comparison_table(page, verification))
+    for table in tables:
+        if table.rows:
+            console.print(report_table(table))
     for row in verification.bounds:
         bounded = "none" if row.bound_m is None else with_unit(row.bound_m, "m")
         if row.is_exceeded:
@@ -181,16 +181,6 @@ def show(verification: "Verification", file: "ParameterFile") -> None:
             f"{with_unit(row.simulated_m, 'm')}"
         )
         console.print(rich_text(line))
-    for proof in verification.proofs:
-        style = "" if proof.passed else "bold red"
-        console.print(rich_text(_proof_line(proof, file), style=style))
-    for claim in verification.limit_proofs:
-        line = f"axis {claim.axis}, {claim.precision}: {claim.verdict}"
-        if claim.is_proved:
-            line += f" by {claim.tool} in {claim.seconds} s: for every input at all times, "
-            line += "; ".join(claim.claims)
-        style = "" if claim.passed else "bold red"
-        console.print(rich_text("\n  ".join((line, *claim.alarms)), style=style))
     failed = [verdict for verdict in verification.verdicts if not verdict.passed]
     for verdict in failed[:MAX_SHOWN]:
         console.print(rich_text(f"failed: {describe_failure(verdict)}", style="bold red"))
@@ -198,20 +188,3 @@ def show(verification: "Verification", file: "ParameterFile") -> None:
         console.print(rich_text(f"{len(failed) - MAX_SHOWN} more failed: see verification.json"))
     n_all = len(verification.verdicts)
     console.print(rich_text(f"{n_all - len(failed)} of {n_all} checks passed"))
-
-
-def _proof_line(proof: "Proof", file: "ParameterFile") -> str:
-    if not proof.is_built:
-        return f"not built: {proof.build}"
-    line = f"{proof.build}: {proof.samples} samples, {proof.differing} differ"
-    counted = proof.instructions_per_sample or {}
-    for axis, instructions in counted.items():
-        rate_Hz = float(file.axis(axis).values["sampling_rate_Hz"])
-        share = 100.0 * instructions * rate_Hz / CORE_Hz
-        line += f"; axis {axis} {instructions:.0f} instructions per sample, "
-        line += f"{share:.1f} % of a core"
-    if counted:
-        line += f" of {1e-6 * CORE_Hz:.0f} MHz at one instruction per cycle (lower limit)"
-    if proof.stack_bytes:
-        line += f"; {proof.stack_bytes} bytes of stack, {proof.state_bytes} of state per axis"
-    return line

@@ -164,7 +164,6 @@ def _result_of(work: Work[Job, Result], job: Job, report: Progress) -> Result | 
 
 
 def _start_worker(writer: Connection, preload: Callable[[], object]) -> None:
-    """Prepare a worker process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(dict.fromkeys(_THREADS, "1"))  # before linear algebra is imported
     _Reports.writer = writer

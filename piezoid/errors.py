@@ -21,20 +21,34 @@ A failed verdict is a result and not an exception. Every message has three parts
 what is needed, and what to do next. Arguments of a wrong type raise Python's own exceptions.
 """
 
+from unicodedata import category
+
 _MAX_LENGTH = 2000  # characters; the heading of a damaged file can have a megabyte
 
 
-def _escape(part: str) -> str:
-    """Truncate a part of a message, and escape its unprintable characters.
+def printable(text: str, keep: str = "") -> str:
+    """Escape control characters, surrogates, and marks that reverse the direction of text.
 
-    Names in a message may come from any file. Escape codes could move the cursor, reverse the text
-    or break its encoding.
+    Names may come from any file: such characters move a cursor, reorder a line or break an
+    encoding. ``keep`` names characters that stay.
+
+    >>> printable("a\x1b[2J\u202eb")
+    'a\\x1b[2J\\u202eb'
     """
-    part = part if len(part) <= _MAX_LENGTH else f"{part[:_MAX_LENGTH]} ..."
+    if text.isprintable():
+        return text
     return "".join(
-        c if c.isprintable() or c in "\n\xa0\u202f" else c.encode("unicode_escape").decode("ascii")
-        for c in part
+        c
+        if c.isprintable() or category(c) == "Zs" or c in keep
+        else c.encode("unicode_escape").decode("ascii")
+        for c in text
     )
+
+
+def _escape(part: str) -> str:
+    """Truncate a part of a message, and escape its unprintable characters."""
+    part = part if len(part) <= _MAX_LENGTH else f"{part[:_MAX_LENGTH]} ..."
+    return printable(part, keep="\n")
 
 
 class PiezoidError(Exception):

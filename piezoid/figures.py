@@ -14,7 +14,7 @@ from piezoid.design.sensitivity import sensitivities
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.experiment import Plan
 from piezoid.errors import PictureError
-from piezoid.formatting import with_unit, words
+from piezoid.formatting import scale_for, with_unit, words
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.loop_model import linear_part
 from piezoid.identification.model import AxisModel
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 WIDTH_inch, HEIGHT_inch = 5.0, 3.4
 MEASURED, MODEL, THIRD, FAINT = "#404040", "#c1440e", "#1f6f8b", "#9a9a9a"
 _POINTS = 20_000  # of a line: more than a printed page resolves
-_PREFIXES = ((1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"))
 _LOOPS = (1.0, 0.6, 0.3)  # of the range of the drive
 _SAMPLES = 400  # of half a loop
 _DECADES = 4.0
@@ -121,7 +120,6 @@ def in_units_of(axes: "Axes", counted: Collection[str]) -> "Axes":
 
 
 def _recording(recording: Recording, kind: str, *, axis: str | None, ax: "Axes | None") -> "Axes":
-    """Draw a recording: displacement over drive, or both over time on two scales."""
     _check("recording", kind, ("loop", "time"))
     axis = axis or recording.axis
     voltage_V, time_s = recording.voltage_V(axis), recording.time_s
@@ -158,7 +156,6 @@ def _comparison(
     recording: Recording | None,
     ax: "Axes | None",
 ) -> "Axes":
-    """Draw measured and predicted displacement over the drive, or the error over time."""
     if isinstance(comparison, AxisModel):
         assert recording is not None
         comparison = compare(comparison, recording)
@@ -306,7 +303,6 @@ def _design(design: Design, *, axis: str | None, ax: "Axes | None") -> "Axes":
 
 
 def _verification(verification: Verification, kind: str, *, ax: "Axes | None") -> "Axes":
-    """Draw the error of each method over frequency, or every verdict relative to its limit."""
     _check("verification", kind, ("comparison", "verdicts"))
     if kind == "verdicts" or not verification.comparison:
         verdicts = [v for v in verification.verdicts if v.limit > 0.0]
@@ -343,7 +339,6 @@ def _verification(verification: Verification, kind: str, *, ax: "Axes | None") -
 
 
 def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None") -> "Axes":
-    """Draw reference and position of a closed loop over time, or the error."""
     _check("closed loop", kind, ("path", "error"))
     axes, quantity = _axes(ax), "current" if loop.unit == "A" else "position"
     if kind == "error":
@@ -361,7 +356,6 @@ def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None") -> "Axes":
 
 
 def _plan(plan: Plan, *, ax: "Axes | None") -> "Axes":
-    """Draw the planned drive over time with its limits."""
     axes, drive = _axes(ax), plan.drive
     time_s = np.arange(len(drive.voltage_V)) / drive.sampling_rate_Hz
     _line(axes, time_s, drive.voltage_V, color=MEASURED, linewidth=0.9)
@@ -375,7 +369,6 @@ def _plan(plan: Plan, *, ax: "Axes | None") -> "Axes":
 def _axes(
     ax: "Axes | None", *, width_inch: float = WIDTH_inch, height_inch: float = HEIGHT_inch
 ) -> "Axes":
-    """Return ``ax``, or the axes of a new figure."""
     if ax is not None:
         from matplotlib.axes import Axes
 
@@ -405,9 +398,8 @@ def _check(record: str, kind: str, kinds: tuple[str, ...]) -> None:
 
 def _scaled(values: Array, base: str) -> tuple[float, str]:
     """Return the factor and the unit with the prefix that suits the largest value."""
-    largest = float(np.abs(values).max(initial=0.0))
-    fitting = [(1.0 / size, f"{prefix}{base}") for size, prefix in _PREFIXES if largest >= size]
-    return fitting[-1] if fitting else (1.0, base)
+    scale = scale_for(float(np.abs(values).max(initial=0.0)), base)
+    return 1.0 / scale.factor, scale.unit
 
 
 def _line(axes: "Axes", x: Array, y: Array, **style: Any) -> None:
@@ -417,7 +409,6 @@ def _line(axes: "Axes", x: Array, y: Array, **style: Any) -> None:
 
 
 def _error_line(axes: "Axes", time_s: Array, error: Array, base: str) -> None:
-    """Draw an error over time, and a line at zero."""
     scale, _ = _scaled(error, base)
     _line(axes, time_s, scale * error, color=MODEL, linewidth=0.8)
     axes.axhline(0.0, color=FAINT, linewidth=0.6)

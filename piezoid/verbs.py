@@ -215,15 +215,21 @@ def report(
         "verification.json": controllers.verification,
         "params.json": controllers.parameters,
     }
-    text: str = _reports().report_of(
-        model,
-        collection_of(recordings),
-        controllers,
+    reports, collection = _reports(), collection_of(recordings)
+    page = reports.Page(
+        model=model,
+        recordings=collection.recordings,
+        sweeps=collection.sweeps,
+        responses=collection.responses,
+        design=controllers.design,
+        undesigned=controllers.reason,
         diagnoses=diagnoses,
+        verification=controllers.verification,
+        unshipped=controllers.unshipped,
         files={name: sealed(record) for name, record in records.items() if record is not None},
         lab=lab_of(lab),
     )
-    return text
+    return str(reports.render(page))
 
 
 @on_one_thread

@@ -5,6 +5,7 @@ on every machine. One step is a twentieth of a pixel, so that curves can be magn
 """
 
 import heapq
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -137,7 +138,7 @@ class Canvas:
         for part in parts:
             share = max(2, int(points * (part.stop - part.start) / total))
             a, b = across[part], up[part]
-            indices, _ = simplify_curve(a, b, tolerance=INVISIBLE, points=share)
+            indices = simplify_curve(a, b, tolerance=INVISIBLE, points=share)
             path += self._path(a[indices], b[indices], repeats=timed)
             if timed:
                 times += (TIME_STEPS * (indices + part.start) // len(x)).tolist()
@@ -159,6 +160,20 @@ class Canvas:
         )
         path = self._path(np.concatenate([across, across[::-1]]), up) + "z"
         return Layer(role=role, name=name, path=path, kind="area")
+
+    def quantiles(self, role: str, name: str, share: str, bins: Array) -> tuple[Layer, ...]:
+        """Draw the band between two quantiles, and the median; nothing for less than two bins.
+
+        share  of the values in the band, for the legend
+        bins   (bins, 4)  coordinate, low quantile, median, high quantile
+        """
+        if len(bins) < 2:
+            return ()
+        middle, low, median, high = bins.T
+        return (
+            self.band(f"{role}-band", f"{name}: {share}", middle, low, high),
+            self.line(role, f"{name}: median", middle, median),
+        )
 
     def range_over_time(self, role: str, name: str, x: Array, y: Array) -> Layer:
         """Draw minimum and maximum of y in every bin, or a line if the samples are few."""
@@ -226,7 +241,7 @@ def _power(mantissa: int, power: int) -> str:
     return f"{mantissa}e{power}".replace("-", MINUS)
 
 
-def simplify_curve(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Indices, float]:
+def simplify_curve(x: Array, y: Array, *, tolerance: float, points: int) -> Indices:
     """Return the samples of a polyline that stays close to a curve.
 
     The chord with the largest distance is split at its farthest sample, until no distance exceeds
@@ -235,7 +250,7 @@ def simplify_curve(x: Array, y: Array, *, tolerance: float, points: int) -> tupl
     x, y       (samples,)  in the same unit
     tolerance  largest distance that is not visible
     points     largest number of points
-    returned   (points,) indices, and the largest distance of a sample from the polyline
+    returned   (points,)  indices
     """
     # Samples at which the curve enters another cell. Cells grow until at most MAX_SPLIT remain.
     cell = 0.5 * tolerance
@@ -253,7 +268,7 @@ def simplify_curve(x: Array, y: Array, *, tolerance: float, points: int) -> tupl
         selected.add(middle)
         heapq.heappush(chords, _farthest(x, y, first, middle))
         heapq.heappush(chords, _farthest(x, y, middle, stop))
-    return samples[sorted(selected)], float(-chords[0][0] + math.sqrt(2.0) * cell)
+    return np.asarray(samples[sorted(selected)])
 
 
 def _farthest(x: Array, y: Array, first: int, stop: int) -> tuple[float, int, int, int]:
@@ -280,6 +295,15 @@ def envelope(x: Array, y: Array, bins: int) -> tuple[Array, Array, Array]:
     stop = np.append(first[1:], len(x))
     middle = (x[first] + x[stop - 1]) / 2
     return middle, np.minimum.reduceat(y, first), np.maximum.reduceat(y, first)
+
+
+def bins_of(x: Array, edges: Array, min_samples: int) -> list[tuple[int, Indices]]:
+    """Return index and samples of every bin with enough samples; the last includes its edge."""
+    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    order = np.argsort(index, kind="stable")
+    cuts = np.searchsorted(index[order], np.arange(len(edges)))
+    runs = enumerate(itertools.pairwise(cuts.tolist()))
+    return [(k, order[a:b]) for k, (a, b) in runs if b - a >= min_samples]
 
 
 def finite_runs(y: Array) -> list[slice]:

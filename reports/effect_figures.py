@@ -1,7 +1,5 @@
 """Figure of one finding: residual without and with the effect, and the look-alike."""
 
-from itertools import pairwise
-
 import numpy as np
 
 from piezoid.diagnosis.diagnosis import Finding
@@ -9,7 +7,7 @@ from piezoid.diagnosis.effect import Appearance, over_time
 from piezoid.diagnosis.effects import effect_named
 from piezoid.formatting import p_value, words
 from piezoid.numerics.arrays import Array
-from piezoid_reports.chart import Axis, Canvas, Layer, axis_over, decades_over
+from piezoid_reports.chart import Axis, Canvas, Layer, axis_over, bins_of, decades_over
 from piezoid_reports.effect_comparison import EffectSimulation
 from piezoid_reports.page import rms
 from piezoid_reports.parts import Figure
@@ -56,7 +54,6 @@ def figure_of(finding: Finding, simulations: tuple[EffectSimulation, ...]) -> Fi
         guide=appearance.reading,
         canvas=canvas,
         layers=layers,
-        flicker=(layers[0].role, layers[1].role) if appearance.kind != "classes" else (),
     )
 
 
@@ -107,13 +104,8 @@ def _in_classes(
     )
     canvas = Canvas(x=_axis(appearance, coordinate), y=y, height=HEIGHT)
     layers: list[Layer] = []
-    for role, name, curve in (
-        ("rising", "without it", classes[0]),
-        ("falling", "with it", classes[1]),
-    ):
-        middle, low, median, high = curve.T
-        layers.append(canvas.band(f"{role}-band", f"{name}: middle half", middle, low, high))
-        layers.append(canvas.line(role, f"{name}: median", middle, median))
+    layers += canvas.quantiles("rising", "without it", "middle half", classes[0])
+    layers += canvas.quantiles("falling", "with it", "middle half", classes[1])
     layers.append(canvas.line("limit", "look-alike: median", classes[2][:, 0], classes[2][:, 2]))
     name = simulations[0].trace.recording.name
     if len(simulations) > 1:
@@ -131,12 +123,10 @@ def _classes(coordinate: Array, values: Array) -> Array:
     share = np.linspace(0.0, 1.0, CLASSES // 2 + 1)
     equal_width = coordinate.min() + share * np.ptp(coordinate)
     edges = np.unique(np.concatenate([np.quantile(coordinate, share), equal_width]))
-    rows = []
-    for low, high in pairwise(edges):
-        inside = (coordinate >= low) & ((coordinate < high) | (high == edges[-1]))
-        if inside.sum() >= MIN_ROWS:
-            quartiles = np.quantile(values[inside], [0.25, 0.5, 0.75])
-            rows.append([float(np.median(coordinate[inside])), *quartiles.tolist()])
+    rows = [
+        [float(np.median(coordinate[k])), *np.quantile(values[k], [0.25, 0.5, 0.75]).tolist()]
+        for _, k in bins_of(coordinate, edges, MIN_ROWS)
+    ]
     return np.array(rows).reshape(-1, 4)
 
 
@@ -154,11 +144,10 @@ def _spectrum(appearance: Appearance, simulation: EffectSimulation) -> Drawing |
         density = np.abs(spectrum) * np.sqrt(2.0 / (rate_Hz * np.sum(window**2)))
         decades = np.log10(np.fft.rfftfreq(len(values), 1.0 / rate_Hz)[1:])
         edges = np.linspace(decades[0], decades[-1], BANDS + 1)
-        band = np.clip(np.searchsorted(edges, decades, side="right") - 1, 0, BANDS - 1)
         level = np.log10(np.maximum(density[1:], 1e-15) / 1e-9)
         rows = [
-            [float(np.mean(decades[band == k])), float(level[band == k].max())]
-            for k in np.unique(band)
+            [float(np.mean(decades[k])), float(level[k].max())]
+            for _, k in bins_of(decades, edges, 1)
         ]
         curves.append(np.array(rows).reshape(-1, 2))
     if len(curves[0]) < 2:
@@ -180,16 +169,16 @@ def unnamed_figure(finding: Finding) -> Figure | None:
         return None
     label = PHASE_LABEL if not classes.unit else words(finding.coordinate)
     coordinate = np.array(classes.place)
-    low, median, high, fitted = (
-        np.array(values)
-        for values in (classes.low_m, classes.median_m, classes.high_m, classes.fitted_m)
-    )
+    quartiles_m = np.array((classes.low_m, classes.median_m, classes.high_m))
+    fitted_m = np.array(classes.fitted_m)
     if finding.coordinate in LOG_COORDINATES:
         coordinate = np.log10(np.maximum(coordinate, 1e-9))
         x = decades_over(label, [coordinate], classes.unit)
     else:
         x = axis_over(label, [coordinate], classes.unit)
-    canvas = Canvas(x=x, y=axis_over("residual", [low, high, fitted], "m"), height=HEIGHT)
+    y = axis_over("residual", [quartiles_m[0], quartiles_m[2], fitted_m], "m")
+    canvas = Canvas(x=x, y=y, height=HEIGHT)
+    bins = np.column_stack((coordinate, *quartiles_m))
     against = words(finding.coordinate)
     if classes.recording:
         against = f"time, in {classes.recording}"
@@ -210,8 +199,7 @@ def unnamed_figure(finding: Finding) -> Figure | None:
         "coordinate.",
         canvas=canvas,
         layers=(
-            canvas.band("rising-band", "residual: middle half", coordinate, low, high),
-            canvas.line("rising", "residual: median", coordinate, median),
-            canvas.line("limit", "fitted curve", coordinate, fitted),
+            *canvas.quantiles("rising", "residual", "middle half", bins),
+            canvas.line("limit", "fitted curve", coordinate, fitted_m),
         ),
     )

@@ -98,7 +98,6 @@ class Figure:
     guide        how good and bad results look; shown once per page
     canvas       on which the layers were drawn
     layers       bottom first
-    flicker      roles that may be shown in turn, or empty
     is_small     drawn for the summary: no buttons, and the caption only for screen readers
     short_title  shown instead of ``title`` in the summary, or empty; screen readers read ``title``
     link         figures with the same link show the same interval of time, or empty
@@ -111,7 +110,6 @@ class Figure:
     guide: str
     canvas: Canvas
     layers: tuple[Layer, ...]
-    flicker: tuple[str, ...] = ()
     is_small: bool = False
     short_title: str = ""
     link: str = ""
@@ -176,12 +174,13 @@ class Card:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Headline:
-    """The sentences of the summary, each with its label; ``tone`` as in ``Prose``."""
+class Overview:
+    """Sentences of the summary with their labels and tone, and the axes side by side."""
 
-    kind: ClassVar[str] = "headline"
+    kind: ClassVar[str] = "overview"
     sentences: tuple[tuple[str, str], ...]
-    tone: str = "plain"
+    tone: str
+    cards: tuple[Card, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,15 +192,7 @@ class Fold:
     parts: tuple["Part", ...]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cards:
-    """The axes of a stage side by side."""
-
-    kind: ClassVar[str] = "cards"
-    cards: tuple[Card, ...]
-
-
-Part = Heading | Prose | Listing | Table | Figure | Waterfall | Cards | Headline | Fold
+Part = Heading | Prose | Listing | Table | Figure | Waterfall | Overview | Fold
 TONES = ("plain", "good", "middling", "bad")
 
 
@@ -227,9 +218,7 @@ class Section:
     @property
     def tone(self) -> str:
         """The worst tone of the parts, for the mark in the navigation."""
-        tones = [part.tone for part in self.parts if isinstance(part, Heading | Prose | Headline)]
-        tones += [c.tone for part in self.parts if isinstance(part, Cards) for c in part.cards]
-        return worst_tone(tones)
+        return worst_tone(p.tone for p in self.parts if isinstance(p, Heading | Prose | Overview))
 
     @property
     def blocks(self) -> tuple[tuple[Part, ...], ...]:
@@ -242,7 +231,7 @@ class Section:
     def is_narrow(self) -> bool:
         """Whether blocks fit side by side: none contains more than one figure."""
         return all(
-            sum(isinstance(part, Figure | Waterfall | Cards) for part in block) <= 1
+            sum(isinstance(part, Figure | Waterfall | Overview) for part in block) <= 1
             for block in self.blocks
         )
 

@@ -4,7 +4,7 @@ import math
 
 from piezoid import formatting
 from piezoid.diagnosis.diagnosis import Finding
-from piezoid.formatting import UNKNOWN, interval_digits, scale_for
+from piezoid.formatting import UNKNOWN, interval_digits, scale_for, with_unit
 
 NARROW = "\u202f"  # narrow no-break space between number and unit
 MINUS = "\N{MINUS SIGN}"
@@ -12,10 +12,8 @@ MINUS = "\N{MINUS SIGN}"
 
 def number(value: float, unit: str, digits: int = 3) -> str:
     """Return a number with its unit, for example ``66.0 nm``."""
-    if not math.isfinite(value):
-        return UNKNOWN
-    scale = scale_for(value, unit)
-    return _joined(significant(value / scale.factor, digits), scale.unit)
+    text = with_unit(value, unit, digits)
+    return text if text == UNKNOWN else text.replace(" ", NARROW).replace("-", MINUS)
 
 
 def with_half_width(value: float, half: float, unit: str) -> str:

@@ -2,7 +2,7 @@
 
 import base64
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import files as files_of
 
@@ -10,7 +10,6 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from piezoid.calibration.calibrate import Calibration
-from piezoid.calibration.controllers import Controllers
 from piezoid.calibration.stage_statements import stage_statements
 from piezoid.design.design import Design
 from piezoid.design.design_statements import design_statements
@@ -18,6 +17,7 @@ from piezoid.diagnosis.compare import ModelComparison
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.digests import digest_in
+from piezoid.errors import printable
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import as_single_axes
 from piezoid.identification.fit_statements import GOOD_PERCENT, NEAR_NOISE
@@ -29,7 +29,6 @@ from piezoid.records.recording import Recording
 from piezoid.statement import select
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Section
-from piezoid_reports.plain_text import printable
 from piezoid_reports.sections import DESIGN_SECTIONS, DIAGNOSIS_SECTIONS, SECTIONS, Renderer
 
 ALARM = (
@@ -104,7 +103,6 @@ def render_diagnosis(
 
 
 def _alarm(page: Page) -> tuple[str, str] | None:
-    """Return the warning above the page and its explanation, or None."""
     if not page.model.applies:
         return ALARM
     return None if page.recordings or not page.model.axes else NO_RECORDINGS
@@ -134,7 +132,7 @@ def html(
 
     def escaped(value: object) -> object:
         is_text = isinstance(value, str) and not hasattr(value, "__html__")
-        return printable(in_counts(str(value), counted) if is_text else value)
+        return printable(in_counts(str(value), counted)) if is_text else value
 
     environment = Environment(
         loader=FunctionLoader(_template),
@@ -167,38 +165,6 @@ def _template(name: str) -> str:
     return (files_of("piezoid_reports") / "templates" / name).read_text(encoding="utf-8")
 
 
-def report_of(
-    model: ActuatorModel,
-    collection: Collection,
-    controllers: Controllers,
-    *,
-    diagnoses: Sequence[Diagnosis],
-    undiagnosed: Sequence[str] = (),
-    files: Mapping[str, bytes],
-    lab: Lab | None,
-) -> str:
-    """Return report.html from the records of a calibration.
-
-    collection  recordings of the fit, for the figures
-    files       sealed files, for the chain of digests
-    """
-    page = Page(
-        model=model,
-        recordings=collection.recordings,
-        sweeps=collection.sweeps,
-        responses=collection.responses,
-        design=controllers.design,
-        undesigned=controllers.reason,
-        diagnoses=diagnoses,
-        undiagnosed=undiagnosed,
-        verification=controllers.verification,
-        unshipped=controllers.unshipped,
-        files=files,
-        lab=lab,
-    )
-    return render(page)
-
-
 def with_report(
     calibration: Calibration, collection: Collection | None, lab: Lab | None
 ) -> Calibration:
@@ -206,15 +172,19 @@ def with_report(
 
     collection  recordings, for the figures of the report; None if they are larger than memory
     """
-    if collection is None:  # not `or`: a collection without recordings is falsy
-        collection = Collection(recordings=(), sweeps=(), responses=())
-    page = report_of(
-        calibration.model,
-        collection,
-        calibration.controllers,
+    controllers = calibration.controllers
+    page = Page(
+        model=calibration.model,
+        recordings=() if collection is None else collection.recordings,
+        sweeps=() if collection is None else collection.sweeps,
+        responses=() if collection is None else collection.responses,
+        design=controllers.design,
+        undesigned=controllers.reason,
         diagnoses=calibration.diagnoses,
         undiagnosed=calibration.undiagnosed,
+        verification=controllers.verification,
+        unshipped=controllers.unshipped,
         files=calibration.files,
         lab=lab,
     )
-    return replace(calibration, files={**calibration.files, "report.html": page.encode()})
+    return replace(calibration, files={**calibration.files, "report.html": render(page).encode()})

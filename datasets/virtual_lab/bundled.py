@@ -15,6 +15,7 @@ import numpy as np
 
 from piezoid_datasets.virtual_lab import drives
 from piezoid_datasets.virtual_lab.effects.ceramic import creep_of
+from piezoid_datasets.virtual_lab.effects.effect import Act
 from piezoid_datasets.virtual_lab.junction_campaign import draw_junction_campaign
 from piezoid_datasets.virtual_lab.plans import volts_of
 from piezoid_datasets.virtual_lab.rig import Rig
@@ -34,8 +35,9 @@ CREEP_PER_DECADE = 0.003
 def stage(rig: Rig = RIG, seed: int = SEED) -> Stage:
     """Return the stage of one lateral axis, by default X."""
     ceramic = draw_preisach(np.random.default_rng(seed))
-    acts = creep_of(CREEP_PER_DECADE, 0.0).acts
-    return Stage(rig=rig, ceramic=ceramic, acts=acts, seed=seed)
+    fault = creep_of(CREEP_PER_DECADE, 0.0)
+    creep = Act(name="creep", place=fault.place, change=fault.change)
+    return Stage(rig=rig, ceramic=ceramic, acts=(creep,), seed=seed)
 
 
 def runs() -> tuple[Run, ...]:

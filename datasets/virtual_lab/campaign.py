@@ -19,12 +19,12 @@ from piezoid_datasets.virtual_lab.signals import Array
 from piezoid_datasets.virtual_lab.stage import Rows, Run, Stage, follow, record
 from piezoid_datasets.virtual_lab.truths import TRUTHS, ZOO
 from piezoid_datasets.virtual_lab.truths.truth import Truth
-from piezoid_datasets.virtual_lab.uncatalogued import UNCATALOGUED, Uncatalogued
+from piezoid_datasets.virtual_lab.uncatalogued import UNCATALOGUED
 
 TIMES_VISIBLE = (1.0, 4.0)
 ALWAYS = ("sweep", "check")
 FEWEST, MOST = 3, 6
-Member = TypeVar("Member", Effect, Truth, Plan, Uncatalogued)
+Member = TypeVar("Member", Effect, Truth, Plan)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,11 +104,11 @@ def draw_campaign(
     kind = named(ZOO, truth or str(_generator(seed, "truth").choice([t.name for t in TRUTHS])))
     rig = draw_rig(_generator(seed, "rig"), name=f"virtual stage {seed}")
     past_V = careless_history_V if careless else None
-    circumstances: tuple[Act, ...] = ()
+    acts: tuple[Act, ...] = ()
     if laboratory is not None:
-        rig, circumstances = laboratory.furnished(rig), laboratory.acts
+        rig, acts = laboratory.furnished(rig), laboratory.acts
         past_V = past_V or laboratory.past_V
-    stage = Stage(rig=rig, ceramic=kind.draw(_generator(seed, "ceramic")), seed=seed)
+    stage = Stage(rig=rig, ceramic=kind.draw(_generator(seed, "ceramic")), acts=acts, seed=seed)
     plan_choices = plans or _plans_for(hidden, _generator(seed, "plans"))
     plan_records = [named(PLANS, plan) if isinstance(plan, str) else plan for plan in plan_choices]
     runs = [
@@ -124,9 +124,7 @@ def draw_campaign(
     }
     for name, percent in (uncatalogued or {}).items():
         size_m = percent / 100.0 * rig.stroke_m
-        act = named(UNCATALOGUED, name).act(size_m, rig, _generator(seed, name))
-        faults[name] = Fault(acts=(act,), numbers={})
-    faults["circumstances"] = Fault(acts=circumstances, numbers={})
+        faults[name] = UNCATALOGUED[name](size_m, rig, _generator(seed, name))
     recordings = record_all(stage, runs, faults)
     hidden_effects = tuple(
         measure_effect(effect, sizes_percent[effect.name], stage, runs, faults, recordings)
@@ -176,8 +174,9 @@ def healthy(stage: Stage, runs: Sequence[Run]) -> Bench:
 
 
 def record_all(stage: Stage, runs: Sequence[Run], faults: Mapping[str, Fault]) -> tuple[Rows, ...]:
-    """Record every run with these faults."""
-    faulty = replace(stage, acts=tuple(act for fault in faults.values() for act in fault.acts))
+    """Record every run with the acts of the stage, preceded by these faults."""
+    acts = [Act(name=n, place=f.place, change=f.change) for n, f in faults.items()]
+    faulty = replace(stage, acts=(*acts, *stage.acts))
     return tuple(record(faulty, run, order) for order, run in enumerate(runs))
 
 

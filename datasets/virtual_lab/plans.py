@@ -61,7 +61,8 @@ def careless_history_V(rig: Rig, rng: np.random.Generator) -> Array:
     return np.column_stack((high_V, low_V)).ravel()
 
 
-def _sweep(_: Rig, rng: np.random.Generator) -> Shapes:
+def sweep(_: Rig, rng: np.random.Generator) -> Shapes:
+    """A decaying sweep, nested loops, and full cycles."""
     rate_Hz = float(rng.choice([500.0, 1000.0]))
     frequency_Hz = float(rng.choice([0.5, 0.7, 1.3]))
     cycles = int(rng.integers(8, 14))
@@ -72,31 +73,36 @@ def _sweep(_: Rig, rng: np.random.Generator) -> Shapes:
     return rate_Hz, np.concatenate((shape, loops, again)), {}
 
 
-def _check(_: Rig, rng: np.random.Generator) -> Shapes:
+def check(_: Rig, rng: np.random.Generator) -> Shapes:
+    """Moves between random levels."""
     rate_Hz = float(rng.choice([500.0, 1000.0]))
     move_s = float(rng.uniform(0.2, 0.8))
     return rate_Hz, drives.random_levels(rate_Hz, move_s, int(rng.integers(30, 50)), rng), {}
 
 
-def _rates(rig: Rig, rng: np.random.Generator) -> Shapes:
+def rates(rig: Rig, rng: np.random.Generator) -> Shapes:
+    """Full loops at three frequencies."""
     rate_Hz = rig.clock_Hz / float(rng.choice([1.0, 2.0]))
     fast_Hz = float(rng.uniform(30.0, 90.0))
     plan = ((2.3, 2), (11.0, 5), (fast_Hz, round(0.4 * fast_Hz)))
     return rate_Hz, drives.rates(rate_Hz, plan, triangle=bool(rng.random() < 0.5)), {}
 
 
-def _staircase(_: Rig, rng: np.random.Generator) -> Shapes:
+def staircase(_: Rig, rng: np.random.Generator) -> Shapes:
+    """Random levels, each held."""
     hold_s = float(rng.uniform(1.5, 4.0))
     return 500.0, drives.staircase(500.0, 0.05, hold_s, int(rng.integers(9, 14)), rng), {}
 
 
-def _chirp(rig: Rig, rng: np.random.Generator) -> Shapes:
+def chirp(rig: Rig, rng: np.random.Generator) -> Shapes:
+    """A small sine of rising frequency."""
     high_Hz = float(rng.uniform(400.0, 1500.0))
     amplitude = float(rng.uniform(0.06, 0.15))
     return rig.clock_Hz, drives.chirp(rig.clock_Hz, 5.0, high_Hz, 1.6, amplitude), {}
 
 
-def _other_axis(_: Rig, rng: np.random.Generator) -> Shapes:
+def other_axis(_: Rig, rng: np.random.Generator) -> Shapes:
+    """A slow sine while another axis sweeps."""
     rate_Hz, time_s = 500.0, 16.0
     slow = 0.5 * np.sin(2.0 * np.pi * 0.19 * np.arange(round(time_s * rate_Hz)) / rate_Hz)
     up = drives.glide(rate_Hz, -1.0, 0.0, 2.0)
@@ -107,19 +113,15 @@ def _other_axis(_: Rig, rng: np.random.Generator) -> Shapes:
     return rate_Hz, shape, {"y": moves}
 
 
-def _long_hold(_: Rig, rng: np.random.Generator) -> Shapes:
+def long_hold(_: Rig, rng: np.random.Generator) -> Shapes:
+    """A level held for minutes."""
     level = float(rng.uniform(-0.3, 0.5))
     return 100.0, drives.long_hold(100.0, 1.0, level, float(rng.uniform(90.0, 240.0))), {}
 
 
-PLANS: tuple[Plan, ...] = (
-    Plan(name="sweep", shape=_sweep),
-    Plan(name="check", shape=_check),
-    Plan(name="rates", shape=_rates),
-    Plan(name="staircase", shape=_staircase),
-    Plan(name="chirp", shape=_chirp),
-    Plan(name="other_axis", shape=_other_axis),
-    Plan(name="long_hold", shape=_long_hold),
+PLANS = tuple(
+    Plan(name=shape.__name__, shape=shape)
+    for shape in (sweep, check, rates, staircase, chirp, other_axis, long_hold)
 )
 
 

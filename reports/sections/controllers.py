@@ -44,7 +44,7 @@ def render(page: Page) -> Section | None:
     """Return a table of all loops and the sensitivities of each axis."""
     if page.design is None:
         return None
-    parts: list[Part] = [_loops(page)]
+    parts: list[Part] = [loops_table(page)]
     conditions: list[str] = []  # of guaranteed errors and plant families
     for axis in page.axis_designs:
         loop = axis.recommended
@@ -78,7 +78,7 @@ def render(page: Page) -> Section | None:
     )
 
 
-def _loops(page: Page) -> Table:
+def loops_table(page: Page) -> Table:
     """Return every loop of every axis with its worst margins; the first loop is recommended."""
     rows = []
     for axis in page.axis_designs:

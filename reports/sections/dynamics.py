@@ -17,9 +17,8 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.polynomial import decibel
 from piezoid.numerics.robust import NORMAL_95
-from piezoid_reports.chart import Canvas, Layer, axis_over
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table, axis_heading
+from piezoid_reports.parts import Heading, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import MINUS, number, percent, significant
 from piezoid_reports.response_figures import (
     coherence_figure,
@@ -29,7 +28,6 @@ from piezoid_reports.response_figures import (
 
 MAX_INTERVAL_RATIO = 100.0  # a wider interval is shown as unknown
 N_GAINS = 3  # frequencies at which the change of the gain is reported
-HALF_SQUARE = 0.42  # of a cell: half the side of the square of the largest entry
 
 
 def render(page: Page) -> Section | None:
@@ -183,10 +181,10 @@ def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
             "matrix, each axis responds to its own drive. The other sections show decoupled "
             "displacements."
         ),
-        _picture(coupled),
         Table(
-            caption="Displacement per volt of each drive, and the decoupling matrix, by which "
-            "references and measurements are multiplied before the controllers.",
+            caption="Which drive moves which displacement. Displacement per volt of each drive, "
+            "and the decoupling matrix, by which references and measurements are multiplied "
+            "before the controllers.",
             columns=(
                 "displacement",
                 *(f"per volt of {name}" for name in coupled.inputs),
@@ -235,39 +233,6 @@ def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:
             )
         )
     return parts
-
-
-def _picture(coupled: CoupledStage) -> Figure:
-    """Draw the matrix as squares with areas proportional to its entries [Hinton diagram]."""
-    gain = coupled.coupling_m_per_V
-    x, y = (
-        axis_over(label, [np.array([0.5, count + 0.5])], "")
-        for label, count in (("drive", gain.shape[1]), ("displacement", gain.shape[0]))
-    )
-    canvas = Canvas(x=x, y=y)
-    squares = {"model": "", "before": ""}
-    for i, k in np.ndindex(*gain.shape):
-        half = HALF_SQUARE * float(np.sqrt(abs(gain[i, k]) / np.abs(gain).max()))
-        across, up = np.array([k + 1 - half, k + 1 + half]), np.full(2, float(i + 1))
-        role = "model" if gain[i, k] >= 0.0 else "before"
-        squares[role] += canvas.band(role, "", across, up - half, up + half).path
-    names = {"model": "same sign as the drive", "before": "opposite sign"}
-    layers = tuple(
-        Layer(role=role, name=names[role], path=path, kind="area")
-        for role, path in squares.items()
-        if path
-    )
-    largest = number(float(np.abs(gain).max()), "m/V")
-    return Figure(
-        title="Which drive moves which displacement",
-        caption=f"Columns are the drives {', '.join(coupled.inputs)}, rows from the bottom the "
-        f"displacements {', '.join(coupled.outputs)}. The area of a square is the size of an "
-        f"entry, the largest {largest}.",
-        guide="Good: large squares along the rising diagonal. Bad: large squares off the "
-        "diagonal, which the decoupling must compensate, or small squares on it.",
-        canvas=canvas,
-        layers=layers,
-    )
 
 
 def _errors(coupled: CoupledStage) -> Table:
@@ -330,6 +295,5 @@ def _modes(coupled: CoupledStage) -> Table:
 
 
 def _signed(share: float) -> str:
-    """Return a relative change in percent with its sign."""
     sign = "+" if share >= 0.0 else MINUS
     return f"{sign}{significant(abs(100.0 * float(share)), 2)} %"

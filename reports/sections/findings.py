@@ -23,7 +23,7 @@ def render(page: Page) -> Section | None:
     """Return a figure and a paragraph for each finding, and tables of effects not detected."""
     if not page.diagnoses:
         return None
-    parts: list[Part] = [_table(page.diagnoses)]
+    parts: list[Part] = [findings_table(page.diagnoses)]
     described: dict[str, str] = {}  # by effect, the first axis that has it
     for diagnosis in page.diagnoses:
         axis = page.model.axes.get(diagnosis.axis)
@@ -65,7 +65,8 @@ def _explanation(page: Page, finding: Finding, earlier_axis: str | None) -> list
     return parts
 
 
-def _table(diagnoses: Sequence[Diagnosis]) -> Part:
+def findings_table(diagnoses: Sequence[Diagnosis]) -> Table | Prose:
+    """Return every finding with its size, the errors without and with it, and its p-value."""
     rows = tuple(
         (
             diagnosis.axis,

@@ -80,6 +80,5 @@ def without_line(
             canvas.line(n, n, trace.voltage_V, m, points=points, timed=is_small)
             for n, m in curves.items()
         ),
-        flicker=() if is_small else tuple(curves),
         is_small=is_small,
     )

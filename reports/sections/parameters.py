@@ -1,15 +1,13 @@
 """Parameters and uncertainty: loading curve, errors, uncertainty budget, and quantities."""
 
 import math
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Sequence
 
 import numpy as np
 
 from piezoid.identification.displacement_budget import DisplacementBudget, displacement_budget
 from piezoid.identification.fit_statements import has_usable_intervals
 from piezoid.identification.model import AxisModel
-from piezoid.identification.quality import Uncertainty
 from piezoid.numerics.robust import student_quantile
 from piezoid_reports.chart import Canvas, axis_over
 from piezoid_reports.page import Page, SPIRAL_Hz, guarantee, tracking_error
@@ -21,8 +19,6 @@ from piezoid_reports.parts import (
     Section,
     Table,
     axis_heading,
-    count_of,
-    folded,
     side_by_side,
     with_rows,
 )
@@ -32,6 +28,10 @@ GUIDE_BOW = (
     "Good: a smooth bow, deeper than the width of its band. Bad: kinks, or a band wider than the "
     "bow."
 )
+FUNCTIONS = (
+    "Simulated and inverted with plays whose outputs pass through functions. The diagnosis uses "
+    "plays and dead zones."
+)
 DECLARATIONS = {
     "sensor_gain_relative": "gain of the sensor",
     "sensor_linearity_m": "linearity of the sensor",
@@ -39,7 +39,6 @@ DECLARATIONS = {
     "temperature_range_K": "range of the temperature",
     "expansion_m_per_K": "thermal expansion between sensor and stage",
 }
-Intervals = Mapping[str, tuple[float, float]]  # value and half 95 % interval by parameter
 
 
 def render(page: Page) -> Section | None:
@@ -47,11 +46,11 @@ def render(page: Page) -> Section | None:
     parts: list[Part] = []
     budgets = []
     for axis in page.axes:
-        intervals = intervals_of(axis.uncertainty)
         parts += [axis_heading(axis), _bow(axis)]
         if axis.verdict.applies:
             budgets.append(displacement_budget(axis, page.lab))
-        parts += folded("Parameters", [*_functions(axis), *_weights(axis, intervals)])
+        if axis.minor_loops is not None:
+            parts.append(Prose(text=FUNCTIONS))
     if not parts:
         return None
     parts.append(Heading(text="All axes"))
@@ -157,94 +156,26 @@ def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
     ]
 
 
-def intervals_of(uncertainty: Uncertainty) -> Intervals:
-    """Return value and half 95 % interval of every parameter by name."""
+def _lag(axis: AxisModel) -> str:
+    uncertainty = axis.uncertainty
+    if axis.quality.is_lag_ambiguous and axis.lag.kind != "none":
+        return "not separable from the loop width at a single speed"
+    if "lag_s" not in uncertainty.names:
+        return with_half_width(axis.lag.time_s, math.nan, "s")
+    k = uncertainty.names.index("lag_s")
     quantile = float(student_quantile(0.975, max(uncertainty.blocks - 1, 1)))
-    half = quantile * np.sqrt(np.maximum(np.diag(uncertainty.covariance), 0.0))
-    return {
-        name: (float(value), float(spread))
-        for name, value, spread in zip(uncertainty.names, uncertainty.values, half, strict=True)
-    }
-
-
-def _functions(axis: AxisModel) -> tuple[Part, ...]:
-    if axis.minor_loops is None:
-        return ()
-    operator = axis.minor_loops.operator
-    blocks = len(axis.minor_loops.without_m)
-    text = (
-        f"Axis {axis.axis} is simulated and inverted with plays whose outputs pass through "
-        "functions. The diagnosis uses plays and dead zones."
-    )
-    return (
-        Prose(text=text),
-        Table(
-            caption=f"Axis {axis.axis}: rise of the functions between edges of the drive about "
-            f"{number(operator.voltage_offset_V, 'V', 4)}, and the spread over {blocks} fits that "
-            "each leave out one block of time.",
-            columns=(
-                "play",
-                "half-width",
-                *(
-                    f"{number(low, 'V', 3)} to {number(high, 'V', 3)}"
-                    for low, high in pairwise(operator.edge_V.tolist())
-                ),
-            ),
-            rows=tuple(
-                (
-                    str(i),
-                    number(float(operator.threshold_V[i]), "V", 4),
-                    *(
-                        with_half_width(float(rise_m), float(half_m), "m")
-                        for rise_m, half_m in zip(operator.rise_m[i], halves_m, strict=True)
-                    ),
-                )
-                for i, halves_m in enumerate(axis.minor_loops.half_m)
-            ),
-        ),
-    )
-
-
-def _weights(axis: AxisModel, intervals: Intervals) -> tuple[Figure, ...]:
-    """Draw the weights of the plays over their thresholds; model.json lists all numbers."""
-    plays = axis.hysteresis.plays
-    if len(plays.weight) < 3:
-        return ()
-    # Play 0 has no memory; its weight is the initial slope of the loading curve.
-    threshold_V, weight = plays.threshold[1:], plays.weight[1:]
-    names = [f"play_weight_m_per_V[{k}]" for k in range(1, len(plays.weight))]
-    half = np.array([intervals.get(name, (0.0, 0.0))[1] for name in names])
-    y = axis_over("weight", [weight - half, weight + half, np.zeros(1)], "m/V")
-    canvas = Canvas(x=axis_over("threshold", [threshold_V], "V"), y=y, height=240)
-    figure = Figure(
-        title=f"Axis {axis.axis}: weights of the plays",
-        caption=f"{count_of(len(weight), 'play')}, "
-        f"{count_of(len(axis.hysteresis.dead_zones.weight) - 1, 'dead zone')}.",
-        guide="Weights of neighbouring plays are correlated: each is less certain than the "
-        "loading curve.",
-        canvas=canvas,
-        layers=(
-            canvas.band("model-band", "95 % interval", threshold_V, weight - half, weight + half),
-            canvas.line("model", "weight", threshold_V, weight),
-            canvas.dots("odd", "plays", threshold_V, weight),
-        ),
-    )
-    return (figure,)
+    half_s = quantile * float(np.sqrt(max(uncertainty.covariance[k, k], 0.0)))
+    return with_half_width(float(uncertainty.values[k]), half_s, "s")
 
 
 def _quantities(page: Page) -> Table:
-    """Return the parameters of the fit other than its weights, with one column per axis."""
     columns = []
     for axis in page.axes:
         low_V, high_V = axis.voltage_V
-        lag_s = intervals_of(axis.uncertainty).get("lag_s", (axis.lag.time_s, math.nan))
-        lag = with_half_width(*lag_s, "s")
-        if axis.quality.is_lag_ambiguous and axis.lag.kind != "none":
-            lag = "not separable from the loop width at a single speed"
         amplifier_Hz, sensor_Hz = axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz
         column = {
             "width of the full loop": _loop_width(axis),
-            "lag": lag,
+            "lag": _lag(axis),
             "voltage offset": number(axis.hysteresis.voltage_offset_V, "V", 4),
             "displacement offset": number(axis.hysteresis.displacement_offset_m, "m", 4),
             "valid drive": f"{number(low_V, 'V')} to {number(high_V, 'V')}",

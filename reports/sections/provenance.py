@@ -54,7 +54,6 @@ def _agreement(model: ActuatorModel, recording: Recording | RawTable) -> str:
 
 
 def _chain(page: Page) -> Table:
-    """Return the digests of data, model, design, parameter file, runtime and verification."""
     model = page.model_digest
     sealed = {name: text for name, text in page.files.items() if name.endswith(".json")}
     digests = {name: digest_in(text) for name, text in sealed.items()}

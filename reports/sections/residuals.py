@@ -1,12 +1,10 @@
 """Residuals against time and drive, and samples left out of the fit."""
 
-import itertools
-
 import numpy as np
 
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.arrays import Array, runs_of
-from piezoid_reports.chart import Canvas, Layer, axis_over
+from piezoid.numerics.arrays import runs_of
+from piezoid_reports.chart import Canvas, axis_over, bins_of
 from piezoid_reports.page import Page, Trace, rms
 from piezoid_reports.parts import Figure, Part, Section, axis_heading, count_of, folded
 from piezoid_reports.quantities import number, percent
@@ -96,16 +94,9 @@ def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
     branches = []  # centre of the bin and 5 %, 50 % and 95 % quantiles, (bins, 4)
     for branch in (is_rising, ~is_rising):
         drive_V, error_m = voltage_V[is_finite & branch], residual_m[is_finite & branch]
-        index = np.clip(np.searchsorted(edges_V, drive_V, side="right") - 1, 0, DRIVE_BINS - 1)
-        order = np.argsort(index, kind="stable")
-        cuts = np.searchsorted(index[order], np.arange(DRIVE_BINS + 1))
         rows = [
-            [
-                (edges_V[k] + edges_V[k + 1]) / 2,
-                *np.quantile(error_m[order[a:b]], [0.05, 0.5, 0.95]),
-            ]
-            for k, (a, b) in enumerate(itertools.pairwise(cuts))
-            if b - a >= MIN_BIN_SAMPLES
+            [(edges_V[k] + edges_V[k + 1]) / 2, *np.quantile(error_m[samples], [0.05, 0.5, 0.95])]
+            for k, samples in bins_of(drive_V, edges_V, MIN_BIN_SAMPLES)
         ]
         branches.append(np.array(rows).reshape(-1, 4))
     rising, falling = branches
@@ -121,13 +112,8 @@ def _over_drive(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
         caption=f"Largest median {largest[0]} rising, {largest[1]} falling; bands hold 90 %.",
         guide=GUIDE_DRIVE,
         canvas=canvas,
-        layers=(*_bands(canvas, "rising", rising), *_bands(canvas, "falling", falling)),
+        layers=(
+            *canvas.quantiles("rising", "rising", "90 %", rising),
+            *canvas.quantiles("falling", "falling", "90 %", falling),
+        ),
     )
-
-
-def _bands(canvas: Canvas, role: str, bins: Array) -> tuple[Layer, ...]:
-    if len(bins) < 2:
-        return ()
-    middle, low, median, high = bins.T
-    line = canvas.line(role, f"{role}: median", middle, median)
-    return canvas.band(f"{role}-band", f"{role}: 90 %", middle, low, high), line

@@ -8,7 +8,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.statement import Level
 from piezoid_reports.page import Page, SPIRAL_Hz, guarantee, tracking_error
-from piezoid_reports.parts import Card, Cards, Figure, Headline, Section, count_of, worst_tone
+from piezoid_reports.parts import Card, Figure, Overview, Section, count_of, worst_tone
 from piezoid_reports.quantities import number, percent, significant, with_interval
 from piezoid_reports.sections import loops, residuals, tunnelling
 
@@ -28,9 +28,8 @@ def render(page: Page) -> Section:
     tones = [card.tone for card in cards]
     if has_failed_controller(page):
         tones.append("bad")
-    summary = Headline(sentences=sentences(page), tone=worst_tone(tones))
-    parts = (summary, Cards(cards=tuple(cards)))
-    return Section(anchor="summary", title="Summary", lead="", parts=parts)
+    overview = Overview(sentences=sentences(page), tone=worst_tone(tones), cards=tuple(cards))
+    return Section(anchor="summary", title="Summary", lead="", parts=(overview,))
 
 
 def sentences(page: Page) -> tuple[tuple[str, str], ...]:
@@ -89,7 +88,6 @@ def _names(axes: list[str]) -> str:
 
 
 def _card(page: Page, axis: AxisModel) -> Card:
-    """Return the card of an axis: grade, loop and residual, and the most important numbers."""
     grade, traces = grade_of(axis), page.plotted_traces(axis)
     figures: tuple[Figure, ...] = ()
     if traces:
@@ -148,7 +146,6 @@ def ships(page: Page, axis: str) -> str:
 
 
 def _tip_card(page: Page) -> tuple[Card, ...]:
-    """Return the card of the tunnelling tip, if a junction or a closed loop was recorded."""
     junction = page.model.tunnelling
     law, plant = (None, None) if junction is None else (junction.gap_law, junction.loop_plant)
     estimate = law or plant

@@ -117,7 +117,6 @@ def law_figures(
 
 
 def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Direction], ...]:
-    """Return every gap law with the direction of its sweeps."""
     first = junction.gap_law
     if first is None:
         return ()

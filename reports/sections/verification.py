@@ -6,9 +6,9 @@ import numpy as np
 
 from piezoid.design.design_statements import guaranteed_error_m
 from piezoid.runtime.schema import METHOD_NAMES
-from piezoid.verification.criteria import SHAPE_ERROR, SHAPE_RATIO, Limits, Verdict
+from piezoid.verification.criteria import SHAPE_ERROR, Limits, Verdict
 from piezoid.verification.scenarios import spiral_speed_m_per_s
-from piezoid.verification.tracking import UNCOMPENSATED, SpiralTrace, rms_from
+from piezoid.verification.tracking import SpiralTrace, rms_from
 from piezoid.verification.verification import ComparisonRow, Verification
 from piezoid_reports.chart import Canvas, axis_over, decades_over
 from piezoid_reports.page import Page
@@ -41,10 +41,8 @@ def render(page: Page) -> Section | None:
     ]
     details = [*spirals, *motions(verification)]
     figures: list[Part] = [_shape_figure(verification)] if verification.comparison else []
-    rates_Hz = list(dict.fromkeys(trace.frequency_Hz for trace in verification.traces))
-    figures += [error_in_time(rate_Hz, verification) for rate_Hz in rates_Hz[-1:]]
     figures += folded(f"Steps and spiral: {count_of(len(details), 'figure')}", details)
-    figures += [_table(page, verification)] if verification.comparison else []
+    figures += [comparison_table(page, verification)] if verification.comparison else []
     currents = Table(
         caption="Tip over a surface of 0.1 nm rms. Largest current: relative to the set point.",
         columns=("path", "std of ln i", "height rms", "largest current", "retracted samples"),
@@ -70,14 +68,13 @@ def render(page: Page) -> Section | None:
                 _bounds(verification),
                 currents,
                 _verdicts(verification.verdicts),
-                *_proofs(verification),
+                *proof_tables(verification),
             ),
         ),
     )
 
 
 def _shape_figure(verification: Verification) -> Figure:
-    """Draw the shape error of every method over the frequency on logarithmic axes."""
     methods = list(dict.fromkeys(row.method for row in verification.comparison))
     curves = {m: [row for row in verification.comparison if row.method == m] for m in methods}
     points = {
@@ -105,7 +102,7 @@ def _shape_figure(verification: Verification) -> Figure:
     )
 
 
-def _table(page: Page, verification: Verification) -> Table:
+def comparison_table(page: Page, verification: Verification) -> Table:
     """Return the error of each method at each rate, and the guaranteed error if it ships."""
     rates_Hz = sorted({row.frequency_Hz for row in verification.comparison})
     by_method: dict[str, dict[float, ComparisonRow]] = {}
@@ -215,7 +212,7 @@ def _verdicts(verdicts: Sequence[Verdict]) -> Table:
     )
 
 
-def _proofs(verification: Verification) -> tuple[Table, Table]:
+def proof_tables(verification: Verification) -> tuple[Table, Table]:
     """Return the comparisons of builds bit for bit, and the proofs of the limits."""
     builds = Table(
         caption="The bundle, compiled again and compared bit for bit.",
@@ -280,52 +277,6 @@ def spiral(trace: SpiralTrace, verification: Verification) -> Figure:
         guide="Good: the first colour everywhere. Bad: the last two colours at turning points.",
         canvas=canvas,
         layers=tuple(layers),
-    )
-
-
-def error_in_time(frequency_Hz: float, verification: Verification) -> Figure:
-    """Draw the shape error along a spiral with the shipped controller, and in grey without."""
-    traces = [trace for trace in verification.traces if trace.frequency_Hz == frequency_Hz]
-    shipped = set(verification.methods.values())
-    traces.sort(key=lambda trace: trace.method in shipped)  # the shipped controller on top
-    along = [np.linspace(0.0, 100.0, len(trace.shape_error_m)) for trace in traces]
-    logs = [np.log10(np.maximum(trace.shape_error_m, MIN_ERROR_m) / NANO) for trace in traces]
-    limit_m = _shape_limit_m(verification, frequency_Hz)
-    limits = [] if limit_m is None else [np.full(2, np.log10(limit_m / NANO))]
-    x = axis_over("share of the path", along, "%")
-    y = decades_over("shape error", [*logs, *limits], "nm")
-    canvas = Canvas(x=x, y=y)
-    layers = [
-        canvas.line("model" if t.method in shipped else "grey", METHOD_NAMES[t.method], a, v)
-        for t, a, v in zip(traces, along, logs, strict=True)
-    ]
-    rms_m = {
-        row.method: row.aligned_rms_m
-        for row in verification.comparison
-        if row.frequency_Hz == frequency_Hz
-    }
-    sizes = "; ".join(
-        f"{METHOD_NAMES[t.method]}: {number(rms_m[t.method], 'm')} rms" for t in reversed(traces)
-    )
-    sizes = f"{sizes[:1].upper()}{sizes[1:]}"
-    baseline = "the dashed line" if limits else METHOD_NAMES[UNCOMPENSATED]
-    limit_clause = "no limit at this rate"
-    for verdict in verification.verdicts:
-        if (verdict.name, verdict.scenario) == (SHAPE_RATIO, f"spiral, {frequency_Hz:g} Hz"):
-            ratio, allowed = significant(verdict.value), significant(verdict.limit)
-            limit_clause = f"ratio {ratio}, allowed {allowed}; no limit in metres at this rate"
-            break
-    if limit_m is not None:
-        limit_clause = f"limit {number(limit_m, 'm')} rms"
-    return Figure(
-        title=f"Shape error along the spiral of {number(frequency_Hz, 'Hz')}",
-        caption=f"{sizes}; {limit_clause}.",
-        guide=f"Good: far below {baseline}. Bad: rising outwards, or a spike at every turn.",
-        canvas=canvas,
-        layers=(
-            *layers,
-            *(canvas.line("limit", "limit, rms", np.array([0.0, 100.0]), v) for v in limits),
-        ),
     )
 
 

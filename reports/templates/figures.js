@@ -1,5 +1,5 @@
 "use strict";
-// Zoom, readout and alternation of curves in figures. Without this script all curves are shown.
+// Zoom, readout and choice of curves in figures. Without this script all curves are shown.
 (() => {
   const SVG = "http://www.w3.org/2000/svg";
   const REACH = 30; // pixels of the figure: largest distance of the pointer from a curve
@@ -346,34 +346,9 @@
       });
     }
 
-    function setShown(index, on) {
-      layers[index].classList.toggle("off", !on);
-      keys[index].setAttribute("aria-pressed", String(on));
-    }
     keys.forEach((key, index) => key.addEventListener("click", () => {
-      setShown(index, key.getAttribute("aria-pressed") !== "true");
+      key.setAttribute("aria-pressed", String(!layers[index].classList.toggle("off")));
     }));
-
-    const flicker = figure.querySelector(".flicker");
-    if (!flicker) return;
-    const still = matchMedia("(prefers-reduced-motion: reduce)");
-    const roles = flicker.dataset.roles.split(" ");
-    let clock = 0, turn = 0;
-    function next() {
-      turn += 1;
-      layers.forEach((layer, index) => {
-        if (roles.includes(layer.dataset.role)) setShown(index, roles[turn % roles.length] === layer.dataset.role);
-      });
-    }
-    flicker.addEventListener("click", () => {
-      if (still.matches) { next(); return; }
-      const on = !clock;
-      flicker.setAttribute("aria-pressed", String(on));
-      if (on) { next(); clock = setInterval(next, 800); return; }
-      clearInterval(clock);
-      clock = 0;
-      layers.forEach((layer, index) => { if (roles.includes(layer.dataset.role)) setShown(index, true); });
-    });
   }
 
   document.querySelectorAll("figure.chart").forEach(activate);

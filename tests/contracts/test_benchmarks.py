@@ -55,14 +55,12 @@ def test_a_longer_recording_has_the_same_loops() -> None:
     assert len({one.name for one in long.recordings}) == 2
 
 
-def test_a_recording_is_fitted_in_memory(capsys: pytest.CaptureFixture[str]) -> None:
-    million_samples.main(["1500"], watch=ONCE)
-    assert "residual" in capsys.readouterr().out
-
-
-def test_a_recording_is_fitted_from_its_file(
+@pytest.mark.usefixtures("plays_alone", "one_order")
+def test_a_recording_is_fitted_in_memory_and_from_its_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    million_samples.main(["1500"], watch=ONCE)
+    assert "residual" in capsys.readouterr().out
     place = tmp_path / "long_5e+03.parquet"
     streamed_fit.write(place, 5000)
     streamed_fit.fit_one(place)

@@ -1,16 +1,14 @@
 """The zoo's benchmark asks for the same stages however it is cut, and counts what it says."""
 
 import json
-import math
 from pathlib import Path
 
 import pytest
 
 from benchmarks.zoo.__main__ import read
-from benchmarks.zoo.score import Asked, Case, Said, case_of_row, judged
-from benchmarks.zoo.stages import HIDDEN, KINDS, NAMES, asked_for, drawn, stage
+from benchmarks.zoo.score import Case, Said, case_of_row
+from benchmarks.zoo.stages import HIDDEN, KINDS, NAMES, asked_for, stage
 from benchmarks.zoo.table import confusion, share, table
-from piezoid_datasets.virtual_lab.campaign import Campaign
 from piezoid_datasets.virtual_lab.truths import ZOO
 
 
@@ -98,17 +96,3 @@ def test_a_run_that_was_cut_short_goes_on_where_it_was(tmp_path: Path) -> None:
     assert place.read_text() == lines[0] + "\n" + lines[1] + "\n"
     assert case_of_row(json.loads(lines[0])) == rows[0]
     assert read(tmp_path / "none.jsonl") == {}
-
-
-@pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_stage_is_judged_from_its_files() -> None:
-    every = (stage("takacs", "single", k, 11) for k in range(len(HIDDEN)))
-    found = judged(next(one for one in every if "outliers" in one.hidden), _short)
-    assert found.hidden == ("outliers",)
-    assert "outliers" in found.names
-    assert found.samples > 1000
-    assert math.isfinite(found.times_noise)
-
-
-def _short(asked: Asked, *, settled: bool = False) -> Campaign:
-    return drawn(asked, settled=settled, plans=("sweep",))

@@ -23,9 +23,9 @@ def test_the_same_seed_makes_the_same_bytes() -> None:
 
 
 def test_another_seed_makes_another_stage() -> None:
-    first, second = draw_campaign(1), draw_campaign(2)
-    assert first.rig.stroke_m != second.rig.stroke_m
-    assert {draw_campaign(seed).answer.truth for seed in range(8)} == {t.name for t in TRUTHS}
+    drawn = [draw_campaign(seed, plans=("check",)) for seed in range(8)]
+    assert len({campaign.rig.stroke_m for campaign in drawn}) == len(drawn)
+    assert {campaign.answer.truth for campaign in drawn} == {truth.name for truth in TRUTHS}
 
 
 def test_the_stage_of_a_seed_does_not_depend_on_what_is_hidden_in_it() -> None:
@@ -41,10 +41,9 @@ def test_the_stage_of_a_seed_does_not_depend_on_what_is_hidden_in_it() -> None:
 def test_three_to_six_recordings_one_of_which_shows_the_effect(effect: object) -> None:
     name = effect.name  # type: ignore[attr-defined]
     shown_by = effect.shown_by  # type: ignore[attr-defined]
-    for seed in range(2):
-        played = names(draw_campaign(seed, effects={name: 1e-6}))
-        assert 3 <= len(played) <= 6
-        assert set(played) & set(shown_by)
+    played = names(draw_campaign(0, effects={name: 1e-6}))
+    assert 3 <= len(played) <= 6
+    assert set(played) & set(shown_by)
 
 
 def test_sizes_are_drawn_between_one_and_four_times_what_is_visible() -> None:
@@ -74,7 +73,7 @@ def test_a_careless_lab_starts_from_another_memory() -> None:
 
 
 def test_readings_fit_the_converter_and_drives_the_range() -> None:
-    for seed in range(4):
+    for seed in (0, 1):
         campaign = draw_campaign(seed, plans=[plan.name for plan in PLANS])
         reach_m = campaign.rig.converter_range_V[1] / campaign.rig.sensor_gain_V_per_m
         for rows in campaign.recordings:

@@ -93,15 +93,13 @@ def test_lag_is_a_filter_behind_the_sensor() -> None:
     assert np.std(left) < 0.05 * np.std(tau_s * speed)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_coupling_is_silent_where_the_other_axis_rests(seed: int) -> None:
-    for faulty, sound in pairs(seed, "cross_coupling"):
-        if "y" not in faulty.others_V:
-            assert np.array_equal(faulty.displacement_m, sound.displacement_m)
-
-
-def test_both_paths_of_coupling_occur() -> None:
-    paths = {campaign(s, "cross_coupling").answer.effects[0].numbers["path"] for s in range(4)}
+def test_coupling_has_two_paths_and_is_silent_where_the_other_axis_rests() -> None:
+    paths = set()
+    for seed in range(4):
+        paths.add(campaign(seed, "cross_coupling").answer.effects[0].numbers["path"])
+        for faulty, sound in pairs(seed, "cross_coupling"):
+            if "y" not in faulty.others_V:
+                assert np.array_equal(faulty.displacement_m, sound.displacement_m)
     assert paths == {"mechanical", "electrical"}
 
 
@@ -225,7 +223,7 @@ def test_non_congruence_opens_loops_at_one_end_and_closes_them_at_the_other() ->
 
 @pytest.mark.parametrize("truth", [WALLS, BOUC_WEN])
 def test_walls_become_freer_where_they_are_freer_by_nature(truth: Truth) -> None:
-    for seed in range(6):
+    for seed in range(3):
         ceramic = truth.draw(np.random.default_rng(seed))
         wide = [_width(ceramic, bias) for bias in (-0.5, 0.5)]
         if abs(wide[1] / wide[0] - 1.0) > 0.03:

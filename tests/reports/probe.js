@@ -49,7 +49,7 @@
       });
       return { width: frame.width, height: frame.height, curves };
     });
-    const figure = document.querySelector("figure.chart:has(.flicker)");
+    const figure = document.querySelector("#loops figure.chart");
     figure.scrollIntoView();
     const view = figure.querySelector(".view"), plot = figure.querySelector(".plot");
     const box = view.getBoundingClientRect();
@@ -76,9 +76,6 @@
     figure.querySelector(".key").click();
     const hidden = getComputedStyle(figure.querySelector(".layer")).display;
     figure.querySelector(".key").click();
-    figure.querySelector(".flicker").click();
-    const flickering = [...figure.querySelectorAll(".layer.off")].length;
-    figure.querySelector(".flicker").click();
     const after = [...figure.querySelectorAll(".layer.off")].length;
     // The script writes the ticks anew: they must be those that stood there.
     const ticksOf = (one) => [...one.querySelectorAll(".tick")].map((tick) => tick.textContent.trim()).join(" ");
@@ -91,7 +88,7 @@
     document.body.dataset.probe = JSON.stringify({
       sheet, words, rows, reached, keys, litNear, litAgain, told, crosshair, barOver, barLeft, barsNear, saved,
       errors, sizes, readout, whole, near, again, ticksBefore, ticksNear, ticksAgain,
-      astray, byWheel, stolenWheel: unfocused.defaultPrevented, keptWheel: focused.defaultPrevented, hidden, flickering, after, wide, rewritten,
+      astray, byWheel, stolenWheel: unfocused.defaultPrevented, keptWheel: focused.defaultPrevented, hidden, after, wide, rewritten,
     });
   });
 })();

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from piezoid.runtime.schema import METHOD_NAMES
-from piezoid.verification.criteria import SHAPE_ERROR
 from piezoid.verification.rebuild import Proof
 from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.tracking import SPIRAL_POINTS, SpiralTrace
@@ -20,7 +19,6 @@ from piezoid_reports.sections.verification import (
     MAX_VERDICTS,
     SHADES,
     STEPS,
-    error_in_time,
     motions,
     spiral,
 )
@@ -146,25 +144,3 @@ def test_a_place_gets_the_colour_of_its_share_of_the_limit(found: Verification) 
     assert [layer.role for layer in figure.layers] == [f"error-{shade}" for shade in SHADES]
     alone = replace(made, shape_error_m=(0.0, 0.0, 0.0, 0.0))
     assert [layer.role for layer in spiral(alone, found).layers] == ["error-measured"]
-
-
-def test_a_limit_is_drawn_only_beside_the_spiral_that_it_was_the_limit_of(
-    found: Verification,
-) -> None:
-    """At 100 Hz a spiral is compared with no compensation; its error may exceed that of 10 Hz."""
-    at_10_Hz = error_in_time(10.0, found)
-    assert at_10_Hz.layers[-1].role == "limit"
-    assert "limit" in at_10_Hz.caption
-    faster = replace(
-        found,
-        traces=tuple(replace(t, frequency_Hz=100.0) for t in found.traces),
-        comparison=tuple(replace(row, frequency_Hz=100.0) for row in found.comparison),
-        verdicts=tuple(replace(v, scenario="spiral, 100 Hz") for v in found.verdicts),
-    )
-    faster = replace(faster, verdicts=tuple(v for v in faster.verdicts if v.name != SHAPE_ERROR))
-    at_100_Hz = error_in_time(100.0, faster)
-    assert "limit" not in {layer.role for layer in at_100_Hz.layers}
-    assert "dashed" not in at_100_Hz.guide
-    assert "allowed 1.00" in at_100_Hz.caption
-    shipped = next(row for row in faster.comparison if row.method == "mpi_dob")
-    assert number(shipped.aligned_rms_m, "m") in at_100_Hz.caption

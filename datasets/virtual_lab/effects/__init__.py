@@ -4,53 +4,26 @@ The docstring of the function that installs an effect explains its physics. Effe
 place of the chain are applied in the order of ``EFFECTS``.
 """
 
-from piezoid_datasets.virtual_lab.effects.acquisition import (
-    OUTLIERS,
-    QUANTISATION,
-    TIMESTAMP_FAULT,
-)
-from piezoid_datasets.virtual_lab.effects.ceramic import (
-    ASYMMETRY,
-    CREEP,
-    NON_CONGRUENCE,
-    RATE_DEPENDENCE,
-)
-from piezoid_datasets.virtual_lab.effects.drive import (
-    AMPLIFIER_SATURATION,
-    INITIAL_STATE,
-    SLEW_LIMIT,
-)
+from piezoid_datasets.virtual_lab.effects import acquisition, ceramic, drive, mechanics, sensor
 from piezoid_datasets.virtual_lab.effects.effect import Effect
-from piezoid_datasets.virtual_lab.effects.mechanics import (
-    CROSS_COUPLING,
-    GAIN_CHANGE,
-    RESONANCE,
-    THERMAL_DRIFT,
-)
-from piezoid_datasets.virtual_lab.effects.sensor import (
-    DELAY,
-    LAG,
-    MAINS_INTERFERENCE,
-    SENSOR_PERIODIC_ERROR,
-)
 
 EFFECTS: tuple[Effect, ...] = (
-    INITIAL_STATE,
-    SLEW_LIMIT,
-    AMPLIFIER_SATURATION,
-    RATE_DEPENDENCE,
-    NON_CONGRUENCE,
-    ASYMMETRY,
-    CREEP,
-    RESONANCE,
-    GAIN_CHANGE,
-    CROSS_COUPLING,
-    THERMAL_DRIFT,
-    SENSOR_PERIODIC_ERROR,
-    LAG,
-    DELAY,
-    MAINS_INTERFERENCE,
-    QUANTISATION,
-    OUTLIERS,
-    TIMESTAMP_FAULT,
+    drive.initial_state,
+    drive.slew_limit,
+    drive.amplifier_saturation,
+    ceramic.rate_dependence,
+    ceramic.non_congruence,
+    ceramic.asymmetry,
+    ceramic.creep,
+    mechanics.resonance,
+    mechanics.gain_change,
+    mechanics.cross_coupling,
+    mechanics.thermal_drift,
+    sensor.sensor_periodic_error,
+    sensor.lag,
+    sensor.delay,
+    sensor.mains_interference,
+    acquisition.quantisation,
+    acquisition.outliers,
+    acquisition.timestamp_fault,
 )

@@ -6,14 +6,13 @@ import numpy as np
 
 from piezoid_datasets.virtual_lab.effects.effect import (
     Bench,
-    Effect,
     Fault,
     Measure,
     Place,
     Scene,
     Trace,
     bisected,
-    fault_of,
+    effect,
 )
 from piezoid_datasets.virtual_lab.signals import Array, shifted
 
@@ -22,7 +21,8 @@ AT_LEAST = 4  # outliers
 ROWS = (0.3, 3000.0)  # lost or repeated
 
 
-def install_quantisation(size_m: float, _bench: Bench, _: np.random.Generator) -> Fault:
+@effect(0.08, shown_by=("sweep",))
+def quantisation(size_m: float, _bench: Bench, _: np.random.Generator) -> Fault:
     """Quantisation: a converter with too few bits or too wide a range.
 
         y = q round(x / q)
@@ -33,24 +33,15 @@ def install_quantisation(size_m: float, _bench: Bench, _: np.random.Generator) -
     q / sqrt(12).
     """
     step_m = float(np.sqrt(12.0)) * size_m
-    return fault_of(
-        QUANTISATION.name,
+    return Fault(
         Place.CONVERTER,
         lambda sampled_m, _scene, _: step_m * np.round(sampled_m / step_m),
         {"step_m": step_m},
     )
 
 
-QUANTISATION = Effect(
-    name="quantisation",
-    measure=Measure.RMS,
-    visible_percent=0.08,
-    shown_by=("sweep",),
-    install=install_quantisation,
-)
-
-
-def install_outliers(size_m: float, _: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.8, shown_by=("sweep",), measure=Measure.PEAK)
+def outliers(size_m: float, _: Bench, rng: np.random.Generator) -> Fault:
     """Outliers: single readings disturbed by a spark, a bit error, or a switching relay.
 
     Rare, of either sign, one row long.
@@ -70,19 +61,11 @@ def install_outliers(size_m: float, _: Bench, rng: np.random.Generator) -> Fault
         return disturbed_m
 
     numbers = {"share_of_rows": share, "largest_m": size_m}
-    return fault_of(OUTLIERS.name, Place.RECORD, spike, numbers)
+    return Fault(Place.RECORD, spike, numbers)
 
 
-OUTLIERS = Effect(
-    name="outliers",
-    measure=Measure.PEAK,
-    visible_percent=0.8,
-    shown_by=("sweep",),
-    install=install_outliers,
-)
-
-
-def install_timestamp_fault(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.2, shown_by=("rates", "check"))
+def timestamp_fault(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Timestamp fault: the readings of the sensor shift relative to the drive without notice.
 
     Lost: a buffer overruns and some readings are missing; the file closes the gap, and all later
@@ -100,7 +83,7 @@ def install_timestamp_fault(size_m: float, bench: Bench, rng: np.random.Generato
         delay_s, still_m = rows / trace.scene.record_rate_Hz, trace.displacement_m
         return shifted(still_m, delay_s, trace.scene.rate_Hz) - still_m
 
-    row_size_m = np.array([TIMESTAMP_FAULT.measure.of(late_m(t, 1.0)) for t in bench.traces])
+    row_size_m = np.array([Measure.RMS.of(late_m(t, 1.0)) for t in bench.traces])
     # one row must not be worth more than the size, or no number of rows has it
     largest = int(np.argmax(np.where(row_size_m <= size_m, row_size_m, -row_size_m)))
     is_affected = (row_size_m <= row_size_m[largest]) & (rng.random(len(row_size_m)) < 0.5)
@@ -113,7 +96,7 @@ def install_timestamp_fault(size_m: float, bench: Bench, rng: np.random.Generato
         is_after = np.arange(len(change_m)) > positions[trace.scene.order] * len(change_m)
         return np.asarray(np.where(is_after, change_m, 0.0))
 
-    rows = max(round(bisected(size_m, TIMESTAMP_FAULT.measure, affected, change, ROWS)), 1)
+    rows = max(round(bisected(size_m, affected, change, ROWS)), 1)
 
     def slip(sampled_m: Array, scene: Scene, _: np.random.Generator) -> Array:
         if scene.order not in positions:
@@ -126,13 +109,4 @@ def install_timestamp_fault(size_m: float, bench: Bench, rng: np.random.Generato
 
     numbers: dict[str, float | str] = {"kind": kind, "rows": float(rows)}
     numbers |= {f"place_in_recording_{order}": position for order, position in positions.items()}
-    return fault_of(TIMESTAMP_FAULT.name, Place.RECORD, slip, numbers)
-
-
-TIMESTAMP_FAULT = Effect(
-    name="timestamp_fault",
-    measure=Measure.RMS,
-    visible_percent=0.2,
-    shown_by=("rates", "check"),
-    install=install_timestamp_fault,
-)
+    return Fault(Place.RECORD, slip, numbers)

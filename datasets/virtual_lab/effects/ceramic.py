@@ -6,14 +6,12 @@ import numpy as np
 
 from piezoid_datasets.virtual_lab.effects.effect import (
     Bench,
-    Effect,
     Fault,
-    Measure,
     Place,
     Scene,
     Trace,
     bisected,
-    fault_of,
+    effect,
     proportional,
 )
 from piezoid_datasets.virtual_lab.signals import Array, first_order
@@ -30,7 +28,8 @@ EDGE_DECADES = 0.5
 CYCLED_s = 5.0  # duration of the cycles before the rest: slow domains hardly respond
 
 
-def install_rate_dependence(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.15, shown_by=("rates",))
+def rate_dependence(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Rate dependence: domain walls that respond with a delay.
 
     The irreversible strain w approaches its quasi-static value q by thermally activated jumps over
@@ -55,9 +54,8 @@ def install_rate_dependence(size_m: float, bench: Bench, rng: np.random.Generato
         lagging = follow_slowly(quasi_static, tau_s, scale, trace.scene.rate_Hz / stride)
         return bench.rig.stroke_m * (lagging - quasi_static)
 
-    tau_s = bisected(size_m, RATE_DEPENDENCE.measure, bench.traces, change, TIME_CONSTANTS_s)
-    return fault_of(
-        RATE_DEPENDENCE.name,
+    tau_s = bisected(size_m, bench.traces, change, TIME_CONSTANTS_s)
+    return Fault(
         Place.IRREVERSIBLE,
         lambda quasi_static, scene, _: follow_slowly(quasi_static, tau_s, scale, scene.rate_Hz),
         {"time_constant_s": tau_s, "barrier_strain": scale},
@@ -76,16 +74,8 @@ def follow_slowly(quasi_static: Array, tau_s: float, scale: float, rate_Hz: floa
     return lagging
 
 
-RATE_DEPENDENCE = Effect(
-    name="rate_dependence",
-    measure=Measure.RMS,
-    visible_percent=0.15,
-    shown_by=("rates",),
-    install=install_rate_dependence,
-)
-
-
-def install_non_congruence(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
+@effect(0.3, shown_by=("sweep", "check"))
+def non_congruence(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
     """Non-congruence: equal minor loops have different shapes at different biases.
 
     Domain walls are more mobile at one end of the range than at the other, so the irreversible
@@ -116,9 +106,8 @@ def install_non_congruence(size_m: float, bench: Bench, _: np.random.Generator) 
         for trace in bench.traces
     ]
     size_m *= freer_end(bench.ceramic)
-    freedom = proportional(size_m, NON_CONGRUENCE.measure, unit, why="no loop is opened")
-    return fault_of(
-        NON_CONGRUENCE.name,
+    freedom = proportional(size_m, unit, why="no loop is opened")
+    return Fault(
         Place.IRREVERSIBLE,
         lambda quasi_static, scene, _: quasi_static + freedom * opened(quasi_static, scene.field),
         {"opening_per_field": freedom},
@@ -137,16 +126,8 @@ def freer_end(ceramic: Ceramic) -> float:
     return 1.0 if widths[0] >= widths[1] else -1.0
 
 
-NON_CONGRUENCE = Effect(
-    name="non_congruence",
-    measure=Measure.RMS,
-    visible_percent=0.3,
-    shown_by=("sweep", "check"),
-    install=install_non_congruence,
-)
-
-
-def install_asymmetry(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.6, shown_by=("sweep",))
+def asymmetry(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Asymmetry: strain is proportional to the square of the polarisation of a poled ceramic.
 
     Around the remanent polarisation the square has a slope, which is the piezoelectric effect, and
@@ -167,25 +148,16 @@ def install_asymmetry(size_m: float, bench: Bench, rng: np.random.Generator) -> 
 
     unit = [bent(trace.displacement_m) for trace in bench.traces]
     size_m *= float(rng.choice([-1.0, 1.0]))
-    curvature = proportional(size_m, ASYMMETRY.measure, unit, why="the stage does not move")
-    return fault_of(
-        ASYMMETRY.name,
+    curvature = proportional(size_m, unit, why="the stage does not move")
+    return Fault(
         Place.CERAMIC,
         lambda ceramic_m, _scene, _: ceramic_m + curvature * bent(ceramic_m),
         {"curvature": curvature},
     )
 
 
-ASYMMETRY = Effect(
-    name="asymmetry",
-    measure=Measure.RMS,
-    visible_percent=0.6,
-    shown_by=("sweep",),
-    install=install_asymmetry,
-)
-
-
-def install_creep(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.5, shown_by=("staircase", "long_hold"))
+def creep(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Creep: domains that continue to switch for hours after a change of the field.
 
     Domain walls cross barriers of widely distributed heights, so the relaxation times are
@@ -204,14 +176,13 @@ def install_creep(size_m: float, bench: Bench, rng: np.random.Generator) -> Faul
     """
     tilt = float(rng.uniform(-0.15, 0.15))
     unit = [_crept(trace.displacement_m, trace.scene, tilt) for trace in bench.traces]
-    per_decade = proportional(size_m, CREEP.measure, unit, why="the stage does not move")
+    per_decade = proportional(size_m, unit, why="the stage does not move")
     return creep_of(per_decade, tilt)
 
 
 def creep_of(per_decade: float, tilt: float) -> Fault:
     """Return creep of a given strength, the fraction of a step per decade of time."""
-    return fault_of(
-        CREEP.name,
+    return Fault(
         Place.CERAMIC,
         lambda ceramic_m, scene, _: ceramic_m + per_decade * _crept(ceramic_m, scene, tilt),
         {"creep_per_decade": per_decade, "spectrum_tilt_per_decade": tilt},
@@ -232,12 +203,3 @@ def _crept(response_m: Array, scene: Scene, tilt: float) -> Array:
         start = float(response_m[0] + (middle_m - response_m[0]) * left)
         crept += share * first_order(response_m, tau_s, scene.rate_Hz, start)
     return crept
-
-
-CREEP = Effect(
-    name="creep",
-    measure=Measure.RMS,
-    visible_percent=0.5,
-    shown_by=("staircase", "long_hold"),
-    install=install_creep,
-)

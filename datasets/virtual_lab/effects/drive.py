@@ -4,13 +4,12 @@ import numpy as np
 
 from piezoid_datasets.virtual_lab.effects.effect import (
     Bench,
-    Effect,
     Fault,
     Measure,
     Place,
     Trace,
     bisected,
-    fault_of,
+    effect,
 )
 from piezoid_datasets.virtual_lab.signals import Array
 from piezoid_datasets.virtual_lab.truths.truth import branches, settled
@@ -22,7 +21,8 @@ FINE_ENOUGH_Hz = 20e3  # sufficient for the scaling
 SIDES = (("high",), ("low",), ("high", "low"))
 
 
-def install_initial_state(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.8, shown_by=("sweep",), measure=Measure.PEAK)
+def initial_state(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Initial state: the memory depends on a drive before the recording.
 
     Before a recording a laboratory cycles the drive over its range, so that the memory is defined.
@@ -39,9 +39,7 @@ def install_initial_state(size_m: float, bench: Bench, rng: np.random.Generator)
         f"turns_before_recording_{order}": " ".join(f"{field:.4f}" for field in past)
         for order, past in pasts.items()
     }
-    return fault_of(
-        INITIAL_STATE.name, Place.HISTORY, lambda _known, scene, _: pasts[scene.order], numbers
-    )
+    return Fault(Place.HISTORY, lambda _known, scene, _: pasts[scene.order], numbers)
 
 
 def _past(size_m: float, bench: Bench, trace: Trace, rng: np.random.Generator) -> Array:
@@ -64,20 +62,12 @@ def _past(size_m: float, bench: Bench, trace: Trace, rng: np.random.Generator) -
         candidates.append(past)
         strain = np.add(*bench.ceramic.respond(field, past))
         change_m = bench.rig.stroke_m * (strain - reference)
-        misses.append(abs(INITIAL_STATE.measure.of(change_m) - size_m))
+        misses.append(abs(Measure.PEAK.of(change_m) - size_m))
     return candidates[int(np.argmin(misses))]
 
 
-INITIAL_STATE = Effect(
-    name="initial_state",
-    measure=Measure.PEAK,
-    visible_percent=0.8,
-    shown_by=("sweep",),
-    install=install_initial_state,
-)
-
-
-def install_slew_limit(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
+@effect(0.3, shown_by=("rates",))
+def slew_limit(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
     """Slew limit: the current of the amplifier limits the rate at which it charges the ceramic.
 
         |dV/dt| <= I / C
@@ -102,11 +92,8 @@ def install_slew_limit(size_m: float, bench: Bench, _: np.random.Generator) -> F
         float(np.max(np.abs(np.diff(trace.amplifier_V)))) * trace.scene.rate_Hz
         for trace in bench.traces
     )
-    slowness = bisected(
-        size_m, SLEW_LIMIT.measure, bench.traces, change, (1.0 / fastest, 1e3 / fastest)
-    )
-    return fault_of(
-        SLEW_LIMIT.name,
+    slowness = bisected(size_m, bench.traces, change, (1.0 / fastest, 1e3 / fastest))
+    return Fault(
         Place.OUTPUT,
         lambda command_V, scene, _: limited(command_V, 1.0 / (slowness * scene.rate_Hz)),
         {"slew_V_per_s": 1.0 / slowness},
@@ -125,16 +112,8 @@ def limited(command_V: Array, step_V: float) -> Array:
     return output
 
 
-SLEW_LIMIT = Effect(
-    name="slew_limit",
-    measure=Measure.RMS,
-    visible_percent=0.3,
-    shown_by=("rates",),
-    install=install_slew_limit,
-)
-
-
-def install_amplifier_saturation(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+@effect(1.2, shown_by=("sweep",), measure=Measure.PEAK)
+def amplifier_saturation(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Amplifier saturation: the command exceeds the range of the supply.
 
         V = min(max(V, V_low), V_high)
@@ -156,18 +135,8 @@ def install_amplifier_saturation(size_m: float, bench: Bench, rng: np.random.Gen
     if "low" in sides:
         is_above = moved_m >= np.min(moved_m) + size_m
         limits["low"] = float(np.min(output_V[is_above], initial=np.inf))
-    return fault_of(
-        AMPLIFIER_SATURATION.name,
+    return Fault(
         Place.OUTPUT,
         lambda command_V, _scene, _: np.clip(command_V, limits["low"], limits["high"]),
         {f"{side}_V": limits[side] for side in sides},
     )
-
-
-AMPLIFIER_SATURATION = Effect(
-    name="amplifier_saturation",
-    measure=Measure.PEAK,
-    visible_percent=1.2,
-    shown_by=("sweep",),
-    install=install_amplifier_saturation,
-)

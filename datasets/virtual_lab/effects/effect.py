@@ -1,7 +1,7 @@
 """Interface of an effect: physics added to the signal chain, scaled to a known size.
 
 The chain has places at which acts change the signal. An effect receives its size and the signals
-of the healthy stage (``Bench``), and returns its acts and physical parameters.
+of the healthy stage (``Bench``), and returns its change and physical parameters.
 
 Size is the change an effect makes to the *noise-free displacement reading*, in the recording of
 the campaign where that change is largest: its rms over that recording, or, for effects that act
@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -110,12 +111,15 @@ class Bench:
     traces: tuple[Trace, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fault:
-    """Acts and physical parameters of an effect, with units in the names of the parameters."""
+class Fault(NamedTuple):
+    """Change of one signal by an effect, and its physical parameters with units in their names."""
 
-    acts: tuple[Act, ...]
+    place: Place
+    change: Change
     numbers: Mapping[str, float | str]
+
+
+Install = Callable[[float, Bench, np.random.Generator], Fault]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,25 +137,37 @@ class Effect:
     measure: Measure
     visible_percent: float
     shown_by: tuple[str, ...]
-    install: Callable[[float, Bench, np.random.Generator], Fault]
+    install: Install
 
 
-def fault_of(name: str, place: Place, change: Change, numbers: Mapping[str, float | str]) -> Fault:
-    """Return a fault of a single act."""
-    return Fault(acts=(Act(name=name, place=place, change=change),), numbers=numbers)
+def effect(
+    visible_percent: float, *, shown_by: tuple[str, ...], measure: Measure = Measure.RMS
+) -> Callable[[Install], Effect]:
+    """Return a decorator that makes an effect of the function that installs it."""
+
+    def named(install: Install) -> Effect:
+        return Effect(
+            name=install.__name__,
+            measure=measure,
+            visible_percent=visible_percent,
+            shown_by=shown_by,
+            install=install,
+        )
+
+    return named
 
 
-def largest(measure: Measure, changes: Iterable[Array]) -> float:
-    """Return the size of an effect with these changes in the recordings of a campaign."""
-    return max((measure.of(change) for change in changes), default=0.0)
+def largest_rms(changes: Iterable[Array]) -> float:
+    """Return the largest rms of the changes in the recordings of a campaign."""
+    return max((Measure.RMS.of(change) for change in changes), default=0.0)
 
 
-def proportional(size_m: float, measure: Measure, unit: Iterable[Array], *, why: str) -> float:
-    """Return the factor that scales changes of unit strength to a size.
+def proportional(size_m: float, unit: Iterable[Array], *, why: str) -> float:
+    """Return the factor that scales changes of unit strength to an rms.
 
     why  reason in the error message if no recording changes
     """
-    reached_m = largest(measure, unit)
+    reached_m = largest_rms(unit)
     if not reached_m > 0.0:
         raise ValueError(f"the campaign cannot show this effect: {why}")
     return size_m / reached_m
@@ -159,12 +175,11 @@ def proportional(size_m: float, measure: Measure, unit: Iterable[Array], *, why:
 
 def bisected(
     size_m: float,
-    measure: Measure,
     traces: Sequence[Trace],
     change: Callable[[Trace, float], Array],
     strengths: tuple[float, float],
 ) -> float:
-    """Return the strength for which the largest change of a recording equals a size.
+    """Return the strength for which the largest rms change of a recording equals a size.
 
     change     (trace, strength) -> change of the displacement, increasing with the strength
     strengths  physical range of the strength; its nearer end is returned if no strength fits
@@ -172,7 +187,7 @@ def bisected(
     weak, strong = strengths
     for _ in range(HALVINGS):
         middle = math.sqrt(weak * strong)
-        if largest(measure, (change(trace, middle) for trace in traces)) < size_m:
+        if largest_rms(change(trace, middle) for trace in traces) < size_m:
             weak = middle
         else:
             strong = middle

@@ -4,14 +4,13 @@ import numpy as np
 
 from piezoid_datasets.virtual_lab.effects.effect import (
     Bench,
-    Effect,
     Fault,
     Measure,
     Place,
     Scene,
     Trace,
     bisected,
-    fault_of,
+    effect,
     proportional,
 )
 from piezoid_datasets.virtual_lab.signals import Array, second_order
@@ -24,7 +23,8 @@ AT_REST = np.array([1.0, -1.0])  # the other axis was cycled before the recordin
 BETWEEN_RECORDINGS_s = 120.0
 
 
-def install_resonance(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.15, shown_by=("chirp",))
+def resonance(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Resonance: the stage is a mass on a spring and rings after fast drives.
 
         m'' + 2 z w m' + w^2 m = w^2 h,      x = (1 - p) h + p m
@@ -46,12 +46,11 @@ def install_resonance(size_m: float, bench: Bench, rng: np.random.Generator) -> 
         return second_order(still_m, 1.0 / softness_s, damping, trace.scene.rate_Hz) - still_m
 
     unit = [swing(trace, 1.0 / frequency_Hz) for trace in bench.traces]
-    share = proportional(size_m, RESONANCE.measure, unit, why="the stage does not move")
+    share = proportional(size_m, unit, why="the stage does not move")
     if share > 1.0 or rng.random() < 0.5:
         share = 1.0
         frequency_Hz = 1.0 / bisected(
             size_m,
-            RESONANCE.measure,
             bench.traces,
             swing,
             (1.0 / MAIN_MODES_Hz[1], 1.0 / MAIN_MODES_Hz[0]),
@@ -62,19 +61,11 @@ def install_resonance(size_m: float, bench: Bench, rng: np.random.Generator) -> 
         return stage_m + share * (mode_m - stage_m)
 
     numbers = {"frequency_Hz": frequency_Hz, "damping": damping, "share": share}
-    return fault_of(RESONANCE.name, Place.MECHANICS, ring, numbers)
+    return Fault(Place.MECHANICS, ring, numbers)
 
 
-RESONANCE = Effect(
-    name="resonance",
-    measure=Measure.RMS,
-    visible_percent=0.15,
-    shown_by=("chirp",),
-    install=install_resonance,
-)
-
-
-def install_gain_change(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.8, shown_by=("sweep",), measure=Measure.PEAK)
+def gain_change(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Gain change: at one instant the sensitivity of the stage changes permanently.
 
     A load is added, a connector moves, or a heater switches: the displacement is multiplied by
@@ -98,24 +89,15 @@ def install_gain_change(size_m: float, bench: Bench, rng: np.random.Generator) -
         for trace in bench.traces
     )
     gain = sign * size_m / farthest_m
-    return fault_of(
-        GAIN_CHANGE.name,
+    return Fault(
         Place.MECHANICS,
         lambda stage_m, scene, _: stage_m * (1.0 + gain * changed(scene)),
         {"relative_change": gain, "recording": float(order), "instant_s": instant_s},
     )
 
 
-GAIN_CHANGE = Effect(
-    name="gain_change",
-    measure=Measure.PEAK,
-    visible_percent=0.8,
-    shown_by=("sweep",),
-    install=install_gain_change,
-)
-
-
-def install_cross_coupling(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.2, shown_by=("other_axis",))
+def cross_coupling(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Cross coupling: the motion of another axis moves this axis.
 
     Mechanical: the other ceramic, with its own hysteresis, acts through a misalignment of the
@@ -147,25 +129,16 @@ def install_cross_coupling(size_m: float, bench: Bench, rng: np.random.Generator
         path, place, unit_m = "electrical", Place.OUTPUT, rig.stroke_m / range_V
     unit = [unit_m * coupled(trace.scene) for trace in bench.traces]
     why = "no other axis is driven"
-    factor = proportional(sign * size_m, CROSS_COUPLING.measure, unit, why=why)
-    return fault_of(
-        CROSS_COUPLING.name,
+    factor = proportional(sign * size_m, unit, why=why)
+    return Fault(
         place,
         lambda signal, scene, _: signal + factor * coupled(scene),
         {"path": path, "coupling": factor},
     )
 
 
-CROSS_COUPLING = Effect(
-    name="cross_coupling",
-    measure=Measure.RMS,
-    visible_percent=0.2,
-    shown_by=("other_axis",),
-    install=install_cross_coupling,
-)
-
-
-def install_thermal_drift(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.2, shown_by=("long_hold", "staircase"))
+def thermal_drift(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Thermal drift: expansion of the frame, independent of the drive.
 
     Three heat sources move the stage relative to its sensor: the electronics during warm-up (one
@@ -197,12 +170,10 @@ def install_thermal_drift(size_m: float, bench: Bench, rng: np.random.Generator)
 
     scale_m = proportional(
         size_m,
-        THERMAL_DRIFT.measure,
         [drift(trace.scene) for trace in bench.traces],
         why="no time passes",
     )
-    return fault_of(
-        THERMAL_DRIFT.name,
+    return Fault(
         Place.MECHANICS,
         lambda stage_m, scene, _: stage_m + scale_m * drift(scene),
         {
@@ -213,12 +184,3 @@ def install_thermal_drift(size_m: float, bench: Bench, rng: np.random.Generator)
             "cycle_s": period_s,
         },
     )
-
-
-THERMAL_DRIFT = Effect(
-    name="thermal_drift",
-    measure=Measure.RMS,
-    visible_percent=0.2,
-    shown_by=("long_hold", "staircase"),
-    install=install_thermal_drift,
-)

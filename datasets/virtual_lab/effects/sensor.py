@@ -4,14 +4,12 @@ import numpy as np
 
 from piezoid_datasets.virtual_lab.effects.effect import (
     Bench,
-    Effect,
     Fault,
-    Measure,
     Place,
     Scene,
     Trace,
     bisected,
-    fault_of,
+    effect,
     proportional,
 )
 from piezoid_datasets.virtual_lab.signals import Array, coloured_noise, first_order, shifted
@@ -26,7 +24,8 @@ WANDER_Hz = 0.02
 WANDER_CORNER_Hz = 0.05
 
 
-def install_sensor_periodic_error(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.06, shown_by=("sweep",))
+def sensor_periodic_error(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Sensor periodic error: an error of the reading that is periodic in the displacement.
 
     If two beams of an interferometer mix, or the two phases of an encoder have unequal amplitudes,
@@ -47,27 +46,16 @@ def install_sensor_periodic_error(size_m: float, bench: Bench, rng: np.random.Ge
         return np.asarray(np.sin(turn + phases[0]) + second * np.sin(2.0 * turn + phases[1]))
 
     unit = [error(trace.displacement_m) for trace in bench.traces]
-    amplitude_m = proportional(
-        size_m, SENSOR_PERIODIC_ERROR.measure, unit, why="no recording has a row"
-    )
-    return fault_of(
-        SENSOR_PERIODIC_ERROR.name,
+    amplitude_m = proportional(size_m, unit, why="no recording has a row")
+    return Fault(
         Place.SENSOR,
         lambda reading_m, _scene, _: reading_m + amplitude_m * error(reading_m),
         {"period_m": period_m, "amplitude_m": amplitude_m, "second_order": second},
     )
 
 
-SENSOR_PERIODIC_ERROR = Effect(
-    name="sensor_periodic_error",
-    measure=Measure.RMS,
-    visible_percent=0.06,
-    shown_by=("sweep",),
-    install=install_sensor_periodic_error,
-)
-
-
-def install_lag(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
+@effect(0.25, shown_by=("rates", "chirp"))
+def lag(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
     """Lag: an undeclared filter in the sensor.
 
         tau dy/dt = x - y
@@ -83,9 +71,8 @@ def install_lag(size_m: float, bench: Bench, _: np.random.Generator) -> Fault:
     def change(trace: Trace, tau_s: float) -> Array:
         return filtered(trace.displacement_m, tau_s, trace.scene.rate_Hz) - trace.displacement_m
 
-    tau_s = bisected(size_m, LAG.measure, bench.traces, change, TIME_CONSTANTS_s)
-    return fault_of(
-        LAG.name,
+    tau_s = bisected(size_m, bench.traces, change, TIME_CONSTANTS_s)
+    return Fault(
         Place.SENSOR,
         lambda reading_m, scene, _: filtered(reading_m, tau_s, scene.rate_Hz),
         {"time_constant_s": tau_s},
@@ -97,16 +84,8 @@ def filtered(reading_m: Array, tau_s: float, rate_Hz: float) -> Array:
     return first_order(reading_m, tau_s, rate_Hz, float(reading_m[0]))
 
 
-LAG = Effect(
-    name="lag",
-    measure=Measure.RMS,
-    visible_percent=0.25,
-    shown_by=("rates", "chirp"),
-    install=install_lag,
-)
-
-
-def install_delay(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.25, shown_by=("rates", "chirp"))
+def delay(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Delay: the reading is late by a time or by a number of rows.
 
         y(t) = x(t - tau)
@@ -127,30 +106,22 @@ def install_delay(size_m: float, bench: Bench, rng: np.random.Generator) -> Faul
     def change_by_rows(trace: Trace, rows: float) -> Array:
         return change(trace, rows / trace.scene.record_rate_Hz)
 
-    rows = bisected(size_m, DELAY.measure, bench.traces, change_by_rows, ROWS)
+    rows = bisected(size_m, bench.traces, change_by_rows, ROWS)
     n_rows = max(round(rows), 1)
     if rng.random() < 0.5 and abs(n_rows / rows - 1.0) < MISFIT:
         numbers = {"rows": float(n_rows)}
     else:
-        numbers = {"delay_s": bisected(size_m, DELAY.measure, bench.traces, change, DELAYS_s)}
+        numbers = {"delay_s": bisected(size_m, bench.traces, change, DELAYS_s)}
 
     def delayed(reading_m: Array, scene: Scene, _: np.random.Generator) -> Array:
         delay_s = numbers["delay_s"] if "delay_s" in numbers else n_rows / scene.record_rate_Hz
         return shifted(reading_m, delay_s, scene.rate_Hz)
 
-    return fault_of(DELAY.name, Place.SENSOR, delayed, numbers)
+    return Fault(Place.SENSOR, delayed, numbers)
 
 
-DELAY = Effect(
-    name="delay",
-    measure=Measure.RMS,
-    visible_percent=0.25,
-    shown_by=("rates", "chirp"),
-    install=install_delay,
-)
-
-
-def install_mains_interference(size_m: float, _: Bench, rng: np.random.Generator) -> Fault:
+@effect(0.1, shown_by=("rates", "chirp", "staircase"))
+def mains_interference(size_m: float, _: Bench, rng: np.random.Generator) -> Fault:
     """Mains interference: hum in the sensor cable.
 
     A line at 50 or 60 Hz with harmonics, whose frequency varies by some hundredths of a hertz with
@@ -179,13 +150,4 @@ def install_mains_interference(size_m: float, _: Bench, rng: np.random.Generator
 
     numbers: dict[str, float | str] = {"grid_Hz": grid_Hz}
     numbers |= {f"amplitude_{k:.0f}_m": float(a) for k, a in zip(HARMONICS, strength, strict=True)}
-    return fault_of(MAINS_INTERFERENCE.name, Place.SENSOR, hum, numbers)
-
-
-MAINS_INTERFERENCE = Effect(
-    name="mains_interference",
-    measure=Measure.RMS,
-    visible_percent=0.1,
-    shown_by=("rates", "chirp", "staircase"),
-    install=install_mains_interference,
-)
+    return Fault(Place.SENSOR, hum, numbers)
