@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.plant import Section
 from piezoid.export.fmu import fmu_files
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.model import Discrepancy
+from piezoid.operators.linear import first_order
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.targets.fmu_plant import plant_units
 from piezoid.targets.target_inputs import TargetInputs
@@ -19,6 +19,7 @@ from piezoid.verification.plant import Hysteresis, Junction
 from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.verify import verify
 from tests.runtime.compiler import found, run, write_files
+from tests.targets.slave import Slave
 from tests.verification.rig import PLANTS, RATE_Hz, junction, lateral, operator, stage
 
 SEED = 7
@@ -49,7 +50,7 @@ def everything():
         rest_voltage_V=0.5,
         delay_s=2.3 / RATE_Hz,
         slew_V_per_s=2e3,
-        sensor=(Section(frequency_Hz=8.5e3),),
+        sensor=(first_order(8.5e3),),
         reading_step=3e-10,
         reading_zero=2e-8,
         hums=((50.0, 4e-9), (150.0, 2e-9)),
@@ -86,42 +87,6 @@ def made(tmp_path_factory):
 
 def tip_elsewhere():
     return replace(junction(), rest_voltage_V=-2.5)
-
-
-class Slave:
-    """One unit in FMPy."""
-
-    def __init__(self, place, folder, **start):
-        fmpy = pytest.importorskip("fmpy")
-        self.described = fmpy.read_model_description(str(place))
-        self.at = {v.name: v.valueReference for v in self.described.modelVariables}
-        unzipped = fmpy.extract(str(place), str(folder / place.stem))
-        self.slave = fmpy.instantiate_fmu(unzipped, self.described, fmi_type="CoSimulation")
-        for name, value in start.items():
-            self.put(name, value)
-        self.slave.setupExperiment(startTime=0.0)
-        self.slave.enterInitializationMode()
-        self.slave.exitInitializationMode()
-        self.steps = 0
-
-    def put(self, name, value):
-        if name == "noise_seed":
-            self.slave.setInteger([self.at[name]], [value])
-        else:
-            self.slave.setReal([self.at[name]], [float(value)])
-
-    def get(self, name):
-        return self.slave.getReal([self.at[name]])[0]
-
-    def step(self):
-        self.slave.doStep(
-            currentCommunicationPoint=self.steps / RATE_Hz, communicationStepSize=1 / RATE_Hz
-        )
-        self.steps += 1
-
-    def close(self):
-        self.slave.terminate()
-        self.slave.freeInstance()
 
 
 @pytest.fixture
