@@ -16,14 +16,11 @@ from piezoid.targets.target_inputs import TargetInputs
 from piezoid.targets.targets import target_files
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import Hysteresis, Junction
-from piezoid.verification.scenarios import SCENARIOS
-from piezoid.verification.verify import verify
 from tests.runtime.compiler import found, run, write_files
 from tests.targets.slave import Slave
 from tests.verification.rig import PLANTS, RATE_Hz, junction, lateral, operator, stage
 
 SEED = 7
-SPIRAL = next(one for one in SCENARIOS if one.name == "spiral, 10 Hz")
 
 
 def everything():
@@ -202,25 +199,6 @@ def test_a_tip_over_a_surface_reads_the_current_of_verification(unit, which):
     assert np.ptp(wanted.position) > 1e-12
     np.testing.assert_allclose(position, wanted.position, rtol=1e-12)
     np.testing.assert_allclose(measured, wanted.measured, rtol=1e-12)
-
-
-def test_controller_against_plant_gives_the_figure_of_verification_json(unit):
-    """Noise of another seed: it is 1 nm of an error of some hundred."""
-    file = stage("x")
-    record = verify(file, [PLANTS[0]], scenarios=[SPIRAL], trials=(), seed=0)
-    row = next(one for one in record.comparison if one.method == "mpi_dob")
-    path = SPIRAL.path(RATE_Hz)
-    reference = record.radius_m * path.x
-    preview = int(file.axis("x").values["preview_samples"])
-    ahead = np.minimum(np.arange(len(reference)) + preview, len(reference) - 1)
-    position = looped(
-        unit("rig/fmu/x_controller_fmi2.fmu"),
-        unit("rig/fmu/x_plant_fmi2.fmu", noise_seed=SEED),
-        reference[ahead],
-    )
-    rms_m = float(np.sqrt(np.mean((position - reference) ** 2)))
-    assert rms_m == pytest.approx(row.rms_m, rel=2e-3)
-    assert np.abs(position - reference).max() == pytest.approx(row.max_m, rel=0.02)
 
 
 def test_a_plant_begins_at_rest_under_the_disturbance_that_is_there(unit):

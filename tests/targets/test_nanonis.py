@@ -100,21 +100,6 @@ def test_the_table_straightens_forward_lines_of_every_plant():
     assert rows["identified"]["table"] < 0.2 * rows["identified"]["straight"]
 
 
-def test_a_finer_table_is_a_better_one():
-    axis = exported().lateral[0]
-    coarse, fine = (
-        line_errors_m(
-            replace(exported(), drawn={}),
-            axis,
-            hysteresis_table(
-                replace(exported(), hardware=ControllerHardware(table_points=points)), axis
-            ),
-        )["identified"]["table"]
-        for points in (8, 64)
-    )
-    assert fine < coarse
-
-
 def test_the_csv_is_the_table():
     rows = list(csv.DictReader(io.StringIO(made()["x.csv"].decode())))
     table = hysteresis_table(exported(), exported().lateral[0])
