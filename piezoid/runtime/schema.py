@@ -38,7 +38,7 @@ _GAIN = (-1e12, 1e12)
 _LOG = ("1", 0, 1e3)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Parameter:
     """One member of the runtime's parameter structure.
 
@@ -66,12 +66,6 @@ class Parameter:
         return prod(self.shape)
 
 
-def _integer(
-    name: str, upper: float, meaning: str, *, unit: str = "1", lower: float = 0, default: float = 0
-) -> Parameter:
-    return Parameter(name, "integer", unit, meaning, lower, upper, (), default)
-
-
 def _real(
     name: str,
     unit: str,
@@ -79,9 +73,25 @@ def _real(
     upper: float,
     meaning: str,
     *shape: int,
+    kind: str = "real",
     default: float = 0.0,
 ) -> Parameter:
-    return Parameter(name, "real", unit, meaning, lower, upper, shape, default)
+    return Parameter(
+        name=name,
+        kind=kind,
+        unit=unit,
+        meaning=meaning,
+        lower=lower,
+        upper=upper,
+        shape=shape,
+        default=default,
+    )
+
+
+def _integer(
+    name: str, upper: float, meaning: str, *, unit: str = "1", lower: float = 0, default: float = 0
+) -> Parameter:
+    return _real(name, unit, lower, upper, meaning, kind="integer", default=default)
 
 
 _HEADER = (
