@@ -216,7 +216,7 @@ def limits_from(table: Mapping[str, object], source: str) -> Limits:
         return msgspec.convert(dict(table), Limits)
     except msgspec.ValidationError as fault:
         needed = f"numbers above zero for {', '.join(Limits.__struct_fields__)}"
-        raise _unusable(source, str(fault), needed) from fault
+        raise _unusable(source, str(fault)[:200], needed) from fault
 
 
 def _unusable(source: str, fault: str, needed: str) -> LabFileError:
