@@ -36,6 +36,7 @@ from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.hysteresis.coordinates import Shape, to_si_units
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
+from piezoid.operators.linear import first_order, resonance
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid.verification.plant import AxisPlant, CustomResponse
@@ -121,14 +122,18 @@ def axis_of(name: str, seed: int) -> tuple[AxisParameters, AxisPlant]:
         f"observers {', '.join(f'{p.method} {p.bandwidth_Hz:.3g} Hz' for p in design.loops)}; "
         f"stepped and whole ceramic differ by {differ:.1e} m"
     )
+    mode = MECHANICS["mode"]
     plant = AxisPlant(
         axis=name,
         label="Preisach ceramic",
         sampling_rate_Hz=RATE_Hz,
         response=CustomResponse(begin=partial(stepped, ceramic, everett, reversible)),
-        amplifier=(AMPLIFIER,),
-        mechanics=(MECHANICS["mode"],),
-        sensor=(SENSOR, BUTTERWORTH),
+        front=(first_order(AMPLIFIER.frequency_Hz),),
+        measured=resonance(mode.frequency_Hz, mode.damping),
+        sensor=(
+            first_order(SENSOR.frequency_Hz),
+            resonance(BUTTERWORTH.frequency_Hz, BUTTERWORTH.damping),
+        ),
         noise_rms=1e-9,
         noise_bandwidth_Hz=SENSOR.frequency_Hz,
         reading_step=READING_STEP_m,

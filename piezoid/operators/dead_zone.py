@@ -63,14 +63,11 @@ class DeadZones:
     def run(self, h: Array, *, slope_out: Array | None = None) -> Array:
         """Return Psi(h), sample by sample, and write the local slope Psi'(h) to ``slope_out``."""
         source = contiguous(h)
-        output = np.empty_like(source)
+        output, view = np.empty_like(source), self.kernel_map()
         KERNELS.pk_piecewise_linear(
             len(source),
             address(source),
-            len(self.threshold),
-            address(self.threshold),
-            address(self.slope),
-            self.zero,
+            ctypes.addressof(view),
             address(output),
             address(slope_out),
         )

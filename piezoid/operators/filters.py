@@ -53,21 +53,15 @@ def first_order(time_constant_s: float, sampling_rate_Hz: float) -> Coefficients
 
 
 def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
-    """Filter a signal by a first-order lag, with linear interpolation between samples."""
-    if len(signal) == 0:
-        return signal
-    values = np.array(signal if signal.ndim == 2 else signal[:, None], order="F")
-    state = np.repeat(values[:1], 2, axis=0)  # last input and last output
-    KERNELS.pk_first_order(
-        len(values),
-        values.shape[1],
-        len(values),
-        address(values),
-        *first_order(time_s, rate_Hz),
-        address(state[0]),
-        address(state[1]),
-    )
-    return values.reshape(signal.shape)
+    """Filter a signal by a first-order lag, with linear interpolation between samples.
+
+    signal  (samples,) or (samples, columns)
+    """
+    lag = [first_order(time_s, rate_Hz)]
+    result = np.empty(signal.shape, order="F")
+    for output, column in zip(np.atleast_2d(result.T), np.atleast_2d(signal.T), strict=True):
+        output[:] = ladder(column, lag)
+    return result
 
 
 def later(signal: Array, samples: float, keep: slice = EVERY) -> Array:

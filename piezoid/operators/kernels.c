@@ -1,5 +1,4 @@
 #include "kernels.h"
-#include "plays_avx2.h"
 
 #include <math.h>
 #include <string.h>
@@ -40,12 +39,6 @@ static void run_of_lanes(size_t samples, const double *restrict input_V,
 
 void pk_play_columns(size_t samples, const double *input_V, size_t plays,
                      const double *threshold_V, double *state_V, size_t stride, double *column_V) {
-#if PK_AVX2
-    if (pk_has_avx2()) {
-        pk_play_columns_avx2(samples, input_V, plays, threshold_V, state_V, stride, column_V);
-        return;
-    }
-#endif
     double unused[LANES * RUN]; /* output of lanes without a play */
     for (size_t first = 0; first < plays; first += LANES) {
         const size_t group = plays - first < LANES ? plays - first : LANES;
@@ -67,12 +60,6 @@ void pk_play_columns(size_t samples, const double *input_V, size_t plays,
 
 void pk_play_sum(size_t samples, const double *input_V, size_t plays, const double *threshold_V,
                  const double *weight, double *state_V, double *output) {
-#if PK_AVX2
-    if (pk_has_avx2()) {
-        pk_play_sum_avx2(samples, input_V, plays, threshold_V, weight, state_V, output);
-        return;
-    }
-#endif
     for (size_t k = 0; k < samples; ++k) {
         const double u = input_V[k];
         double sum = 0.0;
@@ -128,15 +115,14 @@ double pk_mapped(double x, const pk_map *map, double *local) {
     return value_in(&current, x);
 }
 
-void pk_piecewise_linear(size_t samples, const double *input, size_t knots, const double *knot,
-                         const double *slope, size_t zero, double *output, double *local) {
-    const pk_map map = {.knots = knots, .knot = knot, .slope = slope, .zero = zero};
+void pk_piecewise_linear(size_t samples, const double *input, const pk_map *map, double *output,
+                         double *local) {
     segment current = {.low = 0.0, .high = 0.0};
     for (size_t k = 0; k < samples; ++k) {
         const double x = input[k];
         /* Most samples lie in the segment of the previous one. */
         if (!(x > current.low && x < current.high)) {
-            current = segment_at(x, &map);
+            current = segment_at(x, map);
         }
         output[k] = value_in(&current, x);
         if (local != NULL) {
@@ -156,13 +142,11 @@ void pk_mapped_plays(size_t samples, const double *input, double subtracted,
             values[k] = input[start + k] - subtracted;
         }
         if (first_map != NULL) {
-            pk_piecewise_linear(count, values, first_map->knots, first_map->knot, first_map->slope,
-                                first_map->zero, values, NULL);
+            pk_piecewise_linear(count, values, first_map, values, NULL);
         }
         pk_play_sum(count, values, plays, threshold, weight, state, values);
         if (last_map != NULL) {
-            pk_piecewise_linear(count, values, last_map->knots, last_map->knot, last_map->slope,
-                                last_map->zero, values, NULL);
+            pk_piecewise_linear(count, values, last_map, values, NULL);
         }
         for (size_t k = 0; k < count; ++k) {
             values[k] += added;

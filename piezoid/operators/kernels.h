@@ -26,19 +26,20 @@ void pk_play_sum(size_t samples, const double *input_V, size_t plays, const doub
 /* Continuous piecewise-linear map through the origin. Segments meet at knots; knot[zero] == 0.
  *   knot    (knots,)      strictly increasing, contains 0 at index `zero`
  *   slope   (knots + 1,)  slope below knot[0], between knots, above knot[knots - 1]
- *   output  (samples,)    value; may alias input
- *   local   (samples,)    slope at each sample, or NULL
  */
-void pk_piecewise_linear(size_t samples, const double *input, size_t knots, const double *knot,
-                         const double *slope, size_t zero, double *output, double *local);
-
-/* A continuous piecewise-linear map through the origin, as in pk_piecewise_linear. */
 typedef struct {
     size_t knots;
     const double *knot;
     const double *slope;
     size_t zero;
 } pk_map;
+
+/* Apply a map to every sample.
+ *   output  (samples,)  value; may alias input
+ *   local   (samples,)  slope at each sample, or NULL
+ */
+void pk_piecewise_linear(size_t samples, const double *input, const pk_map *map, double *output,
+                         double *local);
 
 /* Return the value of a map at x, and in *local its slope at x. */
 double pk_mapped(double x, const pk_map *map, double *local);

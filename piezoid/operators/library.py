@@ -15,7 +15,7 @@ _POINTER = ctypes.c_void_p
 _SIGNATURES: dict[str, tuple[type, ...]] = {
     "pk_play_columns": (_SIZE, _POINTER, _SIZE, _POINTER, _POINTER, _SIZE, _POINTER),
     "pk_play_sum": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4),
-    "pk_piecewise_linear": (_SIZE, _POINTER, _SIZE, _POINTER, _POINTER, _SIZE, *[_POINTER] * 2),
+    "pk_piecewise_linear": (_SIZE, *[_POINTER] * 4),
     "pk_mapped_plays": (
         *(_SIZE, _POINTER, _DOUBLE, _POINTER),
         *(_SIZE, *[_POINTER] * 3),
@@ -25,7 +25,6 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
         *(_SIZE, _POINTER, _SIZE, _DOUBLE),
         *(_SIZE, *[_POINTER] * 4),
     ),
-    "pk_first_order": (*[_SIZE] * 3, _POINTER, *[_DOUBLE] * 3, *[_POINTER] * 2),
     "pk_chain_rows": (
         *(_INT, _SIZE),
         *[_POINTER] * 3,
@@ -33,7 +32,6 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
         *(_SIZE, *[_POINTER] * 2),
     ),
     "pk_ladder": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 5),
-    "pk_filter": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4),
     "pk_slew": (_SIZE, _POINTER, _DOUBLE, _POINTER),
     "pk_bouc_wen": (_SIZE, _POINTER, _SIZE, _POINTER, _DOUBLE, *[_POINTER] * 2),
     "pk_friction": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4, _SIZE, _POINTER),

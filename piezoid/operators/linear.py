@@ -7,7 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from piezoid.numerics.arrays import Array, ComplexArray, expect_shapes, freeze
 from piezoid.numerics.zero_order_hold import hold_matrices, split_delay
-from piezoid.operators.library import KERNELS, address, contiguous
 
 EQUAL_POLES = 1e-5  # relative difference of poles that are treated as equal
 BLOCK_SAMPLES = 64  # of run(): smaller blocks cost time in Python, larger ones in the products
@@ -227,21 +226,12 @@ def recursive_filter(numerator: ArrayLike, denominator: ArrayLike, signal: Array
 
     With poles outside the unit circle the output grows until it is infinite.
     """
-    b, a = (np.atleast_1d(np.asarray(part, dtype=np.float64)) for part in (numerator, denominator))
-    if not a[0]:
-        raise ValueError("denominator begins with 0: the newest output is not determined")
-    order = max(len(a), len(b)) - 1
-    source = contiguous(signal)
-    output = np.empty_like(source)
-    KERNELS.pk_filter(
-        len(source),
-        address(source),
-        order,
-        *(address(np.pad(part / a[0], (0, order + 1 - len(part)))) for part in (b, a)),
-        address(np.zeros(order + 1)),
-        address(output),
-    )
-    return output
+    from scipy.signal import lfilter
+
+    a = np.atleast_1d(denominator)
+    if len(a) == 1:  # SciPy would convolve, and round in another order
+        a = np.append(a, 0.0)
+    return np.asarray(lfilter(numerator, a, signal), dtype=np.float64)
 
 
 def first_order(frequency_Hz: float) -> ContinuousSystem:

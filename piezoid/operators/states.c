@@ -12,23 +12,6 @@
 
 enum { RUN = 1024 };
 
-void pk_first_order(size_t samples, size_t columns, size_t stride, double *values, double pole,
-                    double b0, double b1, double *previous_input, double *previous_output) {
-    for (size_t i = 0; i < columns; ++i) {
-        double *column = values + i * stride;
-        double x = previous_input[i];
-        double y = previous_output[i];
-        for (size_t k = 0; k < samples; ++k) {
-            const double next = column[k];
-            y = pole * y + b0 * next + b1 * x;
-            x = next;
-            column[k] = y;
-        }
-        previous_input[i] = x;
-        previous_output[i] = y;
-    }
-}
-
 void pk_ladder(size_t samples, const double *input, size_t rungs, const double *pole,
                const double *b0, const double *b1, double *state, double *output) {
     double previous = samples > 0 ? input[0] : 0.0;
@@ -43,31 +26,6 @@ void pk_ladder(size_t samples, const double *input, size_t rungs, const double *
         }
         output[k] = total;
         previous = current;
-    }
-}
-
-void pk_filter(size_t samples, const double *input, size_t order, const double *b, const double *a,
-               double *memory, double *output) {
-    if (order == 2) { /* modes: keep the memory in registers */
-        double newer = memory[0], older = memory[1];
-        for (size_t k = 0; k < samples; ++k) {
-            const double x = input[k];
-            const double y = newer + b[0] * x;
-            newer = older + b[1] * x - a[1] * y;
-            older = memory[2] + b[2] * x - a[2] * y;
-            output[k] = y;
-        }
-        memory[0] = newer;
-        memory[1] = older;
-        return;
-    }
-    for (size_t k = 0; k < samples; ++k) {
-        const double x = input[k];
-        const double y = memory[0] + b[0] * x;
-        for (size_t i = 1; i <= order; ++i) {
-            memory[i - 1] = memory[i] + b[i] * x - a[i] * y;
-        }
-        output[k] = y;
     }
 }
 

@@ -3,20 +3,12 @@
  *
  * No memory is allocated. A function without a state among its arguments starts at its first
  * sample. The states of pk_bouc_wen and pk_friction are those at the first sample: to process a
- * signal in parts, the last sample of a part is the first of the next. pk_first_order may be split
- * anywhere.
+ * signal in parts, the last sample of a part is the first of the next.
  */
 #ifndef PIEZOID_STATES_H
 #define PIEZOID_STATES_H
 
 #include <stddef.h>
-
-/* First-order filters in place, one per column, all with the same coefficients:
- *   y[k] = pole y[k-1] + b0 x[k] + b1 x[k-1]
- *   previous_input, previous_output (columns,)  in/out
- */
-void pk_first_order(size_t samples, size_t columns, size_t stride, double *values, double pole,
-                    double b0, double b1, double *previous_input, double *previous_output);
 
 /* Sum of first-order filters of one signal.
  *   output[k] = sum_i y_i[k],   y_i[k] = pole_i y_i[k-1] + b0_i x[k] + b1_i x[k-1]
@@ -24,13 +16,6 @@ void pk_first_order(size_t samples, size_t columns, size_t stride, double *value
  */
 void pk_ladder(size_t samples, const double *input, size_t rungs, const double *pole,
                const double *b0, const double *b1, double *state, double *output);
-
-/* Recursive filter in transposed direct form II, a[0] = 1:
- *   output[k] = sum_i b_i x[k-i] - sum_(i>0) a_i output[k-i],   i = 0 .. order
- *   memory (order + 1,)  in/out, the last element stays zero; output must not alias input
- */
-void pk_filter(size_t samples, const double *input, size_t order, const double *b, const double *a,
-               double *memory, double *output);
 
 /* Limit the change from sample to sample to `step`; output must not alias input. */
 void pk_slew(size_t samples, const double *input, double step, double *output);

@@ -74,10 +74,6 @@ class Library:
         for name, value in zip(SEALED, sealed, strict=True):
             setattr(packed, name, value)
 
-    def log(self, x: float) -> float:
-        """Return the natural logarithm of a positive number, as computed by the runtime."""
-        return float(self.code.pz_log(x))
-
 
 @cache
 def library(precision: str = "double") -> Library:

@@ -30,8 +30,12 @@ METHOD_NAMES = {  # for readers, the key in brackets
     "rst": "R, S, T (rst)",
 }
 
-NO_BOUND_V = 1e4
-NO_BOUND_m = 1e3
+# Unit and bounds of values that only their unit bounds.
+_V, _m = ("V", -1e4, 1e4), ("m", -1e3, 1e3)
+_VOLTAGE_STEP, _STEP = ("V", 0, 1e5), ("m", 0, 1e4)
+_WEIGHT, _SECTION, _TAP = ("1", -1e6, 1e6), ("1", -1e9, 1e9), (-1e9, 1e9)
+_GAIN = (-1e12, 1e12)
+_LOG = ("1", 0, 1e3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,23 +66,19 @@ class Parameter:
         return prod(self.shape)
 
 
-def _integer(name: str, upper: float, meaning: str, *, unit: str = "1") -> Parameter:
-    return Parameter(name=name, kind="integer", unit=unit, meaning=meaning, lower=0, upper=upper)
-
-
 def _real(
     name: str,
     unit: str,
     lower: float,
     upper: float,
     meaning: str,
-    *,
-    shape: tuple[int, ...] = (),
+    *shape: int,
+    kind: str = "real",
     default: float = 0.0,
 ) -> Parameter:
     return Parameter(
         name=name,
-        kind="real",
+        kind=kind,
         unit=unit,
         meaning=meaning,
         lower=lower,
@@ -88,16 +88,14 @@ def _real(
     )
 
 
+def _integer(
+    name: str, upper: float, meaning: str, *, unit: str = "1", lower: float = 0, default: float = 0
+) -> Parameter:
+    return _real(name, unit, lower, upper, meaning, kind="integer", default=default)
+
+
 _HEADER = (
-    Parameter(
-        name="schema",
-        kind="integer",
-        unit="1",
-        meaning="version of this table",
-        lower=VERSION,
-        upper=VERSION,
-        default=VERSION,
-    ),
+    _integer("schema", VERSION, "version of this table", lower=VERSION, default=VERSION),
     # Depends on the precision; the library fills it in and checks it.
     _integer("size_bytes", 2**24, "size of the structure", unit="byte"),
     _integer("checksum", 2**32 - 1, "CRC-32 of everything below"),
@@ -105,13 +103,11 @@ _HEADER = (
 
 _COUNTS = (
     _integer("method", len(METHODS) - 1, "control method, PZ_METHOD_...: " + _METHOD_NUMBERS),
-    Parameter(
-        name="polarity",
-        kind="integer",
-        unit="1",
-        meaning="1, or -1 where the displacement falls as the drive rises",
+    _integer(
+        "polarity",
+        1,
+        "1, or -1 where the displacement falls as the drive rises",
         lower=-1,
-        upper=1,
         default=1,
     ),
     _integer("play_count", MAX_PLAYS, "plays in use"),
@@ -140,148 +136,79 @@ _COUNTS = (
 _SIGNALS = (
     _real("sampling_rate_Hz", "Hz", 1, 1e7, "rate at which pz_step is called", default=20000),
     _real("gain_m_per_V", "m/V", 0, 1e3, "static gain of the affine model"),
-    _real("voltage_offset_V", "V", -NO_BOUND_V, NO_BOUND_V, "centre of the model, voltage"),
-    _real("displacement_offset_m", "m", -NO_BOUND_m, NO_BOUND_m, "centre of the model, position"),
-    _real("voltage_minimum_V", "V", -NO_BOUND_V, NO_BOUND_V, "converter, lower end"),
-    _real("voltage_maximum_V", "V", -NO_BOUND_V, NO_BOUND_V, "converter, upper end"),
-    _real("voltage_step_V", "V", 0, 1e5, "largest change of the voltage in a sample; 0: any"),
+    _real("voltage_offset_V", *_V, "centre of the model, voltage"),
+    _real("displacement_offset_m", *_m, "centre of the model, position"),
+    _real("voltage_minimum_V", *_V, "converter, lower end"),
+    _real("voltage_maximum_V", *_V, "converter, upper end"),
+    _real("voltage_step_V", *_VOLTAGE_STEP, "largest change of the voltage in a sample; 0: any"),
     _real("lsb_V", "V", 0, 1e3, "converter step; 0: no rounding"),
-    _real("reference_minimum_m", "m", -NO_BOUND_m, NO_BOUND_m, "lowest reference followed"),
-    _real("reference_maximum_m", "m", -NO_BOUND_m, NO_BOUND_m, "highest reference followed"),
-    _real("reference_step_m", "m", 0, 1e4, "largest change of the reference in a sample; 0: any"),
+    _real("reference_minimum_m", *_m, "lowest reference followed"),
+    _real("reference_maximum_m", *_m, "highest reference followed"),
+    _real("reference_step_m", *_STEP, "largest change of the reference in a sample; 0: any"),
     _real(
-        "certified_step_m",
-        "m",
-        0,
-        1e4,
-        "largest change of the reference with an error bound; 0: none",
+        "certified_step_m", *_STEP, "largest change of the reference with an error bound; 0: none"
     ),
-    _real("displacement_minimum_m", "m", -NO_BOUND_m, NO_BOUND_m, "lowest plausible measurement"),
-    _real("displacement_maximum_m", "m", -NO_BOUND_m, NO_BOUND_m, "highest plausible measurement"),
-    _real("stuck_voltage_V", "V", 0, 1e5, "voltage change that a working sensor shows"),
+    _real("displacement_minimum_m", *_m, "lowest plausible measurement"),
+    _real("displacement_maximum_m", *_m, "highest plausible measurement"),
+    _real("stuck_voltage_V", *_VOLTAGE_STEP, "voltage change that a working sensor shows"),
 )
 
 _MODEL = (
-    _real("play_threshold_V", "V", 0, NO_BOUND_V, "half-widths of the plays", shape=(MAX_PLAYS,)),
-    _real("play_weight_m_per_V", "m/V", -1e3, 1e3, "weights of the plays", shape=(MAX_PLAYS,)),
+    _real("play_threshold_V", "V", 0, 1e4, "half-widths of the plays", MAX_PLAYS),
+    _real("play_weight_m_per_V", "m/V", -1e3, 1e3, "weights of the plays", MAX_PLAYS),
+    _real("play_memory_V", *_V, "states of the plays before the start", MAX_PLAYS),
+    _real("knot_m", *_m, "dead-zone thresholds", MAX_KNOTS),
+    _real("knot_weight", *_WEIGHT, "dead-zone weights", MAX_KNOTS),
+    _real("envelope_knot_V", *_V, "kinks of the envelope in front of the plays", MAX_KNOTS),
+    _real("envelope_weight", *_WEIGHT, "changes of the envelope's slope", MAX_KNOTS),
+    _real("edge_V", *_V, "lowest edge of the functions of the plays"),
     _real(
-        "play_memory_V",
-        "V",
-        -NO_BOUND_V,
-        NO_BOUND_V,
-        "states of the plays before the start",
-        shape=(MAX_PLAYS,),
+        "play_value_m", "m", -1e3, 1e3, "functions of the plays at the edges", MAX_PLAYS, MAX_EDGES
     ),
-    _real("knot_m", "m", -NO_BOUND_m, NO_BOUND_m, "dead-zone thresholds", shape=(MAX_KNOTS,)),
-    _real("knot_weight", "1", -1e6, 1e6, "dead-zone weights", shape=(MAX_KNOTS,)),
-    _real(
-        "envelope_knot_V",
-        "V",
-        -NO_BOUND_V,
-        NO_BOUND_V,
-        "kinks of the envelope in front of the plays",
-        shape=(MAX_KNOTS,),
-    ),
-    _real(
-        "envelope_weight",
-        "1",
-        -1e6,
-        1e6,
-        "changes of the envelope's slope",
-        shape=(MAX_KNOTS,),
-    ),
-    _real("edge_V", "V", -NO_BOUND_V, NO_BOUND_V, "lowest edge of the functions of the plays"),
-    _real(
-        "play_value_m",
-        "m",
-        -1e3,
-        1e3,
-        "functions of the plays at the edges",
-        shape=(MAX_PLAYS, MAX_EDGES),
-    ),
-    _real(
-        "relaxation_rate",
-        "1",
-        0,
-        1,
-        "creep: 1 - exp(-T_s / tau_i)",
-        shape=(MAX_RELAXATIONS,),
-    ),
+    _real("relaxation_rate", "1", 0, 1, "creep: 1 - exp(-T_s / tau_i)", MAX_RELAXATIONS),
     _real(
         "relaxation_share",
         "1",
         -1,
         1,
         "creep: displacement added per displacement",
-        shape=(MAX_RELAXATIONS,),
+        MAX_RELAXATIONS,
     ),
     _real(
-        "reference_section",
-        "1",
-        -1e9,
-        1e9,
-        "biquads b0 b1 b2 a1 a2 on the reference",
-        shape=(MAX_SECTIONS, 5),
+        "reference_section", *_SECTION, "biquads b0 b1 b2 a1 a2 on the reference", MAX_SECTIONS, 5
     ),
-    _real(
-        "command_section",
-        "1",
-        -1e9,
-        1e9,
-        "biquads b0 b1 b2 a1 a2 on the command",
-        shape=(MAX_SECTIONS, 5),
-    ),
+    _real("command_section", *_SECTION, "biquads b0 b1 b2 a1 a2 on the command", MAX_SECTIONS, 5),
 )
-
-
-def _vector(name: str, unit: str, meaning: str) -> Parameter:
-    return _real(name, unit, -1e12, 1e12, meaning, shape=(MAX_ORDER,))
-
 
 _OBSERVER = (
-    _real("observer_A", "1", -1e12, 1e12, "state matrix, row-major", shape=(MAX_ORDER, MAX_ORDER)),
-    _vector("observer_B", "1/V", "input vector"),
-    _vector("observer_C", "m", "output vector"),
-    _vector("observer_L", "1/m", "correction of the states"),
-    _real("observer_disturbance_L_V_per_m", "V/m", -1e12, 1e12, "correction of the disturbance"),
-    _vector("observer_rest", "1/V", "state at rest for 1 V"),
-    _vector("feedback_K_V", "V", "state feedback"),
-    _real("feedback_N_V_per_m", "V/m", -1e12, 1e12, "reference gain"),
+    _real("observer_A", "1", *_GAIN, "state matrix, row-major", MAX_ORDER, MAX_ORDER),
+    _real("observer_B", "1/V", *_GAIN, "input vector", MAX_ORDER),
+    _real("observer_C", "m", *_GAIN, "output vector", MAX_ORDER),
+    _real("observer_L", "1/m", *_GAIN, "correction of the states", MAX_ORDER),
+    _real("observer_disturbance_L_V_per_m", "V/m", *_GAIN, "correction of the disturbance"),
+    _real("observer_rest", "1/V", *_GAIN, "state at rest for 1 V", MAX_ORDER),
+    _real("feedback_K_V", "V", *_GAIN, "state feedback", MAX_ORDER),
+    _real("feedback_N_V_per_m", "V/m", *_GAIN, "reference gain"),
 )
-
-
-def _taps(name: str, unit: str, meaning: str) -> Parameter:
-    return _real(name, unit, -1e9, 1e9, meaning, shape=(MAX_TAPS,))
-
 
 _TUNNELLING = (
     _real("current_reference_A", "A", 0, 1, "current whose logarithm is 0"),
     _real("current_floor_A", "A", 0, 1, "lowest current in the logarithm"),
     _real("current_ceiling_A", "A", 0, 1, "current at which the tip retracts at once"),
-    _real("retract_voltage_V", "V", -NO_BOUND_V, NO_BOUND_V, "voltage at which a retract ends"),
-    _real("retract_step_V", "V", 0, 1e5, "length of a retract; 0: to retract_voltage_V"),
-    _real("approach_step_V", "V", 0, 1e5, "extension in a sample while there is no current"),
-    _real(
-        "approach_log_step",
-        "1",
-        0,
-        1e3,
-        "rise of the log of the reference per sample after contact",
-    ),
-    _real(
-        "contact_log",
-        "1",
-        0,
-        1e3,
-        "contact: log of the current less than this below the set point",
-    ),
+    _real("retract_voltage_V", *_V, "voltage at which a retract ends"),
+    _real("retract_step_V", *_VOLTAGE_STEP, "length of a retract; 0: to retract_voltage_V"),
+    _real("approach_step_V", *_VOLTAGE_STEP, "extension in a sample while there is no current"),
+    _real("approach_log_step", *_LOG, "rise of the log of the reference per sample after contact"),
+    _real("contact_log", *_LOG, "contact: log of the current less than this below the set point"),
     _real("stuck_current_A", "A", -1, 1, "currents up to this are never stuck"),
-    _real("search_voltage_V", "V", 0, 1e5, "search range beyond the last contact; 0: to the end"),
+    _real(
+        "search_voltage_V", *_VOLTAGE_STEP, "search range beyond the last contact; 0: to the end"
+    ),
     _real("schedule_limit", "1", 1, 1e3, "gain ratios stay in [1/limit, limit]", default=1),
-    _taps("rst_T_V", "V", "T, on the reference"),
-    _taps("rst_R_V", "V", "R, on the measurement"),
-    _taps("rst_S", "1", "S without its integrator, monic"),
-    _taps("rst_A0", "1", "anti-windup polynomial, monic"),
+    _real("rst_T_V", "V", *_TAP, "T, on the reference", MAX_TAPS),
+    _real("rst_R_V", "V", *_TAP, "R, on the measurement", MAX_TAPS),
+    _real("rst_S", "1", *_TAP, "S without its integrator, monic", MAX_TAPS),
+    _real("rst_A0", "1", *_TAP, "anti-windup polynomial, monic", MAX_TAPS),
 )
 
 PARAMETERS: tuple[Parameter, ...] = _HEADER + _COUNTS + _SIGNALS + _MODEL + _OBSERVER + _TUNNELLING

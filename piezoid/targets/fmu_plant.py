@@ -5,8 +5,7 @@ plant_loop.c. The numbers are read from the structure that verification uses, so
 forward model. They are printed as the shortest decimals that read as the same doubles.
 """
 
-import ctypes
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 
 import numpy as np
@@ -14,8 +13,8 @@ import numpy as np
 from piezoid.export.bundle import SAMPLES
 from piezoid.export.c_header import plain_ascii
 from piezoid.export.fmu import Unit
-from piezoid.numerics.arrays import Array
-from piezoid.verification.loop_plant import Linear, LoopPlant, Map, SettledPlant
+from piezoid.operators.dead_zone import KernelMap
+from piezoid.verification.loop_plant import Linear, SettledPlant
 from piezoid.verification.plant import AxisPlant, Junction
 
 _SCALARS = (
@@ -25,6 +24,22 @@ _SCALARS = (
     *("voltage_offset_V", "displacement_offset_m", "current_A", "current_most"),
     *("slew_step", "driven", "w"),
     *("reading_zero", "reading_lsb", "reading_least", "reading_most"),
+)
+_BLOCK = ("A", "B_old", "B_new", "C")
+_POINTERS = (
+    *("threshold_V", "weight", "edge_V", "value_m", "second_threshold_V", "second_weight_m"),
+    *("cyclic_cosine_m", "cyclic_sine_m"),
+)
+_ARRAYS = (
+    *(
+        f"{block}_{name}"
+        for block in ("before", "after")
+        for name in ("A", "B_old", "B_new", "x", "C")
+    ),
+    *("after_settled", "envelope_knot", "envelope_slope", "zones_knot", "zones_slope"),
+    *("threshold_V", "play_V", "weight", "edge_V", "value_m"),
+    *("second_threshold_V", "second_play_V", "second_weight_m"),
+    *("cyclic_cosine_m", "cyclic_sine_m", "late_V", "hum_Hz", "hum"),
 )
 
 _SOURCES = ("fmu_plant.h", "plant_loop.c")
@@ -102,11 +117,15 @@ def plant_header(plant: AxisPlant) -> str:
     }
     lines = ["/* The identified plant of an axis at rest, written by piezoid. SI units. */"]
     lines += [f"#define PLANT_{name} {_number(value)}" for name, value in macros.items()]
-    arrays = dict(_arrays(initial))
+    arrays = settled.arrays
+    states = initial.after.states
+    driven = arrays["after_B_old"] + arrays["after_B_new"]
+    transition = np.eye(states) - arrays["after_A"]
+    arrays["after_settled"] = np.asarray(np.linalg.solve(transition, driven), dtype=np.float64)
     arrays["hum_Hz"] = np.array([frequency_Hz for frequency_Hz, _ in plant.hums])
     arrays["hum"] = np.array([amplitude for _, amplitude in plant.hums])
-    for name, values in arrays.items():
-        numbers = ", ".join(map(_number, values.tolist())) or "0.0"
+    for name in _ARRAYS:
+        numbers = ", ".join(map(_number, arrays.get(name, np.zeros(0)).ravel())) or "0.0"
         lines.append(f"static const double plant_{name}[] = {{{numbers}}};")
     members = [f".{name} = {_number(getattr(initial, name))}" for name in _SCALARS]
     members += [
@@ -115,52 +134,9 @@ def plant_header(plant: AxisPlant) -> str:
         f".envelope = {_map('envelope', initial.envelope)}",
         f".zones = {_map('zones', initial.zones)}",
     ]
-    shared = (
-        *("threshold_V", "weight", "edge_V", "value_m", "second_threshold_V", "second_weight_m"),
-        *("cyclic_cosine_m", "cyclic_sine_m"),
-    )
-    members += [f".{name} = plant_{name}" for name in shared]
+    members += [f".{name} = plant_{name}" for name in _POINTERS]
     initialiser = "".join(f"    {member},\n" for member in members)
     return "\n".join([*lines, f"static const pl_plant plant_at_rest = {{\n{initialiser}}};", ""])
-
-
-def _arrays(initial: LoopPlant) -> Iterator[tuple[str, Array]]:
-    for name in ("before", "after"):
-        block: Linear = getattr(initial, name)
-        n = block.states
-        yield f"{name}_A", _at(block.A, n * n)
-        for vector in ("B_old", "B_new", "x"):
-            yield f"{name}_{vector}", _at(getattr(block, vector), n)
-        yield f"{name}_C", _at(block.C, 2 * n)
-    n = initial.after.states
-    transition = np.eye(n) - _at(initial.after.A, n * n).reshape(n, n)
-    driven = _at(initial.after.B_old, n) + _at(initial.after.B_new, n)
-    yield "after_settled", np.asarray(np.linalg.solve(transition, driven), dtype=np.float64)
-    for name in ("envelope", "zones"):
-        curve: Map = getattr(initial, name)
-        yield f"{name}_knot", _at(curve.knot, curve.knots)
-        yield f"{name}_slope", _at(curve.slope, curve.knots + 1 if curve.slope else 0)
-    for name in ("threshold_V", "play_V"):
-        yield name, _at(getattr(initial, name), initial.plays)
-    yield "weight", _at(initial.weight, 0 if initial.edges else initial.plays)
-    yield "edge_V", _at(initial.edge_V, initial.edges)
-    yield "value_m", _at(initial.value_m, initial.edges * initial.plays)
-    for name in ("second_threshold_V", "second_play_V"):
-        yield name, _at(getattr(initial, name), initial.second_plays)
-    yield (
-        "second_weight_m",
-        _at(initial.second_weight_m, initial.second_plays * initial.second_powers),
-    )
-    for name in ("cyclic_cosine_m", "cyclic_sine_m"):
-        yield name, _at(getattr(initial, name), initial.cyclic_orders)
-    yield "late_V", _at(initial.late_V, initial.late)
-
-
-def _at(address: int | None, count: int) -> Array:
-    """Return a copy of the doubles at an address, or an empty array for a null address."""
-    if not address or not count:
-        return np.zeros(0)
-    return np.array((ctypes.c_double * count).from_address(address))
 
 
 def _number(value: float) -> str:
@@ -170,12 +146,11 @@ def _number(value: float) -> str:
 
 
 def _linear(name: str, block: Linear) -> str:
-    arrays = ("A", "B_old", "B_new", "C")
-    pointers = ", ".join(f".{array} = plant_{name}_{array}" for array in arrays)
+    pointers = ", ".join(f".{array} = plant_{name}_{array}" for array in _BLOCK)
     direct = ", ".join(_number(float(value)) for value in block.D)
     return f"{{.states = {block.states}, {pointers}, .D = {{{direct}}}}}"
 
 
-def _map(name: str, curve: Map) -> str:
+def _map(name: str, curve: KernelMap) -> str:
     pointers = f".knot = plant_{name}_knot, .slope = plant_{name}_slope"
     return f"{{.knots = {curve.knots}, {pointers}, .zero = {curve.zero}}}"

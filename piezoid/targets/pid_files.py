@@ -1,7 +1,6 @@
 """The target `pid`: settings and second-order sections for PID hardware, and its errors."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -70,67 +69,42 @@ Worst of {plants} plants: modulus margin {modulus:.2f}, delay margin {delay}.
 """
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PidResult:
-    """The PID of one axis, and its loss compared with the exported controller.
-
-    margins   of every plant of the family
-    errors_m  rms error on a spiral by plant: exported controller and PID
-    """
-
-    axis: str
-    pid: Pid
-    margins: tuple[Margins, ...]
-    errors_m: Errors
-
-    @property
-    def loss(self) -> str:
-        """Errors of the PID and of the exported controller, as a sentence."""
-        worst = worst_errors(self.errors_m)
-        pid = self.pid
-        is_integral = pid.proportional_V_per_m == pid.derivative_V_s_per_m == 0.0
-        controller = "an integral controller" if is_integral else "a PID"
-        return (
-            f"with {controller} and {_NOTCHES[len(pid.notches)]}, a spiral of "
-            f"{_SPIRAL_Hz:g} Hz errs by {worst['pid']} rms instead of {worst['exported']} "
-            f"(worst of {len(self.errors_m)} plants)"
-        )
-
-
 def pid_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
     """Return the folder's files by name, and one sentence about the errors of each axis.
 
     Raises ``DesignError`` if no PID stabilises all plants of an axis.
     """
-    results = [pid_of(inputs, axis) for axis in inputs.lateral]
-    notes = [f"axis {result.axis}: {result.loss}" for result in results]
-    notes += [
+    notes = [
         f"axis {axis} is not in pid/: it regulates a current; --target library or the bundle has "
         "its controller"
         for axis in inputs.tips
     ]
-    if not results:
+    if not inputs.lateral:
         return {}, tuple(notes)
-    update_Hz = inputs.hardware.update_Hz or results[0].pid.sampling_rate_Hz
+    rate_Hz = inputs.designs[inputs.lateral[0].axis].sampling_rate_Hz
+    update_Hz = inputs.hardware.update_Hz or rate_Hz
+    losses: list[str] = []
     settings, sections = ["axis,setting,value,unit"], ["axis,section,b0,b1,b2,a1,a2"]
     paragraphs = []
-    for result in results:
-        pid = result.pid
-        settings += [f"{result.axis},{n},{v!r},{u}" for n, v, u in _settings(pid)]
+    for axis in inputs.lateral:
+        pid, margins, errors_m = pid_of(inputs, axis)
+        loss = _loss(pid, errors_m)
+        losses.append(f"axis {axis.axis}: {loss}")
+        settings += [f"{axis.axis},{n},{v!r},{u}" for n, v, u in _settings(pid)]
         for index, (b, a) in enumerate(pid.sections(update_Hz)):
             values = [*np.pad(b, (0, 3 - len(b))), *np.pad(a, (0, 3 - len(a)))[1:]]
-            sections.append(",".join([result.axis, str(index), *(f"{v:.17g}" for v in values)]))
-        delays_s = [m.delay_margin_s for m in result.margins if m.delay_margin_s is not None]
+            sections.append(",".join([axis.axis, str(index), *(f"{v:.17g}" for v in values)]))
+        delays_s = [m.delay_margin_s for m in margins if m.delay_margin_s is not None]
         paragraphs.append(
             _AXIS.format(
-                axis=result.axis,
+                axis=axis.axis,
                 settings="\n".join(f"| {n} | {v:.6g} {u} |" for n, v, u in _settings(pid)),
-                loss=result.loss[0].upper() + result.loss[1:],
-                plants=len(result.margins),
-                modulus=min(m.modulus_margin for m in result.margins),
+                loss=loss[0].upper() + loss[1:],
+                plants=len(margins),
+                modulus=min(m.modulus_margin for m in margins),
                 delay=with_unit(min(delays_s), "s") if delays_s else "none needed",
                 spiral=f"{_SPIRAL_Hz:g}",
-                rows=error_rows(result.errors_m),
+                rows=error_rows(errors_m),
             )
         )
     readme = _README.format(
@@ -144,11 +118,25 @@ def pid_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str, ...
         "settings.csv": "\n".join([*settings, ""]),
         "sections.csv": "\n".join([*sections, ""]),
     }
-    return {name: text.encode() for name, text in texts.items()}, tuple(notes)
+    return {name: text.encode() for name, text in texts.items()}, (*losses, *notes)
 
 
-def pid_of(inputs: TargetInputs, axis: AxisParameters) -> PidResult:
-    """Search the settings of one axis, and simulate them and the exported controller."""
+def _loss(pid: Pid, errors_m: Errors) -> str:
+    """Return the errors of the PID and of the exported controller, as a sentence."""
+    worst = worst_errors(errors_m)
+    is_integral = pid.proportional_V_per_m == pid.derivative_V_s_per_m == 0.0
+    controller = "an integral controller" if is_integral else "a PID"
+    return (
+        f"with {controller} and {_NOTCHES[len(pid.notches)]}, a spiral of {_SPIRAL_Hz:g} Hz errs "
+        f"by {worst['pid']} rms instead of {worst['exported']} (worst of {len(errors_m)} plants)"
+    )
+
+
+def pid_of(inputs: TargetInputs, axis: AxisParameters) -> tuple[Pid, tuple[Margins, ...], Errors]:
+    """Search the settings of one axis, and simulate them and the exported controller.
+
+    returned  settings, margins on every plant of the family, and rms errors on a spiral by plant
+    """
     design, model, hardware = inputs.designs[axis.axis], inputs.models[axis.axis], inputs.hardware
     specification, rate_Hz = design.specification, design.sampling_rate_Hz
     bounds = affine_bounds(
@@ -186,7 +174,7 @@ def pid_of(inputs: TargetInputs, axis: AxisParameters) -> PidResult:
             name: float(np.sqrt(np.mean((position_m - path_m) ** 2)))
             for name, position_m in positions_m.items()
         }
-    return PidResult(axis=axis.axis, pid=pid, margins=margins, errors_m=errors_m)
+    return pid, margins, errors_m
 
 
 def _settings(pid: Pid) -> list[tuple[str, float, str]]:

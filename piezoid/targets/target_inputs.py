@@ -6,8 +6,9 @@ The limits of the hardware for which a target is made come from box.toml.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 
 from piezoid.design.design import AxisDesign
@@ -17,22 +18,21 @@ from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.toml_files import read_toml
-from piezoid.verification.closed_loop import approach_path, run_axis
+from piezoid.verification.closed_loop import run_path
 from piezoid.verification.plant import AxisPlant
 
 SEED = 0  # of the sensor noise in every comparison
 
-SHAPES = ("triangle", "sine")
 _MAX_POINTS = 2**24
-_LARGEST = 1e12  # number in box.toml
+_Positive = Annotated[float, msgspec.Meta(gt=0.0, lt=1e12)]
+_Voltage = Annotated[float, msgspec.Meta(gt=-1e12, lt=1e12)]
 
 Errors = Mapping[str, Mapping[str, float]]
 """Errors in m by plant and by column of the table in README.md."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ControllerHardware:
-    """Limits of the hardware; None stands for the value of the stage.
+class ControllerHardware(msgspec.Struct, frozen=True, kw_only=True):
+    """Limits of the hardware: the keys of box.toml; None stands for the value of the stage.
 
     notches              of a PID controller, 0 to 2
     slew_V_per_s         slew limit of a PID controller; None: that of the amplifier
@@ -48,61 +48,32 @@ class ControllerHardware:
     bits, range_V        of the converter of the wave generator
     """
 
-    notches: int = 2
-    slew_V_per_s: float | None = None
-    update_Hz: float | None = None
-    table_points: int = 32
-    drift_limit_percent: float = 10.0
-    frame_half_range_m: float | None = None
-    shape: str = "triangle"
-    frequency_Hz: float = 10.0
-    half_range_m: float | None = None
-    rate_Hz: float | None = None
-    points: int = _MAX_POINTS
-    bits: int = 16
-    range_V: tuple[float, float] | None = None
+    notches: Annotated[int, msgspec.Meta(ge=0, le=2)] = 2
+    slew_V_per_s: _Positive | None = None
+    update_Hz: _Positive | None = None
+    table_points: Annotated[int, msgspec.Meta(ge=3, le=1024)] = 32
+    drift_limit_percent: _Positive = 10.0
+    frame_half_range_m: _Positive | None = None
+    shape: Annotated[str, msgspec.Meta(pattern="^(triangle|sine)$")] = "triangle"
+    frequency_Hz: _Positive = 10.0
+    half_range_m: _Positive | None = None
+    rate_Hz: _Positive | None = None
+    points: Annotated[int, msgspec.Meta(ge=4, le=_MAX_POINTS)] = _MAX_POINTS
+    bits: Annotated[int, msgspec.Meta(ge=8, le=16)] = 16
+    range_V: tuple[_Voltage, _Voltage] | None = None
+
+    def __post_init__(self) -> None:
+        if self.range_V is not None and not self.range_V[0] < self.range_V[1]:
+            raise ValueError("two voltages, the lower first")
 
 
-_POSITIVE, _SHAPE = "a number above 0", " or ".join(SHAPES)
-_RANGE = "two voltages, the lower first"
-# Allowed values by table and key: one of the rules above, or the ends of whole numbers.
-_TABLES: Mapping[str, Mapping[str, str | tuple[int, int]]] = {
-    "pid": {"notches": (0, 2), "slew_V_per_s": _POSITIVE, "update_Hz": _POSITIVE},
-    "nanonis": {
-        "table_points": (3, 1024),
-        "drift_limit_percent": _POSITIVE,
-        "frame_half_range_m": _POSITIVE,
-    },
-    "waveform": {
-        "shape": _SHAPE,
-        "frequency_Hz": _POSITIVE,
-        "half_range_m": _POSITIVE,
-        "rate_Hz": _POSITIVE,
-        "points": (4, _MAX_POINTS),
-        "bits": (8, 16),
-        "range_V": _RANGE,
-    },
+_KEYS = {
+    "pid": ("notches", "slew_V_per_s", "update_Hz"),
+    "nanonis": ("table_points", "drift_limit_percent", "frame_half_range_m"),
+    "waveform": (
+        *("shape", "frequency_Hz", "half_range_m", "rate_Hz", "points", "bits", "range_V"),
+    ),
 }
-
-
-def _converted(value: Any, rule: str | tuple[int, int]) -> Any:
-    """Return a value for ``ControllerHardware``; raise ``ValueError`` if the rule excludes it."""
-    if rule == _SHAPE:
-        return SHAPES[SHAPES.index(value)]
-    numbers = value if rule == _RANGE and isinstance(value, list) else [value]
-    for number in numbers:
-        if isinstance(number, bool) or not isinstance(number, int | float):
-            raise ValueError
-    if not all(abs(number) < _LARGEST for number in numbers):
-        raise ValueError
-    if not isinstance(rule, str):
-        if not isinstance(value, int) or not rule[0] <= value <= rule[1]:
-            raise ValueError
-        return value
-    low, high = map(float, numbers if rule == _RANGE else (0.0, value))
-    if not low < high:
-        raise ValueError
-    return (low, high) if rule == _RANGE else high
 
 
 def read_hardware(path: Path) -> ControllerHardware:
@@ -110,7 +81,7 @@ def read_hardware(path: Path) -> ControllerHardware:
 
     Raises ``ParameterFileError`` with the key and its allowed values.
     """
-    names = ", ".join(f"[{name}]" for name in _TABLES)
+    names = ", ".join(f"[{name}]" for name in _KEYS)
     try:
         tables = read_toml(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -121,20 +92,18 @@ def read_hardware(path: Path) -> ControllerHardware:
         ) from None
     values: dict[str, Any] = {}
     for name, table in tables.items():
-        if name not in _TABLES or not isinstance(table, Mapping):
+        if name not in _KEYS or not isinstance(table, Mapping):
             raise _unusable(path, f"[{name}] is no table of box.toml", f"one of {names}")
         for key, value in table.items():
-            rule = _TABLES[name].get(key)
-            if rule is None:
-                keys = ", ".join(_TABLES[name])
+            if key not in _KEYS[name]:
+                keys = ", ".join(_KEYS[name])
                 raise _unusable(path, f"{key} is no key of [{name}]", f"one of {keys}")
             try:
-                values[key] = _converted(value, rule)
-            except ValueError:
-                fault = f"{key} of [{name}] is {value!r}"
-                if not isinstance(rule, str):
-                    rule = f"a whole number from {rule[0]} to {rule[1]}"
-                raise _unusable(path, fault, rule) from None
+                checked = msgspec.convert({key: value}, ControllerHardware)
+            except msgspec.ValidationError as error:
+                needed = str(error).partition(" - at")[0].removeprefix("Expected ")
+                raise _unusable(path, f"{key} of [{name}] is {value!r}", needed) from None
+            values[key] = getattr(checked, key)
     return ControllerHardware(**values)
 
 
@@ -185,10 +154,7 @@ class TargetInputs:
 
 def exported_position_m(axis: AxisParameters, plant: AxisPlant, path_m: Array) -> Array:
     """Simulate the exported controller along a path; return the position, (samples,)."""
-    approach_m = approach_path(plant, float(path_m[0]))
-    reference_m = np.concatenate([approach_m, path_m])
-    record = run_axis(plant, axis, reference_m, rng=np.random.default_rng(SEED))
-    return record.position[len(approach_m) :]
+    return run_path(plant, axis, path_m, rng=np.random.default_rng(SEED)).position
 
 
 def worst_errors(errors_m: Errors) -> dict[str, str]:

@@ -155,6 +155,36 @@ def run_axis(
     )
 
 
+def run_path(
+    plant: AxisPlant,
+    parameters: AxisParameters,
+    reference: Array,
+    *,
+    rng: np.random.Generator,
+    disturbance: Array | None = None,
+    added_m: Array | None = None,
+    fault: Array | None = None,
+    reset_at: int | None = None,
+) -> LoopRecord:
+    """Simulate one axis as ``run_axis`` does, after an approach that is not in the record."""
+    approach = approach_path(plant, float(reference[0]))
+    lead = len(approach)
+
+    def held(signal: Array | None) -> Array | None:
+        return None if signal is None else np.pad(signal, (lead, 0), "edge")
+
+    return run_axis(
+        plant,
+        parameters,
+        np.concatenate([approach, reference]),
+        rng=rng,
+        disturbance=held(disturbance),
+        added_m=held(added_m),
+        fault=None if fault is None else np.pad(fault, (lead, 0)),
+        reset_at=None if reset_at is None else lead + reset_at,
+    ).after(lead)
+
+
 def run_law(
     plant: AxisPlant,
     law: Callable[[float, float], float],
@@ -197,8 +227,7 @@ def _run_loop(
     outputs = {name: np.empty(samples) for name in ("driven", "position", "measured", "voltage_V")}
     status = np.empty(samples, dtype=np.uint32)
     run.status = status.ctypes.data
-    for name, array in {**inputs, **outputs}.items():
-        setattr(run, name, settled.address(np.ascontiguousarray(array, dtype=np.float64)))
+    settled.point(run, **inputs, **outputs)
     loop_library().pl_loop(ctypes.addressof(settled.structure), ctypes.addressof(run))
     return LoopRecord(
         axis=plant.axis,

@@ -2,9 +2,10 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from reprlib import repr as short
+from dataclasses import dataclass
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from piezoid.errors import LabFileError
@@ -18,13 +19,13 @@ from piezoid.verification.tracking import Tracking
 SHAPE_ERROR = "shape error of the shipped controller"
 HOLD_TIME = "time without sensor until the output is held"
 SHAPE_RATIO = "shape error, ratio to no compensation"
+_Positive = Annotated[float, msgspec.Meta(gt=0.0, le=sys.float_info.max)]
 _SETTLED = 0.02  # of the largest step
 _BEFORE_NEXT_s = 5e-3  # a loop with preview moves before the next step
 _AFTERWARDS = 0.25  # share of a record, at its end, in which a fault must have no effect
 
 
-@dataclass(frozen=True, kw_only=True)
-class Limits:
+class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Acceptance limits; every number may be replaced for an application.
 
     aligned_percent     of the diameter, shape error of the shipped controller, up to judged_Hz
@@ -42,18 +43,18 @@ class Limits:
     approach_s          time until the current recovers from 200 nm away, or after a reset
     """
 
-    aligned_percent: float = 1.0
-    judged_Hz: float = 10.0
-    settling_s: float = 0.05
-    overshoot_percent: float = 40.0
-    varied_percent: float = 1.0
-    fault_percent: float = 15.0
-    coupling_percent: float = 1.0
-    ln_current: float = 0.5
-    blind_s: float = 0.15
-    closest_m: float = 4e-10
-    recovery_s: float = 1.0
-    approach_s: float = 10.0
+    aligned_percent: _Positive = 1.0
+    judged_Hz: _Positive = 10.0
+    settling_s: _Positive = 0.05
+    overshoot_percent: _Positive = 40.0
+    varied_percent: _Positive = 1.0
+    fault_percent: _Positive = 15.0
+    coupling_percent: _Positive = 1.0
+    ln_current: _Positive = 0.5
+    blind_s: _Positive = 0.15
+    closest_m: _Positive = 4e-10
+    recovery_s: _Positive = 1.0
+    approach_s: _Positive = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,17 +212,11 @@ def limits_from(table: Mapping[str, object], source: str) -> Limits:
 
     Raises ``LabFileError`` for an unknown name and for a value that is not a positive number.
     """
-    names = [field.name for field in fields(Limits)]
-    values: dict[str, float] = {}
-    for name, value in table.items():
-        if name not in names:
-            raise _unusable(source, f"unknown limit {short(name)}", "one of " + ", ".join(names))
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise _unusable(source, f"{name} is {short(value)}", "a number")
-        if not 0 < value <= sys.float_info.max:
-            raise _unusable(source, f"{name} is {short(value)}", "a finite number above zero")
-        values[name] = float(value)
-    return replace(Limits(), **values)
+    try:
+        return msgspec.convert(dict(table), Limits)
+    except msgspec.ValidationError as fault:
+        needed = f"numbers above zero for {', '.join(Limits.__struct_fields__)}"
+        raise _unusable(source, str(fault)[:200], needed) from fault
 
 
 def _unusable(source: str, fault: str, needed: str) -> LabFileError:

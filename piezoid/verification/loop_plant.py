@@ -1,25 +1,24 @@
 """Convert an AxisPlant to the structures of plant_loop.c, sampled exactly and settled at rest."""
 
 import ctypes
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
 
-from piezoid.design.plant import Section, cascade
 from piezoid.errors import ParameterFileError
-from piezoid.identification.loop_model import rest_gain
+from piezoid.identification.loop_model import rest_gain, through
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.compiled import opened
-from piezoid.operators.dead_zone import LINEAR
-from piezoid.operators.linear import ContinuousSystem, first_order, sample
-from piezoid.operators.linear import cascade as in_series
+from piezoid.operators.dead_zone import LINEAR, KernelMap
+from piezoid.operators.linear import cascade, first_order, sample
 from piezoid.operators.play import play_columns
 from piezoid.operators.preisach_plays import PreisachPlays, straight_between
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction
 
-SUBSTEPS = 4  # per sample; amplifier and mechanics are exact, the response linear in a substep
+SUBSTEPS = 4  # per sample; systems are exact, the response linear in a substep
 _PLAYS, _EXPONENTIAL, _PLUGGED = range(3)
 # Time constants in a substep, after which a step response has settled to the last bit of a double.
 _INSTANTANEOUS = 36.0
@@ -47,12 +46,6 @@ class Linear(ctypes.Structure):
     )
 
 
-class Map(ctypes.Structure):
-    """``pl_map``."""
-
-    _fields_ = (*_fields(_SIZE, "knots"), *_fields(_POINTER, "knot slope"), ("zero", _SIZE))
-
-
 class LoopPlant(ctypes.Structure):
     """``pl_plant``."""
 
@@ -65,7 +58,7 @@ class LoopPlant(ctypes.Structure):
         *_fields(_POINTER, "threshold_V weight play_V"),
         *_fields(_SIZE, "edges"),
         *_fields(_POINTER, "edge_V value_m"),
-        *_fields(Map, "envelope zones"),
+        *_fields(KernelMap, "envelope zones"),  # pl_map is the same structure
         *_fields(_REAL, "low_V high_V activation_step activation_m irreversible_m"),
         *_fields(_SIZE, "second_plays second_powers"),
         *_fields(_POINTER, "second_threshold_V second_weight_m second_play_V"),
@@ -106,6 +99,7 @@ class SettledPlant:
     """A plant as ``pl_plant``, settled at its rest voltage, and the arrays that it references.
 
     structure  of the C loop; it must not outlive this object
+    arrays     that the structure references, by the names of its members
     """
 
     def __init__(self, plant: AxisPlant, disturbance: Array | None = None) -> None:
@@ -114,12 +108,12 @@ class SettledPlant:
         response, rest_V = plant.response, plant.rest_voltage_V
         begin = 0.0 if disturbance is None else float(disturbance[0])
         gain = response.gain_nepers_per_V if isinstance(response, Junction) else 1.0
-        self.plant, self._arrays = plant, list[Any]()
+        self.plant, self.arrays = plant, dict[str, Array]()
         self.structure = c = LoopPlant(substeps=SUBSTEPS)
         c.reading_zero, c.reading_lsb = plant.reading_zero, plant.reading_step
         c.reading_least, c.reading_most = plant.reading_range
         c.late = int(plant.delay_s * plant.sampling_rate_Hz)
-        c.late_V = self.address(np.full(c.late, rest_V))
+        self.point(c, late_V=np.full(c.late, rest_V))
         if isinstance(response, Junction):
             c.kind, c.current_A = _EXPONENTIAL, response.current_A
             c.current_most = response.saturation_A or 0.0
@@ -129,17 +123,16 @@ class SettledPlant:
             self._fill_hysteresis(response)
         else:
             c.kind, c.respond = _PLUGGED, _RESPOND(response.begin(rest_V))
-            self._arrays.append(c.respond)
         if plant.cyclic is not None:
             c.cyclic_orders = len(plant.cyclic.cosine_m)
             c.cyclic_per_m = 2.0 * np.pi / plant.cyclic.wavelength_m
-            c.cyclic_cosine_m = self.address(np.array(plant.cyclic.cosine_m))
-            c.cyclic_sine_m = self.address(np.array(plant.cyclic.sine_m))
+            cosine_m, sine_m = np.array(plant.cyclic.cosine_m), np.array(plant.cyclic.sine_m)
+            self.point(c, cyclic_cosine_m=cosine_m, cyclic_sine_m=sine_m)
         c.slew_step = (plant.slew_V_per_s or 0.0) * gain / rate_Hz
         c.driven = gain * rest_V
         c.w = loop_library().pl_response(ctypes.addressof(c), gain * rest_V, begin)
-        c.before = self._settled(*_before_hysteresis(plant, rate_Hz, gain), rest_V)
-        c.after = self._settled(*_after_hysteresis(plant, rate_Hz), c.w)
+        c.before = self._settled("before_", *_before_hysteresis(plant, rate_Hz, gain), rest_V)
+        c.after = self._settled("after_", *_after_hysteresis(plant, rate_Hz), c.w)
 
     @property
     def rest_position(self) -> float:
@@ -147,10 +140,11 @@ class SettledPlant:
         gain = 1.0 if self.plant.measured is None else self.plant.measured_gain
         return float(self.structure.w) * gain
 
-    def address(self, array: Array) -> int:
-        """Return the address of an array, and keep a reference to the array."""
-        self._arrays.append(array)
-        return int(array.ctypes.data)
+    def point(self, structure: ctypes.Structure, prefix: str = "", /, **arrays: Array) -> None:
+        """Set pointers of a structure to arrays, and keep the arrays under a prefix and a name."""
+        for name, values in arrays.items():
+            self.arrays[prefix + name] = array = np.ascontiguousarray(values, dtype=np.float64)
+            setattr(structure, name, array.ctypes.data)
 
     def _fill_hysteresis(self, response: Hysteresis) -> None:
         c, plant, operator = self.structure, self.plant, response.operator
@@ -161,28 +155,24 @@ class SettledPlant:
         past_V = np.array([*response.history_V, plant.rest_voltage_V])
         past_V = np.clip(past_V, response.low_V, response.high_V)
         _, states_V = operator.run(past_V, operator.virgin_memory())
-        c.play_V = self.address(np.array(states_V))
+        self.point(c, play_V=np.array(states_V))
         envelope = zones = LINEAR
         if isinstance(operator, PreisachPlays):
             c.plays, c.edges = operator.value_m.shape
-            c.threshold_V = self.address(operator.threshold_V)
-            c.edge_V = self.address(operator.edge_V)
-            c.value_m = self.address(np.ascontiguousarray(operator.value_m))
+            self.point(c, threshold_V=operator.threshold_V, edge_V=operator.edge_V)
+            self.point(c, value_m=operator.value_m)
             irreversible_m = sum(
                 float(straight_between(state_V, operator.edge_V, value_m)[0])
                 for state_V, value_m in zip(states_V[1:, None], operator.value_m[1:], strict=True)
             )
         else:
             c.plays = len(operator.plays.threshold)
-            c.threshold_V = self.address(operator.plays.threshold)
-            c.weight = self.address(operator.plays.weight)
+            self.point(c, threshold_V=operator.plays.threshold, weight=operator.plays.weight)
             envelope, zones = operator.envelope, operator.dead_zones
             irreversible_m = float(operator.plays.weight[1:] @ states_V[1:])
         for name, curve in (("envelope", envelope), ("zones", zones)):
-            slope = self.address(np.ascontiguousarray(curve.slope))
-            knot = self.address(curve.threshold)
-            knots = len(curve.threshold)
-            setattr(c, name, Map(knots=knots, knot=knot, slope=slope, zero=curve.zero))
+            setattr(c, name, curve.kernel_map())
+            self.arrays |= {f"{name}_knot": curve.threshold, f"{name}_slope": curve.slope}
         if response.activation_s > 0.0:
             substeps_per_s = plant.sampling_rate_Hz * SUBSTEPS
             c.irreversible_m = irreversible_m
@@ -192,15 +182,21 @@ class SettledPlant:
         if discrepancy is not None:
             centre_V, threshold_V = discrepancy.centre_V, discrepancy.threshold_V
             c.second_powers, c.second_plays = discrepancy.weight_m.shape
-            c.second_threshold_V = self.address(threshold_V)
-            c.second_weight_m = self.address(np.ascontiguousarray(discrepancy.weight_m))
             virgin_V = np.zeros(len(threshold_V))
             _, states_V = play_columns(past_V - centre_V, threshold_V, virgin_V)
-            c.second_play_V = self.address(np.array(states_V))
+            self.point(c, second_threshold_V=threshold_V, second_play_V=np.array(states_V))
+            self.point(c, second_weight_m=discrepancy.weight_m)
             c.second_centre_V, c.second_reach_V = centre_V, discrepancy.reach_V
 
     def _settled(
-        self, A: Array, previous: Array, present: Array, C: Array, D: tuple[float, float], w: float
+        self,
+        prefix: str,
+        A: Array,
+        previous: Array,
+        present: Array,
+        C: Array,
+        D: tuple[float, float],
+        w: float,
     ) -> Linear:
         """Return a block at rest under a constant input, x = A x + (previous + present) w."""
         if len(A) > _MAX_STATES:
@@ -211,8 +207,7 @@ class SettledPlant:
             )
         x = np.array(np.linalg.solve(np.eye(len(A)) - A, (previous + present) * w))
         block = Linear(states=len(A), D=D)
-        for name, array in {"A": A, "B_old": previous, "B_new": present, "C": C, "x": x}.items():
-            setattr(block, name, self.address(np.ascontiguousarray(array, dtype=np.float64)))
+        self.point(block, prefix, A=A, B_old=previous, B_new=present, C=C, x=x)
         return block
 
 
@@ -221,49 +216,32 @@ _Sampled = tuple[Array, Array, Array, Array, tuple[float, float]]
 
 
 def _before_hysteresis(plant: AxisPlant, rate_Hz: float, gain: float) -> _Sampled:
-    """Return amplifier and fractional delay, for a held command."""
+    """Return amplifier, modes of the drive and fractional delay, for a held command."""
     whole_s = int(plant.delay_s * plant.sampling_rate_Hz) / plant.sampling_rate_Hz
-    instantaneous_Hz = _INSTANTANEOUS * rate_Hz / (2.0 * np.pi)
-    sections = plant.amplifier or (Section(frequency_Hz=instantaneous_Hz),)
-    A, B, outputs = cascade(sections)
-    system = ContinuousSystem(
-        A=A,
-        B=B[:, None],
-        C=np.eye(len(A))[outputs[-1]][None, :],
-        D=np.zeros((1, 1)),
-        delay_s=max(plant.delay_s - whole_s, 0.0),
-    )
-    sampled = sample(in_series(system, *plant.drive_modes), rate_Hz)
+    front = plant.front or (first_order(_INSTANTANEOUS * rate_Hz / (2.0 * np.pi)),)
+    system = replace(cascade(*front), delay_s=max(plant.delay_s - whole_s, 0.0))
+    sampled = sample(system, rate_Hz)
     rows = np.vstack([gain * sampled.C, np.zeros_like(sampled.C)])
     return sampled.A, sampled.B[:, 0], np.zeros(len(sampled.A)), rows, (0.0, 0.0)
 
 
 def _after_hysteresis(plant: AxisPlant, rate_Hz: float) -> _Sampled:
-    """Return mechanics and sensor, for an input that is linear between substeps.
+    """Return measured dynamics and sensor, for an input that is linear between substeps.
 
     x[k+1] = e^(A h) x[k] + G_1 w[k] + G_2 (w[k+1] - w[k])
     """
-    # The rows of C and D are the position and the sensed position.
+    inner, scale = through(), 1.0
     if plant.measured is not None:
-        scale = plant.measured_gain / rest_gain(plant.measured)
-        sensor = [first_order(section.frequency_Hz) for section in plant.sensor]
-        chain = in_series(plant.measured, *sensor)
-        inner = len(chain.A) - len(plant.measured.A)
-        row = np.concatenate([plant.measured.C[0], np.zeros(inner)])
-        A, B, C = chain.A, chain.B[:, 0], scale * np.stack([row, chain.C[0]])
-        D = [scale * float(plant.measured.D[0, 0]), scale * float(chain.D[0, 0])]
-    else:
-        A, B, outputs = cascade((*plant.mechanics, *plant.sensor))
-        C, D = np.zeros((2, len(A))), [0.0, 0.0]
-        for index, sections in enumerate((len(plant.mechanics), len(outputs))):
-            if sections:
-                C[index, outputs[sections - 1]] = 1.0
-            else:
-                D[index] = 1.0
-    states = len(A)
+        inner, scale = plant.measured, plant.measured_gain / rest_gain(plant.measured)
+    chain = cascade(inner, *plant.sensor)
+    states = len(chain.A)
+    # The rows of C and D are the position and the sensed position.
+    position = np.concatenate([inner.C[0], np.zeros(states - len(inner.A))])
+    C = scale * np.stack([position, chain.C[0]])
+    D = (scale * float(inner.D[0, 0]), scale * float(chain.D[0, 0]))
     line = np.zeros((states + 2, states + 2))
-    line[:states, :states], line[:states, states] = A / rate_Hz, B / rate_Hz
+    line[:states, :states], line[:states, states] = chain.A / rate_Hz, chain.B[:, 0] / rate_Hz
     line[states, states + 1] = 1.0
     transition = expm(line)[:states]
     constant, ramp = transition[:, states], transition[:, states + 1]
-    return transition[:, :states], constant - ramp, ramp, C, (D[0], D[1])
+    return transition[:, :states], constant - ramp, ramp, C, D

@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.design.plant import Section
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.loop_model import at_corner, loop_model
 from piezoid.identification.model import AxisModel, Discrepancy
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.numerics.arrays import Array
-from piezoid.operators.linear import ContinuousSystem, cascade, recursive_filter
+from piezoid.operators.linear import ContinuousSystem, cascade, first_order, recursive_filter
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.preisach_plays import PreisachPlays
 
@@ -78,7 +77,7 @@ Response = Hysteresis | Junction | CustomResponse
 class AxisPlant:
     """One axis from the converter of the drive to the converter of the sensor.
 
-        u, held -> delay -> amplifier -> response -> mechanics -> position
+        u, held -> delay -> front -> response -> measured -> position
         position -> sensor -> + noise -> converter -> measured
 
     axis              name
@@ -86,12 +85,11 @@ class AxisPlant:
     sampling_rate_Hz  of both converters
     rest_voltage_V    at which every run begins, settled
     delay_s           of converters and computation, >= 0, any fraction of a sample
-    amplifier         sections in front of the response; empty: instantaneous
-    drive_modes       systems between amplifier and response, gain 1 at rest
-    mechanics, sensor sections behind the response
-    measured          a system instead of the mechanics, normalised to ``measured_gain`` at rest;
-                      None: the mechanics are sections
-    measured_gain     gain at rest of ``measured``: 1 plus the creep
+    front             amplifier and modes of the drive in series, gain 1 at rest; empty:
+                      instantaneous
+    measured          dynamics behind the response; None: instantaneous
+    measured_gain     gain at rest to which ``measured`` is normalised: 1 plus the creep
+    sensor            systems in series between position and converter, gain 1 at rest
     slew_V_per_s      fastest change of the amplifier's output; None: any
     noise_rms         of one reading, m (junction: A)
     noise_bandwidth_Hz   first-order bandwidth of that noise; None: white
@@ -110,12 +108,10 @@ class AxisPlant:
     response: Response
     rest_voltage_V: float = 0.0
     delay_s: float = 0.0
-    amplifier: tuple[Section, ...] = ()
-    drive_modes: tuple[ContinuousSystem, ...] = ()
-    mechanics: tuple[Section, ...] = ()
-    sensor: tuple[Section, ...] = ()
+    front: tuple[ContinuousSystem, ...] = ()
     measured: ContinuousSystem | None = None
     measured_gain: float = 1.0
+    sensor: tuple[ContinuousSystem, ...] = ()
     slew_V_per_s: float | None = None
     noise_rms: float = 0.0
     noise_bandwidth_Hz: float | None = None
@@ -132,11 +128,8 @@ class AxisPlant:
                 f"axis {self.axis}: rate {self.sampling_rate_Hz} Hz, delay {self.delay_s} s, "
                 f"noise {self.noise_rms}; expected > 0, >= 0, >= 0"
             )
-        if self.measured is not None and (self.mechanics or self.measured.delay_s):
-            raise ValueError(
-                f"axis {self.axis}: measured dynamics replace mechanics, and delay_s includes "
-                "their delay"
-            )
+        if self.measured is not None and self.measured.delay_s:
+            raise ValueError(f"axis {self.axis}: delay_s includes the delay of ``measured``")
 
     def noise(self, samples: int, rng: np.random.Generator) -> Array:
         """Return the sensor's noise and hum at the input of its converter, (samples,).
@@ -186,8 +179,8 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
     noise. Every reading has the noise of the recordings.
     """
     loop = loop_model(model, sampling_rate_Hz)
-    amplifier, sensor = (
-        tuple(Section(frequency_Hz=-float(pole) / (2.0 * np.pi)) for pole in np.diag(lags.A))
+    front, sensor = (
+        tuple(first_order(-float(pole) / (2.0 * np.pi)) for pole in np.diag(lags.A))
         for lags in (loop.front, loop.sensor)
     )
     low_V, high_V = loop.drive_range_V
@@ -216,7 +209,7 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
         ),
         rest_voltage_V=float(np.clip(model.operator.voltage_offset_V, low_V, high_V)),
         delay_s=loop.delay_s,
-        amplifier=amplifier,
+        front=front,
         sensor=sensor,
         measured=cascade(loop.behind, loop.slow),
         measured_gain=loop.slow_gain * loop.gain,
@@ -252,9 +245,8 @@ def junction_axis_plant(
             decay_per_m=decay_per_m,
         ),
         delay_s=plant.delay_s,
-        amplifier=(Section(frequency_Hz=plant.amplifier_pole_Hz),),
-        drive_modes=tuple(mode.system for mode in modes),
-        sensor=(Section(frequency_Hz=plant.sensor_pole_Hz),),
+        front=(first_order(plant.amplifier_pole_Hz), *(mode.system for mode in modes)),
+        sensor=(first_order(plant.sensor_pole_Hz),),
         noise_rms=noise_rms_A,
         noise_bandwidth_Hz=plant.sensor_pole_Hz,
     )
@@ -279,17 +271,13 @@ def varied_plant(
 
 
 def with_gain(plant: AxisPlant, factor: float, label: str) -> AxisPlant:
-    """Return a plant with the gain of its response multiplied by a factor.
-
-    Raises ``TypeError`` for a ``CustomResponse``.
-    """
+    """Return a plant with the gain of its junction or hysteresis multiplied by a factor."""
     response = plant.response
     if isinstance(response, Junction):
         changed: Response = replace(
             response, gain_nepers_per_V=response.gain_nepers_per_V * factor
         )
-    elif isinstance(response, Hysteresis):
-        changed = replace(response, operator=response.operator.multiplied(factor))
     else:
-        raise TypeError("a custom response has no gain to change")
+        assert isinstance(response, Hysteresis)
+        changed = replace(response, operator=response.operator.multiplied(factor))
     return replace(plant, response=changed, label=label)

@@ -1,6 +1,6 @@
 """Simulate the axes of a parameter file along paths, and collect the results."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
-from piezoid.verification.closed_loop import LoopRecord, approach_path, reference_range, run_axis
+from piezoid.verification.closed_loop import LoopRecord, reference_range, run_axis, run_path
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction
 from piezoid.verification.scenarios import Path, Scenario
@@ -150,17 +150,14 @@ class ScenarioRunner:
 
     def _run(self, numbered: tuple[int, AxisRun]) -> LoopRecord:
         number, run = numbered
-        approach = np.empty(0)
-        if run.axis.axis in self.lateral:
-            approach = approach_path(run.plant, float(run.reference[0]))
-        lead, disturbance, fault = len(approach), run.disturbance, run.fault
-        record = run_axis(
+        is_lateral = run.axis.axis in self.lateral
+        simulate: Callable[..., LoopRecord] = run_path if is_lateral else run_axis
+        return simulate(
             run.plant,
             run.axis,
-            np.concatenate([approach, run.reference]),
+            run.reference,
             rng=np.random.default_rng([self.seed, number]),
-            disturbance=None if disturbance is None else np.pad(disturbance, (lead, 0), "edge"),
-            fault=None if fault is None else np.pad(fault, (lead, 0)),
-            reset_at=None if run.reset_at is None else lead + run.reset_at,
+            disturbance=run.disturbance,
+            fault=run.fault,
+            reset_at=run.reset_at,
         )
-        return record.after(lead)

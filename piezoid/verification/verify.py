@@ -21,7 +21,7 @@ from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.executor import Executor
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
-from piezoid.verification.closed_loop import LoopRecord, approach_path, run_axis
+from piezoid.verification.closed_loop import LoopRecord, run_path
 from piezoid.verification.criteria import Limits, Verdict, none_of, verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.plant import AxisPlant
@@ -335,17 +335,14 @@ def _amplitudes(
         # the motion of each axis by its drive, with the coupled motion of the other axes
         driven_m = np.empty_like(reference_m)
         for i, axis in enumerate(axes):
-            plant = runner.plants[axis]
-            approach = approach_path(plant, float(reference_m[i, 0]))
-            record = run_axis(
-                plant,
+            record = run_path(
+                runner.plants[axis],
                 runner.file.axis(axis),
-                np.concatenate([approach, reference_m[i]]),
+                reference_m[i],
                 rng=np.random.default_rng(runner.seed),
-                added_m=np.concatenate([np.full(len(approach), coupled_m[i, 0]), coupled_m[i]]),
+                added_m=coupled_m[i],
             )
-            position_m = record.after(len(approach)).position
-            driven_m[i] = position_m - coupled_m[i] - runner.centre_m[axis]
+            driven_m[i] = record.position - coupled_m[i] - runner.centre_m[axis]
         lines = np.fft.rfft(driven_m, 2 * samples, axis=1)
         previous_m = coupled_m
         coupled_m = np.fft.irfft(np.einsum("fij,jf->if", T, lines), 2 * samples, axis=1)

@@ -9,7 +9,7 @@ from piezoid.design.certificate import Certificate
 from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import disturbance_model, linear_controller
-from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.plant import Chain, PlantFamily, plant_from_chain
 from piezoid.design.sensitivity import margins
 from piezoid.errors import ParameterFileError
 from piezoid.export.export_stage import lateral_axis, observer_values, rst_values, tunnelling_axis
@@ -21,46 +21,30 @@ from piezoid.runtime.controller import Controller
 from tests.design.placed import place_observer
 from tests.design.rig import lateral_specification
 from tests.reports.known_stage import axis_model
-from tests.runtime.observer_design import RATE_Hz, plant, poles
+from tests.runtime.observer_design import poles
 from tests.runtime.runtime_parameters import RST_R, RST_S, WIDE
+from tests.verification.rig import AMPLIFIER, MODE, SENSOR, WATCH, GAIN_m_per_V, RATE_Hz
 
-GAIN_m_per_V = 3.5e-6
 GUARDS = {
+    **WATCH,
     "current_reference_A": 1e-9,
     "current_floor_A": 1e-11,
     "current_ceiling_A": 1e-8,
     "retract_voltage_V": -10.0,
-    "retract_step_V": 0.3,
-    "retract_samples": 100,
-    "bad_samples": 3,
-    "contact_samples": 3,
-    "approach_step_V": 3e-4,
-    "approach_log_step": 0.1,
-    "contact_log": 0.7,
-    "search_voltage_V": 0.02,
-    "trip_limit": 5,
-    "trip_samples": 20000,
-    "stuck_samples": 20,
-    "stuck_voltage_V": 0.004,
-    "stuck_current_A": -1.0,
 }
 
 
 def design_plant(gain=GAIN_m_per_V):
     """The 630 Hz chain with one sample of delay besides."""
-    A, B, C = plant()
-    denominator = np.poly(A).real
-    impulse = [0.0, 0.0] + [gain * C @ np.linalg.matrix_power(A, k) @ B for k in range(4)]
-    return Plant(
+    chain = Chain(
         label="nominal",
         sampling_rate_Hz=RATE_Hz,
+        gain=gain,
         output_unit="m",
-        state_matrix=A,
-        input_taps=np.column_stack([np.zeros(4), B * gain]),
-        output_vector=C,
-        B=np.convolve(impulse, denominator)[:6],
-        A=denominator,
+        sections=(AMPLIFIER, MODE, SENSOR),
+        delay_s=1.0 / RATE_Hz,
     )
+    return plant_from_chain(chain)
 
 
 def placed(oscillation_Hz=(), gain=GAIN_m_per_V, form="affine"):

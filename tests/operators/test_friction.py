@@ -1,7 +1,6 @@
 """Friction states and sums of polynomials against what shares no code with them."""
 
 import weakref
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -37,20 +36,6 @@ def test_friction_of_a_curved_rest_is_what_a_first_order_lag_along_the_way_leave
 def test_only_powers_whose_closed_form_is_known_are_followed() -> None:
     with pytest.raises(ValueError, match="expected some of"):
         friction_states(np.zeros(3), REACH, np.zeros(3), power=np.array([1.0, 2.0, 4.0]))
-
-
-def test_friction_knows_only_the_turns_of_the_drive() -> None:
-    turns = np.array([0.0, 1.0, -0.6, 0.2, -0.1])
-    places = [np.linspace(a, b, 50) for a, b in pairwise(turns.tolist())]
-    start, power = np.array([0.01, -0.1, 0.3]), np.array([1.0, 3.0, 2.0])
-    finely = friction_states(np.concatenate(places), REACH, start, power=power)[-1]
-    coarsely = friction_states(turns, REACH, start, power=power)[-1]
-    np.testing.assert_allclose(coarsely, finely, rtol=1e-11)
-
-
-def test_friction_ends_at_its_reach_and_rests_with_the_drive() -> None:
-    found = friction_states(np.array([0.0, 500.0, 500.0]), REACH, -REACH)
-    np.testing.assert_allclose(found[1:], [REACH, REACH], rtol=1e-12)
 
 
 @pytest.mark.parametrize("powers", [2, 3, 4])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.filters import FirstOrder, ladder
+from piezoid.operators.filters import FirstOrder, ladder, relaxed
 
 RATE_Hz = 500.0
 TIMES_s = (1e-4, 0.02, 0.7, 90.0)
@@ -28,9 +28,7 @@ def test_a_ladder_is_the_sum_of_its_rungs(share: Array) -> None:
     np.testing.assert_allclose(ladder(signal, RUNGS, share), apart, rtol=1e-12, atol=1e-12)
 
 
-def test_a_ladder_stands_still_where_its_signal_does() -> None:
-    np.testing.assert_allclose(ladder(np.full(50, 2.5), RUNGS), 2.5 * len(RUNGS), rtol=1e-12)
-
-
-def test_a_ladder_without_rungs_holds_nothing_up() -> None:
-    np.testing.assert_array_equal(ladder(np.arange(4.0), []), np.zeros(4))
+def test_a_lag_filters_every_column_as_a_rung() -> None:
+    columns = np.random.default_rng(2).normal(size=(300, 3))
+    expected = np.column_stack([behind(column, *RUNGS[1]) for column in columns.T])
+    np.testing.assert_allclose(relaxed(columns, TIMES_s[1], RATE_Hz), expected, rtol=1e-12)

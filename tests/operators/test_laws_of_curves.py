@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from piezoid.numerics.arrays import Array
@@ -41,28 +41,6 @@ def test_the_inverse_of_the_inverse_is_the_operator(plays: PrandtlIshlinskii) ->
     twice = plays.inverse().inverse()
     close(twice.threshold, plays.threshold, 100 * (1 + plays.threshold[-1]))
     close(twice.slope, plays.slope, 100 * plays.slope.max())
-
-
-@given(play_sums(6), play_sums(6), drives())
-def test_one_play_sum_behind_another_has_the_loading_curve_of_both(
-    inner: PrandtlIshlinskii, outer: PrandtlIshlinskii, drive: Array
-) -> None:
-    """P_2 o P_1 = P with phi = phi_2(phi_1): kinks at both, from the virgin state."""
-    kinks = np.union1d(inner.threshold, inner.inverse().loading_curve(outer.threshold))
-    assume(np.diff(kinks, append=np.inf).min() > 1e-6)
-    middle = kinks + np.append(np.diff(kinks) / 2, 1.0)
-    slope = (
-        inner.slope[np.searchsorted(inner.threshold, middle) - 1]
-        * outer.slope[
-            np.searchsorted(outer.threshold, inner.loading_curve(middle), side="right") - 1
-        ]
-    )
-    both = PrandtlIshlinskii(threshold=kinks, weight=np.diff(slope, prepend=0.0))
-    between, _ = inner.run(drive, inner.virgin_memory())
-    behind, _ = outer.run(between, outer.virgin_memory())
-    close(
-        both.run(drive, both.virgin_memory())[0], behind, 100 * slope.max() * (REACH + kinks[-1])
-    )
 
 
 @given(kinked_curves(), drives(most=80))

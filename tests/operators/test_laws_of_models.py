@@ -35,17 +35,6 @@ def test_model_and_inverse_undo_each_other_from_every_memory(
     close(model.run(back, memory)[0], y, metres / flattest * model.slope_sector_m_per_V[1])
 
 
-@given(st.data(), models(), drives())
-def test_the_inverse_reaches_every_displacement_it_is_asked_for(
-    data: st.DataObject, model: ModifiedPrandtlIshlinskii, wanted: Array
-) -> None:
-    memory = data.draw(memories(model.plays.threshold))
-    drive, _ = model.inverse_run(wanted, memory)
-    low, high = model.slope_sector_m_per_V
-    reached, _ = model.run(drive, memory)
-    close(reached, wanted, high * (np.abs(drive).max() + size_of(model)[1] / low))
-
-
 @given(st.data(), st.integers(-9, 9), st.integers(-12, 6))
 def test_units_change_the_numbers_of_a_model_and_not_what_it_does(
     data: st.DataObject, power_V: int, power_m: int

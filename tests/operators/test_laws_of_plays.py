@@ -55,32 +55,6 @@ def test_blocks_of_states_are_the_states(
     np.testing.assert_array_equal(np.vstack(blocks), play_columns(drive, threshold, memory)[0])
 
 
-@given(st.data(), banks())
-def test_a_larger_drive_from_a_larger_memory_never_lies_below(
-    data: st.DataObject, threshold: Array
-) -> None:
-    count = len(threshold)
-    low, rise = data.draw(drives(1, 30)), data.draw(drives(30, 30))
-    memory, more = data.draw(drives(count, count)), data.draw(drives(count, count))
-    below, _ = play_columns(low, threshold, memory)
-    above, _ = play_columns(low + np.abs(rise[: len(low)]), threshold, memory + np.abs(more))
-    assert (above >= below).all()
-
-
-@given(st.data(), banks())
-def test_two_drives_never_part_farther_than_they_are_apart(
-    data: st.DataObject, threshold: Array
-) -> None:
-    count = len(threshold)
-    first, second = data.draw(drives(1, 30)), data.draw(drives(30, 30))
-    starts = [data.draw(drives(count, count)) for _ in range(2)]
-    second = second[: len(first)]
-    one, _ = play_columns(first, threshold, starts[0])
-    two, _ = play_columns(second, threshold, starts[1])
-    away = np.maximum(np.abs(starts[0] - starts[1]), np.abs(first - second).max())
-    assert (np.abs(one - two) <= away).all()
-
-
 @given(banks(), drives())
 def test_inner_swings_are_wiped_out_by_wider_ones(threshold: Array, swings: Array) -> None:
     # A swing over everything first, so that no starting memory is left to remember.
@@ -117,30 +91,6 @@ def test_a_drive_in_parts_is_the_drive_as_a_whole(
     second, after = play_columns(drive[cut:], threshold, between)
     np.testing.assert_array_equal(np.vstack([first, second]), whole)
     np.testing.assert_array_equal(after, end)
-
-
-@given(st.data(), gaps(3), gaps(3), drives())
-def test_a_play_behind_a_play_is_the_play_of_both_gaps(
-    data: st.DataObject, inner: Array, outer: Array, drive: Array
-) -> None:
-    r, s = inner[-1], outer[-1]
-    memory = data.draw(memories(np.array([r, r + s])))
-    between, _ = play_columns(drive, np.array([r]), memory[:1])
-    behind, _ = play_columns(between[:, 0].copy(), np.array([s]), memory[1:])
-    whole, _ = play_columns(drive, np.array([r + s]), memory[1:])
-    np.testing.assert_array_equal(behind, whole)
-
-
-@given(st.data(), banks(), drives())
-def test_a_play_is_odd_and_moves_with_an_offset(
-    data: st.DataObject, threshold: Array, drive: Array
-) -> None:
-    memory = data.draw(memories(threshold))
-    states, _ = play_columns(drive, threshold, memory)
-    mirrored, _ = play_columns(-drive, threshold, -memory)
-    lifted, _ = play_columns(drive + 3.0, threshold, memory + 3.0)
-    np.testing.assert_array_equal(mirrored, -states)
-    np.testing.assert_array_equal(lifted, states + 3.0)
 
 
 @given(st.data(), st.lists(ANY_SIZE, min_size=1, max_size=20), st.integers(-60, 60))

@@ -55,39 +55,6 @@ def test_both_samplers_give_the_same_samples(system: ContinuousSystem) -> None:
     np.testing.assert_allclose(one, two, atol=CLOSE)
 
 
-@given(chains(delay=False))
-def test_two_short_periods_are_one_long_one(system: ContinuousSystem) -> None:
-    short, long = linear.sample(system, RATE_Hz), linear.sample(system, RATE_Hz / 2)
-    np.testing.assert_allclose(short.A @ short.A, long.A, atol=CLOSE)
-    np.testing.assert_allclose(short.A @ short.B + short.B, long.B, atol=CLOSE)
-
-
-@given(chains(), st.integers(1, 4))
-def test_a_whole_sample_of_delay_only_shifts(system: ContinuousSystem, whole: int) -> None:
-    later = ContinuousSystem(
-        A=system.A, B=system.B, C=system.C, D=system.D, delay_s=system.delay_s + whole / RATE_Hz
-    )
-    plain = linear.sample(system, RATE_Hz).impulse_response(30)[:, 0, 0]
-    shifted = linear.sample(later, RATE_Hz).impulse_response(30)[:, 0, 0]
-    np.testing.assert_allclose(shifted[whole:], plain[:-whole], atol=CLOSE)
-    np.testing.assert_allclose(shifted[:whole], 0.0, atol=CLOSE)
-
-
-@given(chains())
-def test_sampling_keeps_the_gain_at_rest_and_maps_every_pole(system: ContinuousSystem) -> None:
-    sampled = linear.sample(system, RATE_Hz)
-    np.testing.assert_allclose(system.response([0.0]), 1.0, rtol=CLOSE)
-    np.testing.assert_allclose(sampled.response([0.0]), 1.0, rtol=1e-6)
-    poles = np.exp(np.linalg.eigvals(system.A) / RATE_Hz)
-    found = np.linalg.eigvals(sampled.A)
-    assert np.abs(found[:, None] - poles).min(axis=0).max() < 1e-5  # double poles lose half
-    late = len(found) - len(poles)
-    assert late == np.ceil(system.delay_s * RATE_Hz - 1e-9)  # less of a sample is rounding
-    outputs, state = sampled.run(np.zeros(4), np.zeros(len(found)))
-    assert not outputs.any()
-    assert not state.any()
-
-
 @given(chains(), chains())
 def test_the_response_of_a_chain_is_the_product_of_its_parts(
     first: ContinuousSystem, second: ContinuousSystem

@@ -6,13 +6,6 @@ import pytest
 from piezoid.operators.filters import activated, slewed
 
 
-def test_of_a_signal_without_samples_none_is_read() -> None:
-    """Under the sanitisers a single one would be seen."""
-    nothing = np.empty(0)
-    assert slewed(nothing, 0.1).shape == (0,)
-    assert activated(nothing, 0.5, 1.0, 1.0).shape == (0,)
-
-
 @pytest.mark.parametrize(
     ("time_s", "strain"), [(1e-3, 0.03), (0.02, 1e-3), (1e-6, 0.3), (3.0, 0.9)]
 )
@@ -32,3 +25,11 @@ def test_what_is_activated_is_what_every_step_and_every_wait_leave_of_the_lag(
 def test_a_step_as_large_as_you_like_is_activated_to_a_finite_lag() -> None:
     found = activated(np.array([0.0, 1e300, -1e300, 3.0]), 1e-3, 1000.0, 1e-3)
     assert np.isfinite(found).all()
+
+
+def test_a_slewed_signal_keeps_to_its_step_and_takes_all_of_it_while_behind() -> None:
+    drive = np.random.default_rng(3).integers(-40, 40, 200) / 16.0  # sixteenths round nothing
+    found = slewed(drive, 0.375)
+    assert found[0] == drive[0]
+    missing = drive[1:] - found[:-1]
+    np.testing.assert_array_equal(np.diff(found), np.clip(missing, -0.375, 0.375))

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import (
@@ -20,13 +19,13 @@ RATE_HZ = 20_000.0
 ROUNDING = 1e-10  # products of a few dozen numbers near one
 
 
-def fraction(system: ContinuousSystem, drive: int = 0) -> tuple[Array, Array]:
+def fraction(system: ContinuousSystem) -> tuple[Array, Array]:
     """B and A in q^-1 of one sampled path, A[0] = 1; the delay is leading zeros of B."""
     sampled = sample(system, RATE_HZ)
     A = np.poly(np.exp(np.linalg.eigvals(system.A) / RATE_HZ)).real
     delay_samples = (len(sampled.A) - len(system.A)) // system.B.shape[1]
     terms = len(A) + delay_samples
-    return np.convolve(sampled.impulse_response(terms)[:, 0, drive], A)[:terms], A
+    return np.convolve(sampled.impulse_response(terms)[:, 0, 0], A)[:terms], A
 
 
 @pytest.mark.parametrize(
@@ -133,22 +132,3 @@ def test_a_sampling_interval_that_is_none_is_named(interval_s: float) -> None:
     one = np.ones((1, 1))
     with pytest.raises(ValueError, match="interval_s is"):
         DiscreteSystem(A=one, B=one, C=one, D=one, interval_s=interval_s)
-
-
-@pytest.mark.parametrize("drive", [0, 1])
-def test_a_late_system_of_two_drives_is_one_fraction_for_each(drive: int) -> None:
-    """B and A, run as a filter, answer an impulse as the system does."""
-    lag = first_order(300)
-    late = ContinuousSystem(
-        A=lag.A,
-        B=np.hstack([lag.B, -2 * lag.B]),
-        C=lag.C,
-        D=np.zeros((1, 2)),
-        delay_s=2.5 / RATE_HZ,
-    )
-    B, A = fraction(late, drive)
-    assert len(B) == len(lag.A) + 3 + 1  # states, samples of delay, and one more
-    pulse = np.zeros(40)
-    pulse[0] = 1.0
-    answer = sample(late, RATE_HZ).impulse_response(40)[:, 0, drive]
-    np.testing.assert_allclose(lfilter(B, A, pulse), answer, atol=ROUNDING)

@@ -5,8 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 import piezoid.operators
 from tests.operators.sanitised import LIBRARY
 from tests.runtime.compiler import found, run
@@ -24,18 +22,15 @@ TESTS = (
 )
 
 
-VECTOR_CODE, PLAIN_LOOPS = (), ("-DPK_PORTABLE",)
-
-
 def under_sanitisers(
-    folder: Path, sources: list[Path], tests: tuple[str, ...], ways: tuple[str, ...]
+    folder: Path, sources: list[Path], tests: tuple[str, ...]
 ) -> "subprocess.CompletedProcess[str]":
     """Compile the kernels with sanitisers, and run the tests on them in a process of its own."""
     compiler = found("gcc")
     need_sanitisers(compiler, folder)
     library = folder / "kernels.so"
     flags = ("-std=c99", "-O1", "-ffp-contract=off", "-shared", "-fPIC", f"-I{SOURCE}")
-    run(compiler, *flags, *ways, *SANITISERS, *map(str, sources), "-o", str(library), "-lm")
+    run(compiler, *flags, *SANITISERS, *map(str, sources), "-o", str(library), "-lm")
     preload = run(compiler, "-print-file-name=libasan.so").strip()
     chosen = {LIBRARY: str(library), "LD_PRELOAD": preload, "ASAN_OPTIONS": "detect_leaks=0"}
     plugins = ("-p", "no:cacheprovider", "-p", "tests.operators.sanitised")
@@ -45,9 +40,8 @@ def under_sanitisers(
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("ways", [VECTOR_CODE, PLAIN_LOOPS])
-def test_no_kernel_leaves_what_it_is_given(tmp_path: Path, ways: tuple[str, ...]) -> None:
-    done = under_sanitisers(tmp_path, sorted(SOURCE.glob("*.c")), TESTS, ways)
+def test_no_kernel_leaves_what_it_is_given(tmp_path: Path) -> None:
+    done = under_sanitisers(tmp_path, sorted(SOURCE.glob("*.c")), TESTS)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
 
 
@@ -58,6 +52,6 @@ def test_a_kernel_that_did_would_be_seen(tmp_path: Path) -> None:
     sources["kernels.c"] = sources["kernels.c"].replace(whole, whole.replace("<", "<="), 1)
     for name, source in sources.items():
         (tmp_path / name).write_text(source)
-    done = under_sanitisers(tmp_path, sorted(tmp_path.glob("*.c")), TESTS[:1], PLAIN_LOOPS)
+    done = under_sanitisers(tmp_path, sorted(tmp_path.glob("*.c")), TESTS[:1])
     assert done.returncode != 0
     assert "out of bounds" in done.stderr

@@ -7,7 +7,15 @@ import pytest
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
-from piezoid.operators.filters import first_order, ladder, lagged, later, relaxed
+from piezoid.operators.filters import (
+    activated,
+    first_order,
+    ladder,
+    lagged,
+    later,
+    relaxed,
+    slewed,
+)
 from piezoid.operators.linear import butterworth, recursive_filter, resonance, sample
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns, turns_of
@@ -48,6 +56,8 @@ OPERATORS: dict[str, Callable[[Array], Array]] = {
     "friction": lambda u: friction_states(u, np.array([0.2, 0.8]), np.zeros(2)),
     "lag": lambda u: relaxed(u, 1e-3, 1000.0),
     "delay": lambda u: later(u, 1.7),
+    "slew limit": lambda u: slewed(u, 0.1),
+    "thermal activation": lambda u: activated(u, 0.5, 1.0, 1.0),
     "delay or lag": lambda u: lagged(u, "first_order", 2e-3, 1000.0),
     "recursive filter": lambda u: recursive_filter([0.5, 0.1], [1.0, -0.4], u),
     "ladder": lambda u: ladder(u, [first_order(1e-2, 1000.0), first_order(0.1, 1000.0)], 0.1),

@@ -10,14 +10,12 @@ HELD = Status.BLIND | Status.LATCHED
 LIMIT = 50
 
 
-def flown(measured, *, reset_at=None, **others):
+def flown(measured, **others):
     controller = Controller(lateral(blind_samples=LIMIT, **others))
     controller.start(0.0, 0.0)
     reference = np.sin(np.linspace(0, 6, len(measured)))
     voltage, status = np.empty(len(measured)), np.empty(len(measured), dtype=int)
     for k, (wanted, seen) in enumerate(zip(reference, measured, strict=True)):
-        if k == reset_at:
-            controller.reset()
         voltage[k], status[k] = controller.step(wanted, seen), controller.status
     return voltage, status
 

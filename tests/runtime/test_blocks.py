@@ -58,20 +58,6 @@ def test_a_filter_is_its_difference_equation(place, rng):
     assert np.abs(u - biquad(NOTCH, biquad(NOTCH, x)) / 0.5).max() < 1e-12
 
 
-def test_a_filter_starts_at_rest_wherever_it_starts():
-    given = {"reference_section_count": 1, "reference_section": NOTCH[None, :]}
-    u = started(static(**given), 4.0, 2.0).run(np.full(50, 2.0), np.zeros(50)).voltage_V
-    assert np.abs(u - 4.0).max() < 1e-12
-
-
-def test_codes_are_multiples_of_the_converter_step_and_inside_the_limits():
-    given = static(lsb_V=0.35, voltage_minimum_V=-1.0, voltage_maximum_V=1.0)
-    u = started(given).run(np.linspace(-1, 1, 401), np.zeros(401)).voltage_V
-    assert np.array_equal(np.unique(np.round(u / 0.35)), np.arange(-2, 3))
-    assert np.abs(u).max() <= 1.0
-    assert np.abs(u / 0.35 - np.round(u / 0.35)).max() < 1e-15
-
-
 def test_the_voltage_changes_by_no_more_than_its_step():
     controller = started(static(voltage_step_V=0.01))
     u = controller.run(np.r_[np.ones(300), -np.ones(300)], np.zeros(600)).voltage_V

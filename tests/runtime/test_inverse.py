@@ -1,7 +1,5 @@
 """The runtime's inverse hysteresis, against the worked example and an independent closed form."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -57,27 +55,6 @@ def test_the_inverse_of_random_models_undoes_them(rng, negative):
         u = model["last"] + np.cumsum(rng.uniform(-1, 1, 300))
         y, _ = forward(u, model["r"], model["w"], model["z"], model["knot"], model["weight"])
         assert np.abs(inverse(model, y) - u).max() < rounding_V(model, y)
-
-
-def test_one_play_and_no_dead_zone_is_a_gain():
-    model = {**WORKED, "r": np.zeros(1), "w": np.array([0.25]), "z": np.zeros(1)}
-    y = np.array([0.0, 1.0, -2.0, 0.5])
-    u = inverse(model, y, knot_count=0)
-    assert np.array_equal(u, y / 0.25)
-
-
-def test_memory_stays_true_through_clipping_and_rounding():
-    """While the converter is not at its end, only half a step of it is left as an error."""
-    lsb_V, limit_V = 0.05, 3.5
-    arguments = [WORKED[key] for key in ("r", "w", "z", "knot", "weight")]
-    y = 3.2 * np.sin(np.linspace(0, 60, 5000)) * np.linspace(0.2, 1.4, 5000)
-    u = inverse(WORKED, y, voltage_minimum_V=-limit_V, voltage_maximum_V=limit_V, lsb_V=lsb_V)
-    reached, _ = forward(u, *arguments)
-    free = np.abs(u) < limit_V - lsb_V
-    steepest = 1.0 * 1.3
-    assert free.mean() > 0.5
-    assert (~free).any()
-    assert np.abs(reached - y)[free].max() <= 0.5 * lsb_V * steepest + 1e-12
 
 
 def codes(operator, y, memory, *, limit_V, lsb_V):
@@ -247,17 +224,6 @@ def test_functions_are_inverted_through_a_converter_as_by_halving(rng):
             free_V, _ = operator.inverse_run(np.array([wanted]), memory)
             assert applied_V == lsb_V * np.round(np.clip(free_V[0], -4.0, 4.0) / lsb_V)
             _, memory = operator.run(np.array([applied_V]), memory)
-
-
-def test_straight_functions_are_the_plays_that_ship_today(rng):
-    operator = random_functions(rng, 8, 3, 4)
-    weight = rng.uniform(0.1, 1.0, 8)
-    straight = replace(operator, value_m=weight[:, None] * operator.edge_V)
-    y = 0.5 + np.cumsum(rng.uniform(-0.3, 0.3, 500))
-    plays = {**functions(straight), "edge_count": 0, "play_weight_m_per_V": weight}
-    controller = Controller(plays)
-    controller.start(straight.voltage_offset_V, np.nan)
-    assert np.abs(controller.run(y, y).voltage_V - led(straight, y)).max() < 1e-11
 
 
 def test_functions_in_single_precision_err_by_single_roundings(rng):

@@ -1,7 +1,5 @@
 """The disturbance-observer loop: against published polynomials, and against what it promises."""
 
-import ctypes
-
 import numpy as np
 import pytest
 
@@ -138,26 +136,3 @@ def test_float_follows_double():
     ]
     # Two converter codes through the steepest slope: single precision may choose another code.
     assert np.abs(runs[0] - runs[1]).max() < 2 * 1.3 * 20 / 65536
-
-
-def test_samples_one_by_one_are_the_samples_of_a_run(rng):
-    reference, y = rng.standard_normal((2, 100))
-    one = started(observer())
-    stepped = [one.step(r, m) for r, m in zip(reference, y, strict=True)]
-    assert np.array_equal(started(observer()).run(reference, y).voltage_V, stepped)
-
-
-def test_the_same_input_gives_the_same_bits(rng):
-    reference, y = rng.standard_normal((2, 500))
-    given = {**hysteresis(WORKED), **observer(), "method": "mpi_dob"}
-    first, second = (started(given).run(reference, y) for _ in range(2))
-    assert first.voltage_V.tobytes() == second.voltage_V.tobytes()
-
-
-def test_a_plant_in_c_can_step_the_controller_by_its_addresses():
-    one, two = started(observer()), started(observer())
-    address, state, parameters = one.addresses
-    prototype = ctypes.CFUNCTYPE(
-        ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_double
-    )
-    assert prototype(address)(state, parameters, 1.0, 0.3) == two.step(1.0, 0.3)

@@ -84,49 +84,6 @@ def test_a_lost_current_gives_a_bounded_approach():
     assert np.array_equal(started(voltage_step_V=0.002).run(floor * 100, floor).voltage_V, u)
 
 
-def test_a_small_negative_current_is_an_offset_and_a_large_one_has_the_wrong_sign():
-    controller = started(contact_log=1.0)
-    controller.step(REFERENCE_A, -0.3 * REFERENCE_A)
-    assert controller.status == Status.CURRENT_LOST | Status.APPROACHING
-    held_V = controller.step(REFERENCE_A, -0.4 * REFERENCE_A)
-    assert controller.status == Status.WRONG_SIGN
-    assert held_V == controller.step(REFERENCE_A, -REFERENCE_A)
-
-
-def test_too_much_current_retracts_at_once_and_for_the_time_asked():
-    controller = started(volts=2.0, voltage_step_V=0.001)
-    current = np.r_[REFERENCE_A, 2e-8, np.full(120, 1e-12)]
-    run = controller.run(np.full(122, REFERENCE_A), current)
-    assert np.array_equal(run.voltage_V[1:101], np.full(100, -9.0))
-    assert run.status[1] == Status.RETRACTED | Status.MEASUREMENT_LIMITED
-    assert run.voltage_V[101] == pytest.approx(-9.0 + 0.001)
-    assert (np.diff(run.voltage_V[101:]) <= 0.001 + 1e-15).all()
-
-
-def test_a_moment_without_current_is_held_and_a_longer_one_retracts():
-    controller = started(volts=1.0)
-    run = controller.run(np.full(8, REFERENCE_A), np.full(8, np.nan))
-    assert np.array_equal(run.voltage_V, [1.0] * 5 + [-9.0] * 3)
-    assert (run.status & Status.BAD_MEASUREMENT).all()
-
-
-def test_only_unusable_currents_in_a_row_retract():
-    controller = started(volts=1.0)
-    current = np.r_[np.full(4, np.nan), REFERENCE_A, np.full(4, np.inf), REFERENCE_A]
-    run = controller.run(np.full(10, REFERENCE_A), current)
-    assert np.array_equal(run.voltage_V, np.ones(10))
-
-
-def test_a_current_that_ignores_the_voltage_retracts():
-    controller = started(stuck_samples=20, stuck_voltage_V=1e-4)
-    run = controller.run(np.full(60, 2 * REFERENCE_A), np.full(60, REFERENCE_A))
-    assert run.status[-1] & Status.RETRACTED
-    assert (run.status & Status.STUCK_SENSOR).any()
-    quiet = started(stuck_samples=20, stuck_voltage_V=1e-4)
-    held = quiet.run(np.full(60, REFERENCE_A), np.full(60, REFERENCE_A))
-    assert not held.status.any()
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_a_reference_that_is_no_current_is_replaced_by_the_last(bad):
     currents = np.full(3, REFERENCE_A)
@@ -134,6 +91,32 @@ def test_a_reference_that_is_no_current_is_replaced_by_the_last(bad):
     kept = started().run(REFERENCE_A * np.array([2.0, 2.0, 1.5]), currents)
     assert np.array_equal(run.voltage_V, kept.voltage_V)
     assert list(run.status) == [0, Status.BAD_REFERENCE, 0]
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+@pytest.mark.parametrize("current_A", [1e-14, 0.0, -1e-12, 3e-11, 0.2e-9])
+def test_no_reading_far_below_the_set_point_makes_the_tip_faster(current_A, precision):
+    """Neither floor nor an amplifier's offset: the loop integrates none of it."""
+    controller = started(current_A=1e-12, precision=precision, contact_log=0.7)
+    run = controller.run(np.full(300, REFERENCE_A), np.full(300, current_A))
+    assert np.diff(run.voltage_V) == pytest.approx(np.full(299, 1e-3), rel=1e-3)
+    assert (run.status & Status.APPROACHING).all()
+    controller.schedule(2.0)
+    run = controller.run(np.full(10, REFERENCE_A), np.full(10, current_A))
+    assert np.diff(run.voltage_V) == pytest.approx(np.full(9, 0.5e-3), rel=1e-3)
+
+
+def test_a_latched_tip_waits_for_the_operator_and_then_approaches_from_there():
+    controller = started(retract_samples=5, retract_step_V=0.5, trip_limit=3, trip_samples=1000)
+    controller.run(np.full(40, REFERENCE_A), np.full(40, 1e-7))
+    assert controller.status & Status.LATCHED
+    waited = controller.run(np.full(3000, REFERENCE_A), np.full(3000, 1e-12))
+    assert set(waited.voltage_V) == {-9.0}
+    assert (waited.status & Status.MEASUREMENT_LIMITED).all()
+    controller.reset()
+    run = controller.run(np.full(500, REFERENCE_A), np.full(500, 1e-12))
+    assert run.voltage_V == pytest.approx(-9.0 + 1e-3 * np.arange(1, 501))
+    assert set(run.status) == {int(Status.APPROACHING | Status.CURRENT_LOST)}
 
 
 def test_a_reference_beyond_the_currents_is_the_last_of_them_and_that_is_said():
@@ -201,7 +184,7 @@ def test_the_logarithm_is_within_one_unit_in_the_last_place(precision, eps, rng)
     x = np.exp(rng.uniform(-80, 80, 20000)).astype(dtype)
     x = np.r_[x, (1 + rng.uniform(-0.3, 0.5, 20000)).astype(dtype), dtype.type(1)]
     exact = np.log(x.astype(np.longdouble))
-    found = np.array([opened.log(value) for value in x])
+    found = np.array([opened.code.pz_log(value) for value in x])
     unit = eps * 2.0 ** np.floor(np.log2(np.maximum(np.abs(exact), 0.5).astype(float)))
     assert np.abs((found - exact) / unit).max() < 1.0
-    assert opened.log(1.0) == 0.0
+    assert opened.code.pz_log(1.0) == 0.0

@@ -6,23 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.plant import Section
 from piezoid.export.fmu import fmu_files
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.model import Discrepancy
+from piezoid.operators.linear import first_order
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.targets.fmu_plant import plant_units
 from piezoid.targets.target_inputs import TargetInputs
 from piezoid.targets.targets import target_files
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import Hysteresis, Junction
-from piezoid.verification.scenarios import SCENARIOS
-from piezoid.verification.verify import verify
 from tests.runtime.compiler import found, run, write_files
+from tests.targets.slave import Slave
 from tests.verification.rig import PLANTS, RATE_Hz, junction, lateral, operator, stage
 
 SEED = 7
-SPIRAL = next(one for one in SCENARIOS if one.name == "spiral, 10 Hz")
 
 
 def everything():
@@ -49,7 +47,7 @@ def everything():
         rest_voltage_V=0.5,
         delay_s=2.3 / RATE_Hz,
         slew_V_per_s=2e3,
-        sensor=(Section(frequency_Hz=8.5e3),),
+        sensor=(first_order(8.5e3),),
         reading_step=3e-10,
         reading_zero=2e-8,
         hums=((50.0, 4e-9), (150.0, 2e-9)),
@@ -86,42 +84,6 @@ def made(tmp_path_factory):
 
 def tip_elsewhere():
     return replace(junction(), rest_voltage_V=-2.5)
-
-
-class Slave:
-    """One unit in FMPy."""
-
-    def __init__(self, place, folder, **start):
-        fmpy = pytest.importorskip("fmpy")
-        self.described = fmpy.read_model_description(str(place))
-        self.at = {v.name: v.valueReference for v in self.described.modelVariables}
-        unzipped = fmpy.extract(str(place), str(folder / place.stem))
-        self.slave = fmpy.instantiate_fmu(unzipped, self.described, fmi_type="CoSimulation")
-        for name, value in start.items():
-            self.put(name, value)
-        self.slave.setupExperiment(startTime=0.0)
-        self.slave.enterInitializationMode()
-        self.slave.exitInitializationMode()
-        self.steps = 0
-
-    def put(self, name, value):
-        if name == "noise_seed":
-            self.slave.setInteger([self.at[name]], [value])
-        else:
-            self.slave.setReal([self.at[name]], [float(value)])
-
-    def get(self, name):
-        return self.slave.getReal([self.at[name]])[0]
-
-    def step(self):
-        self.slave.doStep(
-            currentCommunicationPoint=self.steps / RATE_Hz, communicationStepSize=1 / RATE_Hz
-        )
-        self.steps += 1
-
-    def close(self):
-        self.slave.terminate()
-        self.slave.freeInstance()
 
 
 @pytest.fixture
@@ -237,25 +199,6 @@ def test_a_tip_over_a_surface_reads_the_current_of_verification(unit, which):
     assert np.ptp(wanted.position) > 1e-12
     np.testing.assert_allclose(position, wanted.position, rtol=1e-12)
     np.testing.assert_allclose(measured, wanted.measured, rtol=1e-12)
-
-
-def test_controller_against_plant_gives_the_figure_of_verification_json(unit):
-    """Noise of another seed: it is 1 nm of an error of some hundred."""
-    file = stage("x")
-    record = verify(file, [PLANTS[0]], scenarios=[SPIRAL], trials=(), seed=0)
-    row = next(one for one in record.comparison if one.method == "mpi_dob")
-    path = SPIRAL.path(RATE_Hz)
-    reference = record.radius_m * path.x
-    preview = int(file.axis("x").values["preview_samples"])
-    ahead = np.minimum(np.arange(len(reference)) + preview, len(reference) - 1)
-    position = looped(
-        unit("rig/fmu/x_controller_fmi2.fmu"),
-        unit("rig/fmu/x_plant_fmi2.fmu", noise_seed=SEED),
-        reference[ahead],
-    )
-    rms_m = float(np.sqrt(np.mean((position - reference) ** 2)))
-    assert rms_m == pytest.approx(row.rms_m, rel=2e-3)
-    assert np.abs(position - reference).max() == pytest.approx(row.max_m, rel=0.02)
 
 
 def test_a_plant_begins_at_rest_under_the_disturbance_that_is_there(unit):

@@ -9,6 +9,7 @@ import struct
 import sys
 import threading
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,18 +20,22 @@ from piezoid.targets.nanonis import (
     hysteresis_table,
     line_errors_m,
     nanonis_files,
+    settings_json,
 )
 from piezoid.targets.target_inputs import ControllerHardware
 from tests.runtime.compiler import run, write_files
 from tests.targets.known_inputs import exported
 
 
-def made(**others):
-    return nanonis_files(replace(exported(), **others))
+@cache
+def made():
+    return nanonis_files(exported())[0]
 
 
 def calls(**others):
-    return json.loads(made(**others)[0]["nanonis.json"])["calls"]
+    inputs = replace(exported(), **others)
+    tables = [hysteresis_table(inputs, axis) for axis in inputs.lateral]
+    return json.loads(settings_json(inputs, tables))["calls"]
 
 
 def test_names_and_order_are_those_of_the_published_package():
@@ -43,7 +48,7 @@ def test_names_and_order_are_those_of_the_published_package():
 def test_the_bytes_that_are_sent_hold_the_table(tmp_path):
     """send.py against a server of this test, decoded without that package."""
     pytest.importorskip("nanonis_spm")
-    write_files(tmp_path, made()[0])
+    write_files(tmp_path, made())
     heard = {}
 
     def answer(connection):
@@ -82,7 +87,7 @@ def test_volts_are_those_at_the_piezo_where_the_amplifier_is_declared():
     assert ratio == pytest.approx(15.0, rel=1e-6)
     ends = [c["Piezo_XYZLimitsSet"]["Limit_X_high_V"] for c in (command, piezo)]
     assert ends[1] == pytest.approx(15.0 * ends[0])
-    assert "those of the command" in made()[0]["README.md"].decode()
+    assert "those of the command" in made()["README.md"].decode()
 
 
 def test_the_table_straightens_forward_lines_of_every_plant():
@@ -95,27 +100,12 @@ def test_the_table_straightens_forward_lines_of_every_plant():
     assert rows["identified"]["table"] < 0.2 * rows["identified"]["straight"]
 
 
-def test_a_finer_table_is_a_better_one():
-    axis = exported().lateral[0]
-    coarse, fine = (
-        line_errors_m(
-            replace(exported(), drawn={}),
-            axis,
-            hysteresis_table(
-                replace(exported(), hardware=ControllerHardware(table_points=points)), axis
-            ),
-        )["identified"]["table"]
-        for points in (8, 64)
-    )
-    assert fine < coarse
-
-
 def test_the_csv_is_the_table():
-    rows = list(csv.DictReader(io.StringIO(made()[0]["x.csv"].decode())))
+    rows = list(csv.DictReader(io.StringIO(made()["x.csv"].decode())))
     table = hysteresis_table(exported(), exported().lateral[0])
     for name, held in (("x_m", table.x_m), ("y_m", table.y_m)):
         np.testing.assert_array_equal(np.float32([float(row[name]) for row in rows]), held)
-    assert made()[0] == made()[0]
+    assert json.loads(made()["nanonis.json"])["calls"] == calls()
 
 
 def test_drift_is_what_the_shipped_creep_does_between_two_times():
@@ -141,7 +131,7 @@ def test_drift_is_what_the_shipped_creep_does_between_two_times():
 def test_a_frame_or_a_table_that_cannot_be_is_refused_with_what_would_fit():
     def refused(**asked):
         with pytest.raises(ParameterFileError) as error:
-            made(hardware=ControllerHardware(**asked))
+            nanonis_files(replace(exported(), hardware=ControllerHardware(**asked)))
         return str(error.value)
 
     assert "the distance from the centre to the limits" in refused(frame_half_range_m=1.0)

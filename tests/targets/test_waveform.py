@@ -168,11 +168,11 @@ def test_without_a_known_range_there_are_voltages_and_no_integers():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[waveform]\npoints = 0", "points of .waveform. is 0. Needed: a whole number from 4"),
-        ("[waveform]\nshape = 'square'", "is 'square'. Needed: triangle or sine"),
+        ("[waveform]\npoints = 0", "points of .waveform. is 0. Needed: `int` >= 4"),
+        ("[waveform]\nshape = 'square'", "is 'square'. Needed: .*triangle|sine"),
         ("[waveform]\nrange_V = [5, 5]", "two voltages, the lower first"),
-        ("[waveform]\nfrequency_Hz = nan", "a number above 0"),
-        ("[pid]\nnotches = 3", "a whole number from 0 to 2"),
+        ("[waveform]\nfrequency_Hz = nan", "Needed: `float` > 0"),
+        ("[pid]\nnotches = 3", "Needed: `int` <= 2"),
         ("[pid]\nnotches = true", "notches of .pid. is True"),
         ("[pid]\npoints = 3", "one of notches, slew_V_per_s"),
         ("[biquad]\na = 3", r".biquad. is no table.*\[pid\], .*\[waveform\]"),

@@ -7,6 +7,7 @@ from piezoid.design.plant import Section
 from piezoid.export.export_stage import observer_values
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.operators.dead_zone import DeadZones
+from piezoid.operators.linear import first_order, resonance
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction
@@ -59,9 +60,9 @@ def lateral(axis="x", *, weight_factor=1.05, noise_rms=1e-9, **others):
     """The plant of one lateral axis; its plays are 5 % other than those the controller knows."""
     given = {
         "response": Hysteresis(operator=operator(weight_factor)),
-        "amplifier": (AMPLIFIER,),
-        "mechanics": (MODE,),
-        "sensor": (SENSOR,),
+        "front": (first_order(AMPLIFIER.frequency_Hz),),
+        "measured": resonance(MODE.frequency_Hz, MODE.damping),
+        "sensor": (first_order(SENSOR.frequency_Hz),),
         **others,
     }
     return AxisPlant(
@@ -76,8 +77,8 @@ def junction(gain=NEPERS_PER_V):
         sampling_rate_Hz=RATE_Hz,
         response=Junction(current_A=1e-9, gain_nepers_per_V=gain, decay_per_m=DECAY_per_m),
         delay_s=1 / RATE_Hz,
-        amplifier=(AMPLIFIER,),
-        sensor=(Section(frequency_Hz=10e3),),
+        front=(first_order(AMPLIFIER.frequency_Hz),),
+        sensor=(first_order(10e3),),
         noise_rms=2e-12,
         noise_bandwidth_Hz=10e3,
         reading_range=(-1e-8, 1e-8),

@@ -1,6 +1,7 @@
 """The plant a controller is verified against: the model's own, its neighbours, the tip's loop."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -36,7 +37,7 @@ def test_the_plant_has_the_noise_rest_poles_and_delay_of_the_model():
     assert plant.rest_voltage_V == 5.0
     assert plant.measured is not None
     assert -plant.measured.A[0, 0] == pytest.approx(1.0 / 2.5e-4)
-    assert [s.frequency_Hz for s in plant.sensor] == [pytest.approx(8.5e3)]
+    assert [-s.A[0, 0] for s in plant.sensor] == [pytest.approx(2.0 * np.pi * 8.5e3)]
     late = replace(model, lag=Lag(kind="delay", time_s=3e-5))
     assert lateral_plant(late, sampling_rate_Hz=RATE_Hz).delay_s == 3e-5
 
@@ -87,7 +88,7 @@ def test_drawn_plants_differ_and_stay_near_the_identified_one(rng):
             np.array([5.0, 10.0]), other.response.operator.virgin_memory()
         )
         gains.append(np.ptp(moved))
-        factor = other.amplifier[0].frequency_Hz / 4e3
+        factor = -other.front[0].A[0, 0] / (2.0 * np.pi * 4e3)
         assert 0.9 <= factor <= 1.1
     assert np.ptp(gains) > 0
     # one percent of each parameter; a handful of them add up
@@ -99,18 +100,6 @@ def test_a_tip_is_not_verified_against_a_model_that_has_none():
         verify_stage(stage("z"), fitted())
 
 
-def test_a_tip_is_verified_against_its_identified_loop_and_its_family():
-    found = verify_stage(stage("z"), junction_model())
-    assert found.passed
-    assert {"identified, axis z", "gain x0.8, axis z", "gain x1.25, axis z"} <= set(found.plants)
-
-
-def test_a_family_member_that_the_loop_cannot_hold_fails():
-    found = verify_stage(stage("z"), junction_model(ratios=(1.0, 8.0)))
-    failed = {v.scenario for v in found.verdicts if not v.passed}
-    assert failed == {"spiral, 10 Hz, plants the recordings allow"}
-
-
 def test_identified_dynamics_stand_in_the_plant_with_the_operators_gain(rng):
     """What they say of the sensor is behind the position, all else in front of it."""
     known = truth()
@@ -119,14 +108,14 @@ def test_identified_dynamics_stand_in_the_plant_with_the_operators_gain(rng):
     frequency_Hz = np.array([1.0, 100.0, 630.0, 2000.0])
     late = np.exp(-2j * np.pi * frequency_Hz * known.delay_s)
     found = plant.measured.response(frequency_Hz)[:, 0, 0] * late
-    for section in plant.sensor:
-        found = found / (1.0 + 1j * frequency_Hz / section.frequency_Hz)
+    for sensor in plant.sensor:
+        found = found * sensor.response(frequency_Hz)[:, 0, 0]
     relative = known.response(frequency_Hz) / known.static_gain_m_per_V
     named = [f.frequency_Hz for f in known.declared if f.name == "sensor"]
     for pole_Hz in named:
         relative = relative * (1.0 + 1j * frequency_Hz / pole_Hz)
-    for section in plant.sensor:
-        relative = relative / (1.0 + 1j * frequency_Hz / section.frequency_Hz)
+    for sensor in plant.sensor:
+        relative = relative * sensor.response(frequency_Hz)[:, 0, 0]
     assert found == pytest.approx(relative)
     assert plant.delay_s == known.delay_s
     depoled = replace(plant, response=replace(plant.response, history_V=()))
@@ -142,6 +131,7 @@ ONE_BARRIER = Lab(
 )
 
 
+@cache
 def ringing(*modes):
     """The known junction, its drive with a mode that the loop's identification found."""
     known = junction_model()
@@ -149,7 +139,9 @@ def ringing(*modes):
     return replace(known, tunnelling=replace(known.tunnelling, loop_plant=loop))
 
 
-def controller_for(model):
+@cache
+def controller_for(*modes):
+    model = ringing(*modes)
     design = design_stage(model, model_digest=DIGEST, sampling_rate_Hz=RATE_Hz, lab=ONE_BARRIER)
     return export_stage(model, design, design_digest=DIGEST, lab=ONE_BARRIER).axis("z")
 
@@ -165,12 +157,12 @@ def unrest(axis, rng):
 
 
 def test_a_drive_that_rings_is_held_by_the_loop_that_knows_it_and_not_by_the_other(rng):
-    assert unrest(controller_for(ringing(RINGS)), rng) < 0.05
-    assert unrest(controller_for(ringing()), rng) > 0.2
+    assert unrest(controller_for(RINGS), rng) < 0.05
+    assert unrest(controller_for(), rng) > 0.2
 
 
 def test_a_tip_is_verified_with_the_mode_of_its_drive():
-    unaware = controller_for(ringing())
+    unaware = controller_for()
     file = ParameterFile(name="tip", axes=(unaware,))
     assert verify_stage(file, ringing(), lab=ONE_BARRIER).passed
     assert not verify_stage(file, ringing(RINGS), lab=ONE_BARRIER).passed

@@ -1,6 +1,5 @@
 """The same bits from the packaged library, from a rebuilt bundle and from an emulated core."""
 
-import numpy as np
 import pytest
 
 from piezoid.errors import ParameterFileError, RuntimeLibraryError
@@ -12,7 +11,6 @@ from piezoid.verification.rebuild import (
     emulate,
     expected_outputs,
     rebuild,
-    replay_inputs,
 )
 from tests.runtime.compiler import found
 from tests.verification.rig import stage
@@ -41,11 +39,6 @@ def test_the_emulated_core_answers_bit_for_bit_and_has_time_to_spare():
     assert set(counted) == {"x", "y", "z"}
     assert all(100 < n < 0.5 * CORE_Hz / RATE_Hz for n in counted.values())
     assert 0 < proof.stack_bytes < 1024
-
-
-def test_counting_the_same_loop_again_gives_the_same_number():
-    first, again = (on_target(stage("x")).instructions_per_sample["x"] for _ in range(2))
-    assert first == pytest.approx(again, rel=0.01)
 
 
 def test_one_other_answer_is_counted(tmp_path):
@@ -93,12 +86,3 @@ def test_a_cross_compiler_without_its_c_library_claims_nothing(monkeypatch, tmp_
 
 def test_a_build_that_compared_nothing_does_not_pass():
     assert not Proof(build="empty", is_built=True).passed
-
-
-def test_the_hostile_part_holds_every_kind_of_bad_number():
-    for axis in stage().axes:
-        for signal in replay_inputs(axis, 0):
-            assert np.isnan(signal).any()
-            assert (np.isinf(signal) & (signal > 0)).any()
-            assert (np.isinf(signal) & (signal < 0)).any()
-            assert (np.abs(signal[np.isfinite(signal)]) > 1e29).any()

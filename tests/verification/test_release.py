@@ -14,6 +14,8 @@ def test_what_passes_ships_and_nothing_is_refused():
     found = release(stage("z"), junction_model())
     assert found.parameters is not None
     assert found.verification.passed
+    family = {"identified, axis z", "gain x0.8, axis z", "gain x1.25, axis z"}
+    assert family <= set(found.verification.plants)
     assert not found.reasons
     files = shipping_files(found)
     assert {"params.json", "bundle/piezoid_runtime.c", "verification.json"} <= set(files)

@@ -64,12 +64,6 @@ def test_a_raster_runs_straight_lines_over_the_whole_square():
     assert np.abs(np.diff(path.x, 2)).max() * RATE_Hz < 0.01 * speed.max()
 
 
-def test_steps_hold_their_levels():
-    path = steps(RATE_Hz, 0.1)
-    assert set(path.x) == {0.0, 0.5, -0.5, 0.9, -0.9}
-    assert np.count_nonzero(np.diff(path.x)) == 7
-
-
 def test_every_path_begins_in_the_middle():
     for path in (
         spiral(),
