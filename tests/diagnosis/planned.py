@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 from zlib import crc32
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
-from piezoid.diagnosis.diagnosis import Diagnosis, FinalError, Finding, HeldOut, NotDetected, Size
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size
 from piezoid.diagnosis.planning.drive_limits import Drive
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.hysteresis.pieces import Rig
@@ -22,7 +23,8 @@ from piezoid.operators.dead_zone import LINEAR
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid.records.frames import from_arrays
+from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import healthy, named, record_all
 from piezoid_datasets.virtual_lab.effects import EFFECTS
 from piezoid_datasets.virtual_lab.effects.effect import Fault
@@ -31,6 +33,7 @@ from piezoid_datasets.virtual_lab.rig import Rig as LabRig
 from piezoid_datasets.virtual_lab.rig import draw_rig
 from piezoid_datasets.virtual_lab.stage import Rows, Run, Stage, record
 from piezoid_datasets.virtual_lab.truths import TRUTHS
+from tests.reports.known_diagnosis import diagnosed, finding
 from tests.reports.known_stage import axis_model, stage_model
 
 THRESHOLD_V = np.array([0.0, 0.15, 0.4, 0.8, 1.3, 2.0, 2.8, 3.6, 4.5])
@@ -114,48 +117,29 @@ def model_of(case: Hidden) -> ActuatorModel:
 def recordings_of(rows: Sequence[Rows]) -> tuple[Recording, ...]:
     """Return recordings as they would be read from the laboratory's files."""
     return tuple(
-        Recording(
-            name=f"{one.run.name}.csv",
-            digest="sha256:" + "0" * 64,
-            axis="x",
+        from_arrays(
+            voltage_V=one.voltage_V,
+            displacement_m=one.displacement_m,
             sampling_rate_Hz=one.run.sampling_rate_Hz,
-            channels=(
-                Channel(quantity=Quantity.VOLTAGE, axis="x", values=one.voltage_V, label="u"),
-                Channel(
-                    quantity=Quantity.DISPLACEMENT, axis="x", values=one.displacement_m, label="y"
-                ),
-            ),
+            axis="x",
+            name=f"{one.run.name}.csv",
         )
         for one in rows
     )
 
 
-def diagnosis_of(
-    case: Hidden, findings: Sequence[Finding], left_percent: float = 0.1
-) -> Diagnosis:
-    """Return a diagnosis that found these and not the rest."""
-    stroke_m = case.rig.stroke_m
-    left = FinalError(rms_m=left_percent / 100.0 * stroke_m, rms_percent=left_percent)
-    names = {finding.effect for finding in findings}
-    return Diagnosis(
-        axis="x",
-        stroke_m=stroke_m,
-        baseline=HeldOut(rms_m=left.rms_m, rms_percent=left_percent),
-        final=left,
-        envelope_rms_m=left.rms_m,
+def diagnosis_of(case: Hidden, findings: Sequence[Finding]) -> Diagnosis:
+    """Return a diagnosis that found these and not the rest, each from a thousandth on."""
+    known, left_m = diagnosed(*findings), 1e-3 * case.rig.stroke_m
+    return replace(
+        known,
+        stroke_m=case.rig.stroke_m,
+        final=HeldOut(rms_m=left_m, rms_percent=0.1),
+        envelope_rms_m=left_m,
         noise_floor_rms_m=case.rig.noise_rms_m,
-        explained_fraction=0.5,
-        findings=tuple(findings),
         not_detected=tuple(
-            NotDetected(
-                effect=effect.name,
-                upper_bound_m=1e-3 * stroke_m,
-                detection_limit_m=1e-3 * stroke_m,
-                reason="A reason of the test.",
-                next_experiment="None.",
-            )
-            for effect in EFFECTS
-            if effect.name not in names
+            replace(absent, upper_bound_m=left_m, detection_limit_m=left_m)
+            for absent in known.not_detected
         ),
     )
 
@@ -164,23 +148,9 @@ def found(
     effect: str, *, share_percent: float, confounded: tuple[str, ...] = (), half: float = 0.1
 ) -> Finding:
     """Return a finding of this size, its interval ``half`` of it to both sides."""
-    return Finding(
-        effect=effect,
-        held_out_gain=0.3,
-        held_out_rms_before_m=1e-7,
-        held_out_rms_after_m=7e-8,
-        p_value=1e-6,
-        rms_percent=share_percent,
-        size=Size(
-            value=share_percent,
-            unit="percent",
-            ci95=(share_percent * (1.0 - half), share_percent * (1.0 + half)),
-        ),
-        not_separable_from=confounded,
-        explanation="As found.",
-        next_experiment="As told.",
-        parameters={},
-    )
+    ci95 = (share_percent * (1.0 - half), share_percent * (1.0 + half))
+    size = Size(value=share_percent, unit="percent", ci95=ci95)
+    return replace(finding(effect, share_percent / 100.0, confounded), size=size)
 
 
 def change_percent(case: Hidden, name: str) -> float:
@@ -202,34 +172,16 @@ def really_separable(
     one = [a.noise_free_m - b.noise_free_m for a, b in zip(full, without[names[0]], strict=True)]
     two = [a.noise_free_m - b.noise_free_m for a, b in zip(full, without[names[1]], strict=True)]
     picks = [np.linspace(0, len(c) - 1, 1500).astype(int) for c in one]
-    model = _own(
-        [_zero(len(p)) for p in picks],
-        np.vstack([_model_columns(axis, rows)[p] for rows, p in zip(full, picks, strict=True)]),
-    )
+    zeros = block_diag(*(np.ones((len(p), 1)) for p in picks))
+    states = [_model_columns(axis, rows)[p] for rows, p in zip(full, picks, strict=True)]
+    model = np.hstack([np.vstack(states), zeros])
     if drifting:
-        slow = [np.column_stack([p / p[-1], (p / p[-1]) ** 2]) for p in picks]
-        alternative = _own(slow, np.zeros((sum(map(len, picks)), 0)))
+        alternative = block_diag(*(np.column_stack([p / p[-1], (p / p[-1]) ** 2]) for p in picks))
     else:
         alternative = np.concatenate([c[p] for c, p in zip(two, picks, strict=True)])[:, None]
     effect = np.concatenate([c[p] for c, p in zip(one, picks, strict=True)])
     alone = _left(effect, model)
     return float((_left(effect, np.hstack([model, alternative])) ** 2).sum() / (alone**2).sum())
-
-
-def _zero(rows: int) -> Array:
-    return np.ones((rows, 1))
-
-
-def _own(parts: Sequence[Array], shared: Array) -> Array:
-    """Return columns of each recording alone beside those of all."""
-    rows = [len(part) for part in parts]
-    edges = np.concatenate([[0], np.cumsum(rows)])
-    columns = [shared]
-    for part, a, b in zip(parts, edges[:-1], edges[1:], strict=True):
-        alone = np.zeros((edges[-1], part.shape[1]))
-        alone[a:b] = part
-        columns.append(alone)
-    return np.hstack(columns)
 
 
 def _model_columns(axis: AxisModel, rows: Rows) -> Array:

@@ -9,12 +9,17 @@ import pytest
 
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.experiment import Plan, plan
-from piezoid.diagnosis.planning.candidate_drives import EXPERIMENTS, Experiment, drive_of
+from piezoid.diagnosis.planning.candidate_drives import (
+    EXPERIMENTS,
+    Experiment,
+    drive_of,
+    multisine_period,
+    odd_lines,
+)
 from piezoid.diagnosis.planning.drive_limits import Bench, DriveLimits
 from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files, sentences
-from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
 from piezoid.digests import unseal
-from piezoid.errors import ExcitationError, LabFileError, ParameterFileError
+from piezoid.errors import ExcitationError, LabFileError
 from piezoid.records.collection import collect
 from piezoid.records.lab import Amplifier, Lab
 
@@ -121,6 +126,25 @@ def test_every_drive_of_the_menu_stays_inside_range_and_slew(
     assert (drive.voltage_V[[0, -1]] == 1.0).all()
 
 
+def test_other_axes_are_asked_for_where_none_is_known() -> None:
+    limits = DriveLimits(voltage_min_V=0.0, voltage_max_V=10.0, slew_V_per_s=1e3)
+    bench = Bench(axis="x", limits=limits, clock_Hz=CLOCK_Hz)
+    with pytest.raises(ExcitationError, match="no other axis"):
+        drive_of(next(one for one in EXPERIMENTS if one.name == "other_axis"), bench, 0)
+
+
+def test_a_multisine_has_its_lines_at_rms_one_and_no_others(rng: np.random.Generator) -> None:
+    lines = odd_lines(20, 800, 10.0, left_out_of=4, rng=rng)
+    period = multisine_period(lines, 1000, rng)
+    spectrum = np.abs(np.fft.rfft(period))
+    silent = np.setdiff1d(np.arange(501), lines)
+    assert np.ptp(spectrum[lines]) < 1e-9 * spectrum.max()
+    assert spectrum[silent].max() < 1e-9 * spectrum.max()
+    assert np.bincount((lines - 2) // 8)[:9].tolist() == [3] * 9  # of each four odd lines
+    assert (lines % 2 == 1).all()
+    assert period.std() == pytest.approx(1.0, rel=1e-9)
+
+
 def test_limits_are_those_of_lab_toml_inside_what_was_driven() -> None:
     case, diagnosis = _slow()
     amplifier = Amplifier(
@@ -158,11 +182,3 @@ def test_without_any_rate_the_line_for_lab_toml_is_asked_for() -> None:
     case, diagnosis = _slow()
     with pytest.raises(LabFileError, match="sampling_rate_Hz"):
         plan(model_of(case), diagnosis)
-
-
-def test_a_sealed_diagnosis_of_an_effect_that_nobody_knows_is_refused() -> None:
-    _, diagnosis = _slow()
-    strange = replace(diagnosis.not_detected[0], effect="gremlins")
-    content = write_diagnosis(replace(diagnosis, not_detected=(strange,)))
-    with pytest.raises(ParameterFileError, match="gremlins"):
-        read_diagnoses(content)[0]

@@ -40,7 +40,8 @@ def diagnosed(turn: int, hidden: str = "", percent: float = 0.0, truth: str = ""
         uncatalogued={hidden: percent} if hidden else None,
     )
     recordings, lab = recorded(campaign)
-    return diagnose(recordings, lab=lab)
+    every = 1 if hidden == "every_nth" else 3
+    return diagnose(thinned(recordings, every), lab=lab)
 
 
 def with_hidden(hidden: str) -> Diagnosis:
