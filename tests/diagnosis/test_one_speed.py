@@ -31,7 +31,7 @@ def late(folder: Path, cycles: int, samples: int, gain: float, drift_um: float) 
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("plays_alone", "one_order")
+@pytest.mark.usefixtures("one_order")
 def test_a_lag_is_no_cause_where_speeds_hardly_differ(tmp_path: Path) -> None:
     first = late(tmp_path, 16, 250, 1.0, DRIFT_um)
     grown = late(tmp_path, 10, 180, 1.0 + GREW_percent / 100.0, 0.0)
