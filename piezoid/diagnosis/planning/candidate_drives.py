@@ -186,7 +186,7 @@ def sine_grid(limits: DriveLimits, rate_Hz: float, _: np.random.Generator) -> Ar
 
 def rising_ramps(limits: DriveLimits, rate_Hz: float, _: np.random.Generator) -> Array:
     """Return full triangles whose speed rises from a share of the slew limit up to it."""
-    low_V, (_middle_V, reach_V) = limits.voltage_min_V, _middle(limits)
+    low_V, reach_V = limits.voltage_min_V, _middle(limits)[1]
     parts = [np.array([low_V])]
     for share in RAMP_SHARES:
         frequency_Hz = share * limits.slew_V_per_s / (4.5 * reach_V)
