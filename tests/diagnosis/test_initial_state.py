@@ -108,7 +108,6 @@ def test_a_ceramic_that_was_never_driven_so_far_is_poled_once_and_was_not_demagn
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_a_model_with_an_initial_state_is_no_worse_than_the_simulation_without_it() -> None:
     # A quarter of the usual size; the error of the model was 4.4 times the noise.
     recordings, lab, noise_rms_m = recorded_zoo_stage("preisach", "quarter", 48522301)

@@ -40,8 +40,7 @@ def diagnosed(turn: int, hidden: str = "", percent: float = 0.0, truth: str = ""
         uncatalogued={hidden: percent} if hidden else None,
     )
     recordings, lab = recorded(campaign)
-    every = 1 if hidden == "every_nth" else 3
-    return diagnose(thinned(recordings, every), lab=lab)
+    return diagnose(recordings, lab=lab)
 
 
 def with_hidden(hidden: str) -> Diagnosis:
