@@ -31,7 +31,6 @@ from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     BudgetPart,
     Diagnosis,
-    FinalError,
     Finding,
     NotDetected,
     Size,
@@ -105,11 +104,8 @@ def with_budget(
         gains: reduction of the squared error by findings that were measured on other recordings
             and are part of the model, by name.
     """
-    final = FinalError(
-        rms_m=diagnosis.final.rms_m,
-        rms_percent=diagnosis.final.rms_percent,
-        explained_rms_m=min(errors.explained_m, diagnosis.final.rms_m),
-    )
+    explained_rms_m = min(errors.explained_m, diagnosis.final.rms_m)
+    final = replace(diagnosis.final, explained_rms_m=explained_rms_m)
     diagnosis = replace(diagnosis, final=final)
     total = diagnosis.baseline.rms_m**2
     noise = min(diagnosis.noise_floor_rms_m**2, total)

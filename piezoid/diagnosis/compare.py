@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from piezoid.diagnosis.signals import with_displacement
 from piezoid.errors import RecordingError
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.extensions.gain_change import GainChange
@@ -23,7 +24,7 @@ from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.robust import white_noise_rms
-from piezoid.records.recording import Quantity, Recording, counted_in
+from piezoid.records.recording import Recording, counted_in
 from piezoid.statement import Kind, Level, Statement
 
 FIXED_OPERATOR = Structure(operator=False)
@@ -108,17 +109,17 @@ class ModelComparison:
 
     def _text(self) -> str:
         error, noise, change = self._share(self.unchanged_error_m), "", ""
-        fitted = f"{with_unit(self.fitted_error_m, 'm')} at the fit"
+        fitted, refitted = (
+            with_unit(error_m, "m") for error_m in (self.fitted_error_m, self.refitted_error_m)
+        )
         if self.noise_m > NOISE_GROWTH * self.fitted_noise_m:
             noise = (
                 f"; the sensor noise rose from {with_unit(self.fitted_noise_m, 'm')} to "
                 f"{with_unit(self.noise_m, 'm')} rms"
             )
         if self.rejection:
-            return (
-                f"the model does not hold, and never applied ({self.rejection}); error "
-                f"{error}{noise}"
-            )
+            text = f"the model does not hold, and never applied ({self.rejection}); error {error}"
+            return text + noise
         if self.sensitivity_changed:
             ratio, low, high = self.gain_ratio
             change = (
@@ -132,13 +133,13 @@ class ModelComparison:
             )
         as_good = self.refitted_error_m > (1.0 - MIN_GAIN) * self.unchanged_error_m
         if self.holds and (as_good or self.unchanged_error_m <= self.fitted_error_m):
-            return f"the model still holds; error {error}, {fitted}{noise}"
+            return f"the model still holds; error {error}, {fitted} at the fit{noise}"
         verdict = "holds less well" if self.holds else "does not hold"
+        rescaled = with_unit(self.rescaled_error_m, "m")
         return (
-            f"the model {verdict}: more than the sensitivity changed. Error {error}, {fitted}; "
-            f"{with_unit(self.rescaled_error_m, 'm')} with another sensitivity"
-            f"{f' ({change})' if change else ''}, {with_unit(self.refitted_error_m, 'm')} "
-            f"refitted{noise}"
+            f"the model {verdict}: more than the sensitivity changed. Error {error}, {fitted} at "
+            f"the fit; {rescaled} with another sensitivity{f' ({change})' if change else ''}, "
+            f"{refitted} refitted{noise}"
         )
 
     def _is_small(self, error_m: float) -> bool:
@@ -243,14 +244,9 @@ def _without_outliers(model: AxisModel, recording: Recording) -> Recording:
         return recording
     rows = np.arange(recording.samples)
     valid = np.setdiff1d(rows, [*recording.bridged, *outliers])
-    channels = tuple(
-        replace(channel, values=np.interp(rows, valid, measured_m[valid]))
-        if (channel.quantity, channel.axis) == (Quantity.DISPLACEMENT, model.axis)
-        else channel
-        for channel in recording.channels
-    )
-    bridged = tuple(sorted({*recording.bridged, *outliers}))
-    return replace(recording, channels=channels, bridged=bridged)
+    interpolated_m = np.interp(rows, valid, measured_m[valid])
+    cleaned = with_displacement(recording, interpolated_m, model.axis)
+    return replace(cleaned, bridged=tuple(sorted({*recording.bridged, *outliers})))
 
 
 def _gain_ratio(fit: Extended) -> tuple[float, float, float]:

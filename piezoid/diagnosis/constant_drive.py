@@ -19,11 +19,10 @@ import numpy as np
 
 from piezoid.diagnosis.budget import RemainingErrors, relative_scatter, with_budget
 from piezoid.diagnosis.coordinate_descriptions import NEXT_EXPERIMENTS, coordinate_profile
-from piezoid.diagnosis.coordinate_tests import strongest_peaks
+from piezoid.diagnosis.coordinate_scores import strongest_peaks
 from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     Diagnosis,
-    FinalError,
     Finding,
     HeldOut,
     NotDetected,
@@ -60,7 +59,6 @@ NOT_EXCITED = "the drive rests, and nothing in these recordings excites it"
 ROWS = 60_000  # of a recording: enough for a line of a ten-thousandth of the noise
 LOG_SCALES = (0.003, 0.03, 0.1)  # of the recording: scales of a logarithm of time
 MIN_PERIODS = 4  # of a line in the recording
-MAX_MEANS = 1000  # means in which a jump is sought
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,7 +127,7 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
         axis=axis,
         stroke_m=span_m,
         baseline=HeldOut(rms_m=before_m, rms_percent=100.0 * before_m / span_m),
-        final=FinalError(rms_m=after_m, rms_percent=100.0 * after_m / span_m),
+        final=HeldOut(rms_m=after_m, rms_percent=100.0 * after_m / span_m),
         envelope_rms_m=after_m,
         noise_floor_rms_m=noise_m,
         explained_fraction=fraction_explained(before_m, after_m, noise_m),
@@ -230,28 +228,21 @@ def _spectrum(residual: Array) -> Array:
 
 def _jump(time_s: Array, y: Array, drifts: Sequence[Array]) -> tuple[Array, float]:
     """Return the step column (rows, 1) with the smallest error beside drift, and its instant."""
-    size = max(len(y) // MAX_MEANS, 1)
-    count = len(y) // size
-    means = y[: count * size].reshape(count, size).mean(axis=1)
-    edge = max(count // 50, 1)
-    steps = np.tri(count, count, -1)[:, edge:-edge]
-    errors = []
+    edge = max(len(y) // 50, 1)
+    rows = np.arange(edge, len(y) - edge)
+    smallest, first = np.inf, edge
     for drift in drifts:
-        basis = np.linalg.qr(np.column_stack([np.ones(count), drift[: count * size : size]]))[0]
-        residual = means - basis @ (basis.T @ means)
-        orthogonal = steps - basis @ (basis.T @ steps)
-        power = np.maximum((orthogonal**2).sum(axis=0), 1e-12)
-        explained = (orthogonal.T @ residual) ** 2 / power
+        basis = np.linalg.qr(np.column_stack([np.ones(len(y)), drift]))[0]
+        residual = y - basis @ (basis.T @ y)
+        # the sums from each row to the end are the products with its step
+        products = np.cumsum(basis[::-1], axis=0)[::-1][rows]
+        power = np.maximum(len(y) - rows - (products**2).sum(axis=1), 1e-12)
+        explained = np.cumsum(residual[::-1])[::-1][rows] ** 2 / power
         error = float(residual @ residual) - float(explained.max())
-        errors.append((error, int(np.argmax(explained)) + edge + 1))
-    coarse = min(errors, key=lambda pair: pair[0])[1] * size
-    # refine the instant among the rows near the coarse one
-    low, high = max(coarse - 4 * size, 0), min(coarse + 4 * size, len(y))
-    window = y[low:high]
-    sums, count_before = np.cumsum(window - window.mean())[:-1], np.arange(1, len(window))
-    scores = np.abs(sums) / np.sqrt(count_before * (len(window) - count_before))
-    row = low + 1 + int(np.argmax(scores))
-    return (np.arange(len(y)) >= row).astype(np.float64)[:, None], float(time_s[row] - time_s[0])
+        if error < smallest:
+            smallest, first = error, int(rows[np.argmax(explained)])
+    step = (np.arange(len(y)) >= first).astype(np.float64)
+    return step[:, None], float(time_s[first] - time_s[0])
 
 
 def _finding(name: str, readings: RestColumns, selected: Sequence[str]) -> Finding:
@@ -309,34 +300,33 @@ def _something_else(
     centred = design - design.mean(axis=0)
     coefficient = np.linalg.lstsq(centred, readings.y_m, rcond=None)[0]
     curve_m = centred[:, -width:] @ coefficient[-width:]
-    partial_residual_m = readings.y_m - centred @ coefficient + curve_m
+    residual_m = readings.y_m - centred @ coefficient + curve_m
     if finding.effect == LINE:
-        return replace(
-            finding,
-            effect=SOMETHING_ELSE,
-            explanation="No effect of the catalogue explains a line at "
-            f"{significant(readings.line_Hz, 5)} Hz: the floor, a pump or another instrument. "
-            f"{size}",
-            next_experiment=NEXT_EXPERIMENTS["frequency"],
-            parameters={"frequency_Hz": readings.line_Hz},
-            coordinate="frequency",
-            seen=coordinate_profile(
-                (readings.time_s * readings.line_Hz) % 1.0, partial_residual_m, curve_m, unit=""
-            ),
+        coordinate, parameters = "frequency", {"frequency_Hz": readings.line_Hz}
+        cause = (
+            f"a line at {significant(readings.line_Hz, 5)} Hz: the floor, a pump or another "
+            f"instrument. {size}"
         )
-    jump_m = float(coefficient[-1])
+        phase = (readings.time_s * readings.line_Hz) % 1.0
+        profile = coordinate_profile(phase, residual_m, curve_m, unit="")
+    else:
+        jump_m, coordinate = float(coefficient[-1]), "time"
+        parameters = {"instant_s": readings.jump_s, "jump_m": jump_m}
+        cause = (
+            f"one jump by {with_unit(jump_m, 'm')} at {with_unit(readings.jump_s, 's')}: the "
+            "stage, its mount or the sensor."
+        )
+        profile = coordinate_profile(
+            readings.time_s, residual_m, curve_m, unit="s", recording=readings.recording
+        )
     return replace(
         finding,
         effect=SOMETHING_ELSE,
-        explanation="No effect of the catalogue explains one jump by "
-        f"{with_unit(jump_m, 'm')} at {with_unit(readings.jump_s, 's')}: the stage, its mount or "
-        "the sensor.",
-        next_experiment=NEXT_EXPERIMENTS["time"],
-        parameters={"instant_s": readings.jump_s, "jump_m": jump_m},
-        coordinate="time",
-        seen=coordinate_profile(
-            readings.time_s, partial_residual_m, curve_m, unit="s", recording=readings.recording
-        ),
+        explanation=f"No effect of the catalogue explains {cause}",
+        next_experiment=NEXT_EXPERIMENTS[coordinate],
+        parameters=parameters,
+        coordinate=coordinate,
+        seen=profile,
     )
 
 

@@ -18,7 +18,6 @@ from piezoid.diagnosis.constant_drive import diagnose_at_rest
 from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     Diagnosis,
-    FinalError,
     fraction_explained,
 )
 from piezoid.diagnosis.effects import every_effect
@@ -352,9 +351,7 @@ def _assembled(
         axis=axis,
         stroke_m=2.0 * half_stroke_m,
         baseline=held_out(errors.baseline_m, half_stroke_m),
-        final=FinalError(
-            rms_m=quality.held_out_rms_m, rms_percent=50.0 * quality.held_out_rms_m / half_stroke_m
-        ),
+        final=held_out(quality.held_out_rms_m, half_stroke_m),
         envelope_rms_m=outcome.final.rms * half_stroke_m,
         noise_floor_rms_m=quality.noise_rms_m,
         explained_fraction=fraction_explained(

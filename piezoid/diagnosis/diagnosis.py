@@ -25,6 +25,11 @@ class Size:
         low, high = self.ci95
         return 0.5 * (high - low)
 
+    @property
+    def relative_width(self) -> float:
+        """Return half the width of the interval over the size."""
+        return self.half_width / max(abs(self.value), 1e-30)
+
 
 @dataclass(frozen=True, kw_only=True)
 class CoordinateProfile:
@@ -126,19 +131,14 @@ class NotDetected:
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOut:
-    """An error on left-out data, in metres and in percent of the stroke."""
+    """An error on left-out data, in metres and in percent of the stroke.
+
+    explained_rms_m  of the final model: its error in sample, corrected for the number of
+                     parameters; None in older files
+    """
 
     rms_m: float
     rms_percent: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class FinalError(HeldOut):
-    """Held-out error of the final model, and its error in sample.
-
-    explained_rms_m  in sample, corrected for the number of parameters; None in older files
-    """
-
     explained_rms_m: float | None = None
 
 
@@ -197,7 +197,7 @@ class Diagnosis(Summarised):
     envelope_rms_m: float
     findings: tuple[Finding, ...]
     not_detected: tuple[NotDetected, ...]
-    final: FinalError
+    final: HeldOut
     explained_fraction: float
     unexplained: Unexplained | None = None
     budget: tuple[BudgetPart, ...] = ()

@@ -27,42 +27,35 @@ def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
     coordinate: then it is a finding. Every fit predicts new recordings worse than its own, so
     extrapolation needs action only if it is most of the error.
     """
-    findings, part, remaining = diagnosis.findings, diagnosis.largest_remaining, []
+    findings, part, statements = diagnosis.findings, diagnosis.largest_remaining, []
     is_tested = any(absence.upper_bound_m is not None for absence in diagnosis.not_detected)
     is_named = any(f.effect not in (SOMETHING_ELSE, LOOP_SHAPE) for f in findings)
-    untested = [] if is_tested or is_named else _nothing_found(diagnosis)
+    if not (is_tested or is_named):
+        statements.append(_nothing_found(diagnosis))
+    for finding in findings:
+        if finding.effect == SOMETHING_ELSE:
+            text = f"{finding.explanation} {finding.next_experiment}".strip()
+            size_m = finding.share * diagnosis.stroke_m
+            statements.append(
+                _statement(diagnosis, Kind.FINDING, Level.ACTION, SOMETHING_ELSE, text, size_m)
+            )
+    for finding in findings:
+        if finding.not_separable_from:
+            text = (
+                f"{words(finding.effect).capitalize()} cannot be separated from "
+                f"{' or '.join(map(words, finding.not_separable_from))}. {finding.next_experiment}"
+            )
+            quantity = f"{finding.effect}_confounded"
+            statements.append(_statement(diagnosis, Kind.LIMIT, Level.ACTION, quantity, text))
     if part is not None and part.part != SOMETHING_ELSE and (is_tested or findings):
         is_most = part.rms_m**2 > 0.5 * diagnosis.final.rms_m**2
         is_action = part.part == "extrapolation" and is_most
         level = Level.ACTION if is_action else Level.WARNING
-        remaining = [_statement(diagnosis, Kind.LIMIT, level, part.part, part.text, part.rms_m)]
-    structure = [
-        _statement(
-            diagnosis,
-            Kind.FINDING,
-            Level.ACTION,
-            finding.effect,
-            f"{finding.explanation} {finding.next_experiment}".strip(),
-            finding.share * diagnosis.stroke_m,
+        statements.append(
+            _statement(diagnosis, Kind.LIMIT, level, part.part, part.text, part.rms_m)
         )
-        for finding in findings
-        if finding.effect == SOMETHING_ELSE
-    ]
-    confounded = [
-        _statement(
-            diagnosis,
-            Kind.LIMIT,
-            Level.ACTION,
-            f"{finding.effect}_confounded",
-            f"{words(finding.effect).capitalize()} cannot be separated from "
-            f"{' or '.join(map(words, finding.not_separable_from))}. {finding.next_experiment}",
-        )
-        for finding in findings
-        if finding.not_separable_from
-    ]
-    statements = [*untested, *structure, *confounded, *remaining]
-    if not (untested or remaining or findings):
-        statements += _nothing_found(diagnosis)
+    elif not findings and is_tested:
+        statements.append(_nothing_found(diagnosis))
     return tuple(statements)
 
 
@@ -75,17 +68,15 @@ def largest_first(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     return diagnosis.findings
 
 
-def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
+def _nothing_found(diagnosis: Diagnosis) -> Statement:
     """State why no effect is named, and what to record if the error exceeds the noise."""
     n_tested = sum(absence.upper_bound_m is not None for absence in diagnosis.not_detected)
     if not n_tested:
-        reasons = {absence.reason for absence in diagnosis.not_detected}
-        why = ""
-        if len(reasons) == 1:
-            reason = reasons.pop().removeprefix("not tested, because ")
-            why = f" because {reason.rstrip('.')}"
+        reason, *others = {absence.reason for absence in diagnosis.not_detected} or {""}
+        reason = reason.removeprefix("not tested, because ").rstrip(".")
+        why = f" because {reason}" if reason and not others else ""
         text = f"No effect was tested{why}."
-        return [_statement(diagnosis, Kind.LIMIT, Level.WARNING, "no_effect_tested", text)]
+        return _statement(diagnosis, Kind.LIMIT, Level.WARNING, "no_effect_tested", text)
     residual_m, noise_m = diagnosis.envelope_rms_m, diagnosis.noise_floor_rms_m
     times = f", {significant(residual_m / noise_m, 2)} times the sensor noise" if noise_m else ""
     at_rest = any(absence.reason == NOT_EXCITED for absence in diagnosis.not_detected)
@@ -104,7 +95,7 @@ def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
     if exceeds:
         text += f" {SHAPE_EXPERIMENT}"
     level = Level.ACTION if exceeds else Level.NOTE
-    return [_statement(diagnosis, Kind.LIMIT, level, "no_effect_detected", text, residual_m)]
+    return _statement(diagnosis, Kind.LIMIT, level, "no_effect_detected", text, residual_m)
 
 
 def _statement(

@@ -171,9 +171,7 @@ class History:
         """Return the states at every sample, (samples, plays) and (samples, friction states)."""
         if self.origin is not None:
             return self.origin.states
-        drive = self.track.drive
-        plays, _ = play_columns(drive, THRESHOLD, memory_after(drive, self.reversals))
-        return plays, friction_along(drive, initial_friction(drive, self.reversals))
+        return states_along(self.track.drive, self.reversals)
 
     def static(self, weight: Array) -> Array:
         """Return the static response of the shared columns, (samples,), keeping all states."""
@@ -213,12 +211,16 @@ class History:
         return np.maximum.accumulate(drive), np.minimum.accumulate(drive)
 
 
+def states_along(drive: Array, reversals: Reversals) -> States:
+    """Return the states at every value of a drive after earlier reversals."""
+    plays, _ = play_columns(drive, THRESHOLD, memory_after(drive, reversals))
+    return plays, friction_along(drive, initial_friction(drive, reversals))
+
+
 def states_on(path: Array, rows: Places, reversals: Reversals) -> States:
     """Return the states at rows of a thinned drive after earlier reversals."""
-    plays, _ = play_columns(path, THRESHOLD, memory_after(path, reversals))
-    friction = friction_along(path, initial_friction(path, reversals))
     # rows of a column-major matrix, in column-major order
-    plays, friction = (np.take(states.T, rows, axis=1).T for states in (plays, friction))
+    plays, friction = (np.take(s.T, rows, axis=1).T for s in states_along(path, reversals))
     return plays, friction
 
 

@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import starts_of
@@ -208,15 +209,4 @@ def null_columns(drives: Sequence[DriveResponse], *, lag: bool) -> Array:
     lag  whether to include the lag of the model; false for effects that are lags themselves
     """
     shared = [np.hstack([drive.shared, drive.speed]) if lag else drive.shared for drive in drives]
-    return np.hstack([np.vstack(shared), side_by_side([drive.individual for drive in drives])])
-
-
-def side_by_side(parts: Sequence[Array]) -> Array:
-    """Return a block-diagonal matrix of the columns of each drive."""
-    rows, columns = (sum(part.shape[axis] for part in parts) for axis in (0, 1))
-    joined = np.zeros((rows, columns))
-    row = column = 0
-    for part in parts:
-        joined[row : row + part.shape[0], column : column + part.shape[1]] = part
-        row, column = row + part.shape[0], column + part.shape[1]
-    return joined
+    return np.hstack([np.vstack(shared), block_diag(*(drive.individual for drive in drives))])

@@ -7,7 +7,7 @@ shorter one that is nearly as good. If no drive answers any question, the plan s
 uncertainty with the best drive and the limit that prevents a better answer.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,17 +21,16 @@ from piezoid.diagnosis.drive_response import (
     scaled_drives,
 )
 from piezoid.diagnosis.effects.cross_coupling import NAME as COUPLING
-from piezoid.diagnosis.planning.candidate_drives import EXPERIMENTS, Experiment, drive_of
+from piezoid.diagnosis.planning.candidate_drives import EXPERIMENTS, drive_of, equal_cycles
 from piezoid.diagnosis.planning.drive_limits import Bench, Drive, DriveLimits, bench_of
 from piezoid.diagnosis.planning.open_questions import (
+    POWER,
     Question,
-    answers,
     is_open,
     questions_of,
     remaining_uncertainty,
 )
 from piezoid.diagnosis.planning.separation import SeparationEstimate, estimate_separation
-from piezoid.diagnosis.planning.waveforms import equal_cycles
 from piezoid.errors import ExcitationError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
@@ -42,44 +41,51 @@ from piezoid.records.recording import Quantity, Recording
 ENOUGH = 5.0  # standard errors; beyond these, the similarity of two shapes limits, not the noise
 SLOW_Hz = 0.5
 CYCLE_ROWS = 200.0
+MAX_LEFT = 0.8  # largest remaining share after a recording that is worth its time
 NEARLY = 0.9  # of the best score: a shorter drive that reaches it is preferred
 LOOSER = 4.0  # factor on each limit, to find the limit that prevents an answer
 NOTICEABLE = 0.9  # ratio of remaining shares above which a limit does not prevent an answer
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Alternative:
     """A candidate drive and the expected precision with it.
 
+    drive     None if it cannot be played
+    response  of the model to the drive
+    refusal   why it cannot be played, or empty
     estimate  together with the recordings, if they were given; None if it cannot be played
     score     inverse relative error of the size in question; for two effects to be separated their
               separability, reduced below ``ENOUGH`` standard errors
-    refusal   why it cannot be played, or empty
     """
 
     name: str
     why: str
-    duration_s: float
-    estimate: SeparationEstimate | None
-    score: float = 0.0
+    drive: Drive | None = None
+    response: DriveResponse | None = None
     refusal: str = ""
+    estimate: SeparationEstimate | None = None
+    score: float = 0.0
+
+    @property
+    def duration_s(self) -> float:
+        """Return the duration of the drive; 0 if it cannot be played."""
+        return 0.0 if self.drive is None else self.drive.duration_s
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Choice:
     """The best drive for one question.
 
-    alternatives     all candidates, best first
-    best             the best candidate, or a shorter one that is nearly as good
-    recorded         estimate from the recordings; None without them
-    remaining_share  share of the uncertainty that remains after the drive, 0 to 1
+    alternatives  all candidates, best first
+    best          the best candidate, or a shorter one that is nearly as good
+    recorded      estimate from the recordings; None without them
     """
 
     question: Question
     alternatives: tuple[Alternative, ...]
     best: Alternative
     recorded: SeparationEstimate | None
-    remaining_share: float
 
     @property
     def shows(self) -> bool:
@@ -89,10 +95,17 @@ class Choice:
     @property
     def answers(self) -> bool:
         """Whether the drive is worth a recording."""
+        estimate, is_pair = self.best.estimate, self.question.kind == "separate"
+        exceed_errors = estimate is not None and POWER * estimate.worst <= 1.0
+        return (exceed_errors or not is_pair) and self.remaining_share <= MAX_LEFT
+
+    @property
+    def remaining_share(self) -> float:
+        """Share of the uncertainty that remains after the drive, 0 to 1."""
         estimate = self.best.estimate
         if estimate is None or not self.shows:
-            return False
-        return answers(self.question, self.recorded, estimate)
+            return 1.0
+        return remaining_uncertainty(self.question, self.recorded, estimate)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,70 +116,46 @@ class CandidateTable:
     structure_m  rms of the model error
     recorded     drives of the recordings
     reference    drives along which a diagnosed effect has its size
-    drives       by name: a drive, or why it cannot be played
-    responses    response of the model to each drive that can be played
+    candidates   not yet evaluated
     """
 
     noise_m: float
     structure_m: float
     recorded: tuple[DriveResponse, ...]
     reference: tuple[DriveResponse, ...]
-    drives: Mapping[str, Drive | str]
-    responses: Mapping[str, DriveResponse]
+    candidates: tuple[Alternative, ...]
 
     def choice(self, question: Question) -> Choice:
         """Return the best drive for a question, or a shorter one that is nearly as good."""
         recorded = self._estimate(question) if self.recorded else None
-        alternatives = [self._alternative(experiment, question) for experiment in EXPERIMENTS]
-        ranked = tuple(sorted(alternatives, key=lambda alternative: -alternative.score))
+        evaluated = [self._evaluated(candidate, question) for candidate in self.candidates]
+        ranked = tuple(sorted(evaluated, key=lambda alternative: -alternative.score))
         best = ranked[0]
-        choice = Choice(
-            question=question,
-            alternatives=ranked,
-            best=best,
-            recorded=recorded,
-            remaining_share=_share_left(question, recorded, best),
-        )
         nearly = [a for a in ranked if a.score >= NEARLY * best.score > 0.0]
-        if not nearly:
-            return choice
-        shortest = min(nearly, key=lambda alternative: alternative.duration_s)
-        shorter = replace(
-            choice, best=shortest, remaining_share=_share_left(question, recorded, shortest)
-        )
+        shortest = min(nearly, key=lambda alternative: alternative.duration_s, default=best)
+        choice = Choice(question=question, alternatives=ranked, best=best, recorded=recorded)
+        shorter = replace(choice, best=shortest)
         return shorter if shorter.answers else choice
 
-    def _alternative(self, experiment: Experiment, question: Question) -> Alternative:
-        name, why, drive = experiment.name, experiment.why, self.drives[experiment.name]
-        if isinstance(drive, str):
-            return Alternative(name=name, why=why, duration_s=0.0, estimate=None, refusal=drive)
-        estimate = self._estimate(question, self.responses[name])
+    def _evaluated(self, candidate: Alternative, question: Question) -> Alternative:
+        if candidate.response is None:
+            return candidate
+        estimate = self._estimate(question, candidate.response)
         if question.kind == "separate":
             certainty = 1.0 / max(estimate.worst, 1e-30)
             score = estimate.separability * min(certainty / ENOUGH, 1.0)
         else:
             score = 1.0 / max(estimate.errors[0], 1e-30)
-        return Alternative(
-            name=name, why=why, duration_s=drive.duration_s, estimate=estimate, score=score
-        )
+        return replace(candidate, estimate=estimate, score=score)
 
     def _estimate(self, question: Question, *planned: DriveResponse) -> SeparationEstimate:
-        drives = [*self.recorded, *planned]
         return estimate_separation(
-            drives,
+            [*self.recorded, *planned],
             question.suspects,
             self.reference,
             noise_m=self.noise_m,
             structure_m=self.structure_m,
         )
-
-
-def _share_left(
-    question: Question, recorded: SeparationEstimate | None, alternative: Alternative
-) -> float:
-    if alternative.estimate is None or alternative.score <= 0.0:
-        return 1.0
-    return remaining_uncertainty(question, recorded, alternative.estimate)
 
 
 def simulate_candidates(
@@ -177,17 +166,16 @@ def simulate_candidates(
     seed: int,
 ) -> CandidateTable:
     """Simulate all candidate drives on the model of one axis, each after cycles over the range."""
-    drives: dict[str, Drive | str] = {}
-    responses = {}
+    candidates = []
     for experiment in EXPERIMENTS:
+        candidate = Alternative(name=experiment.name, why=experiment.why)
         try:
             drive = drive_of(experiment, bench, seed)
         except ExcitationError as refusal:
-            drives[experiment.name] = str(refusal)
+            candidates.append(replace(candidate, refusal=str(refusal)))
             continue
         others_V = {name: drive.voltage_V[:, k + 1] for k, name in enumerate(drive.axes[1:])}
-        drives[experiment.name] = drive
-        responses[experiment.name] = DriveResponse(
+        response = DriveResponse(
             name=drive.name,
             model=axis,
             rate_Hz=drive.sampling_rate_Hz,
@@ -195,14 +183,14 @@ def simulate_candidates(
             rows=rows_of(len(drive.voltage_V), ROWS),
             other_drives=scaled_drives(others_V),
         )
+        candidates.append(replace(candidate, drive=drive, response=response))
     noise_m, final_m = diagnosis.noise_floor_rms_m, diagnosis.final.rms_m
     return CandidateTable(
         noise_m=noise_m,
         structure_m=max(final_m**2 - noise_m**2, 0.0) ** 0.5,
         recorded=tuple(recorded),
         reference=tuple(recorded) or usual_drives(axis, bench),
-        drives=drives,
-        responses=responses,
+        candidates=tuple(candidates),
     )
 
 
@@ -225,29 +213,23 @@ def usual_drives(axis: AxisModel, bench: Bench) -> tuple[DriveResponse, ...]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Plan:
+class Plan(Choice):
     """The next experiment.
 
-    limits_from   origin of the limits, in words
-    recorded      estimate from the recordings; None if they were not given
-    planned       estimate from the recordings and the planned drive
-    answers       whether the drive is worth a recording
-    forbids       if it is not, the limit that prevents more, as a sentence; else empty
-    set_aside     more pressing questions, which no drive answers
-    alternatives  all candidate drives, best first
+    limits_from  origin of the limits, in words
+    planned      estimate from the recordings and the planned drive
+    forbids      if it is not worth a recording, the limit that prevents more, as a sentence; else
+                 empty
+    set_aside    more pressing questions, which no drive answers
     """
 
     axis: str
-    question: Question
     drive: Drive
     limits: DriveLimits
     limits_from: str
-    recorded: SeparationEstimate | None
     planned: SeparationEstimate
-    answers: bool
     forbids: str
     set_aside: tuple[Question, ...]
-    alternatives: tuple[Alternative, ...]
 
     @property
     def duration_s(self) -> float:
@@ -295,7 +277,7 @@ def plan(
     if effect is None and not bench.other_limits:  # no drive of this rig shows it
         questions = tuple(q for q in questions if COUPLING not in q.effects) or questions
     choice, set_aside = _first_answered(table, questions)
-    question, best = choice.question, choice.best
+    question, drive, estimate = choice.question, choice.best.drive, choice.best.estimate
     forbids = ""
     if not choice.answers and (question.kind != "detect" or is_open(question)):
         forbids = limiting_factor(
@@ -303,8 +285,7 @@ def plan(
             lambda looser: table_on(looser).choice(question).remaining_share,
             choice.remaining_share,
         )
-    drive, estimate = table.drives[best.name], best.estimate
-    if not choice.shows or estimate is None or not isinstance(drive, Drive):
+    if not choice.shows or estimate is None or drive is None:
         raise ExcitationError(
             f"no drive shows {' and '.join(question.effects)} inside these limits",
             needed="a range and speed in which it moves the stage",
@@ -312,17 +293,17 @@ def plan(
             "driven.",
         )
     return Plan(
-        axis=bench.axis,
         question=question,
+        alternatives=choice.alternatives,
+        best=choice.best,
+        recorded=choice.recorded,
+        axis=bench.axis,
         drive=drive,
         limits=bench.limits,
         limits_from=f"{bench.range_from}; {bench.speed_from}",
-        recorded=choice.recorded,
         planned=estimate,
-        answers=choice.answers,
         forbids=forbids,
         set_aside=set_aside,
-        alternatives=choice.alternatives,
     )
 
 
@@ -352,11 +333,8 @@ def limiting_factor(
     present_share  share that remains within the present limits
     """
     limits, margin_V = bench.limits, 0.5 * (LOOSER - 1.0) * np.ptp(bench.limits.range_V)
-    wider = replace(
-        limits,
-        voltage_min_V=limits.voltage_min_V - margin_V,
-        voltage_max_V=limits.voltage_max_V + margin_V,
-    )
+    low_V, high_V = limits.range_V
+    wider = replace(limits, voltage_min_V=low_V - margin_V, voltage_max_V=high_V + margin_V)
     faster = replace(limits, slew_V_per_s=LOOSER * limits.slew_V_per_s)
     looser = {
         f"the speed, {limits.slew_V_per_s:.3g} V/s ({bench.speed_from})": replace(
@@ -364,8 +342,9 @@ def limiting_factor(
         ),
         f"the converters' clock, {bench.clock_Hz:g} Hz (sampling_rate_Hz of lab.toml, or "
         "--rate)": replace(bench, clock_Hz=LOOSER * bench.clock_Hz),
-        f"the range, {limits.voltage_min_V:.4g} to {limits.voltage_max_V:.4g} V "
-        f"({bench.range_from})": replace(bench, limits=wider),
+        f"the range, {low_V:.4g} to {high_V:.4g} V ({bench.range_from})": replace(
+            bench, limits=wider
+        ),
     }
     shares = {name: share_left(looser_bench) for name, looser_bench in looser.items()}
     name, smallest = min(shares.items(), key=lambda pair: pair[1])

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.coordinate_bases import Signals, displacement_basis
-from piezoid.diagnosis.coordinate_scores import SURROGATES, CoordinateScore, Residual
-from piezoid.diagnosis.coordinate_tests import (
+from piezoid.diagnosis.coordinate_scores import (
+    SURROGATES,
+    CoordinateScore,
+    Residual,
     fit_time_course,
     mains_frequency_Hz,
     score_coordinates,

@@ -147,17 +147,21 @@ class SlipScan:
         """Return the residual of the track."""
         return self.null.residual[self.rows]
 
+    def change(self, samples: int) -> Array:
+        """Return the column of a slip of one length at every row."""
+        return delay_change(self.static, self.samples, samples)
+
     def instants(self) -> Places:
         """Return the rows at which a slip is tried."""
         n = len(self.samples)
         trials = np.linspace(END_SHARE * n, (1.0 - END_SHARE) * n, INSTANTS)
         first = np.unique(trials.astype(int))
-        motion = delay_change(self.static, self.samples, 1) ** 2
+        motion = self.change(1) ** 2
         return np.asarray(first[_sums_from(motion, first) > MIN_MOTION * motion.sum()])
 
     def score(self, samples: int, first: Places) -> tuple[Array, Array]:
         """Return gain and beta of slips of one length that start at some rows."""
-        change = delay_change(self.static, self.samples, samples)
+        change = self.change(samples)
         product = _sums_from(self.residual * change, first)
         square, orthogonal = self._squares(change, first)
         is_orthogonal = orthogonal > MIN_ORTHOGONAL * square + 1e-300
@@ -167,7 +171,7 @@ class SlipScan:
 
     def orthogonal_share(self, samples: int, first: Places) -> Array:
         """Return the share of the square of such slips that is orthogonal to the null."""
-        square, orthogonal = self._squares(delay_change(self.static, self.samples, samples), first)
+        square, orthogonal = self._squares(self.change(samples), first)
         return np.asarray(orthogonal / (square + 1e-300))
 
     def _squares(self, change: Array, first: Places) -> tuple[Array, Array]:
@@ -175,9 +179,8 @@ class SlipScan:
         from scipy.linalg import solve_triangular
 
         square = _sums_from(change * change, first)
-        shared = (
-            _sums_from(self.null.all_columns[self.rows] * change[:, None], first) / self.null.scale
-        )
+        products = self.null.all_columns[self.rows] * change[:, None]
+        shared = _sums_from(products, first) / self.null.scale
         half = solve_triangular(self.null.factor, shared.T, lower=True)
         return square, np.asarray(square - np.sum(half * half, axis=0))
 
@@ -187,7 +190,7 @@ class SlipScan:
         lengths = np.unique(np.round(lengths).astype(int)).tolist()
         limits = {}
         for samples in (*lengths, *(-length for length in lengths)):
-            change = delay_change(self.static, self.samples, samples)
+            change = self.change(samples)
             product = _sums_from(self.residual * change, first)
             square = _sums_from(change * change, first)
             limits[samples] = float(np.max(np.maximum(product, 0.0) ** 2 / (square + 1e-300)))

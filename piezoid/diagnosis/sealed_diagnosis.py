@@ -1,12 +1,12 @@
 """Write and read diagnosis.json."""
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     Diagnosis,
-    FinalError,
     Finding,
     HeldOut,
     NotDetected,
@@ -60,59 +60,45 @@ def read_diagnoses(content: bytes, location: str = "diagnosis.json") -> tuple[Di
 
 def _diagnosis_entries(diagnosis: Diagnosis) -> dict[str, Any]:
     unit = "counts, rms" if "displacement" in diagnosis.counted else "m, rms"
-    entries = {n: v for n, v in fields_of(diagnosis).items() if n not in NOT_WRITTEN}
-    not_detected = [[*_rename(fields_of(n), NOT_DETECTED).items()] for n in diagnosis.not_detected]
-    entries["not_detected"] = [dict([*e[:2], ("unit", unit), *e[2:]]) for e in not_detected]
-    return _without_empty(entries, "unexplained", "budget", "counted")
+    optional = ("unexplained", "budget", "counted")
+    entries = {
+        name: entry
+        for name, entry in fields_of(diagnosis).items()
+        if name not in NOT_WRITTEN and (entry or name not in optional)
+    }
+    rows = [
+        [(NOT_DETECTED.get(name, name), entry) for name, entry in fields_of(absent).items()]
+        for absent in diagnosis.not_detected
+    ]
+    return {**entries, "not_detected": [dict([*r[:2], ("unit", unit), *r[2:]]) for r in rows]}
 
 
-def _check_effect(table: Mapping[str, Any]) -> Mapping[str, Any]:
-    if table["effect"] not in {SOMETHING_ELSE, *(effect.name for effect in every_effect())}:
-        raise ValueError(f"effect {table['effect']!r}, which this version does not know")
-    return table
+def _layout(
+    kind: type, names: Mapping[str, str] = MappingProxyType({}), optional: Sequence[str] = ()
+) -> RecordLayout:
+    """Return the layout of a record with fields of other names, and without empty optional ones.
 
+    Raises ``ValueError`` at reading an effect that this version does not know.
+    """
+    fields = {entry: field for field, entry in names.items()}
 
-def _without_empty(entries: dict[str, Any], *optional: str) -> dict[str, Any]:
-    """Omit optional entries that are empty."""
-    return {name: entry for name, entry in entries.items() if name not in optional or entry}
+    def read(table: Mapping[str, Any]) -> Any:
+        known = {SOMETHING_ELSE, *(effect.name for effect in every_effect())}
+        if table.get("effect", SOMETHING_ELSE) not in known:
+            raise ValueError(f"effect {table['effect']!r}, which this version does not know")
+        return from_fields(kind, {fields.get(n, n): v for n, v in table.items() if n != "unit"})
 
+    def write(record: Any) -> dict[str, Any]:
+        entries = fields_of(record).items()
+        return {names.get(n, n): v for n, v in entries if n not in optional or v not in (None, "")}
 
-def _rename(entries: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
-    return {names.get(name, name): entry for name, entry in entries.items()}
-
-
-def _invert(names: Mapping[str, str]) -> dict[str, str]:
-    return {entry: field for field, entry in names.items()}
-
-
-def _layout(kind: type, names: Mapping[str, str]) -> RecordLayout:
-    return RecordLayout(
-        kind=kind,
-        write=lambda record: _rename(fields_of(record), names),
-        read=lambda table: from_fields(kind, _rename(table, _invert(names))),
-    )
+    return RecordLayout(kind=kind, write=write, read=read)
 
 
 LAYOUTS = (
     RecordLayout(kind=Diagnosis, write=_diagnosis_entries),
-    RecordLayout(
-        kind=Finding,
-        write=lambda finding: _without_empty(fields_of(finding), "coordinate", "law", "seen"),
-        read=lambda table: from_fields(Finding, _check_effect(table)),
-    ),
-    RecordLayout(
-        kind=NotDetected,
-        write=fields_of,
-        read=lambda table: from_fields(
-            NotDetected,
-            {
-                name: entry
-                for name, entry in _rename(_check_effect(table), _invert(NOT_DETECTED)).items()
-                if name != "unit"
-            },
-        ),
-    ),
-    _layout(FinalError, HELD_OUT),
-    _layout(HeldOut, HELD_OUT),
+    _layout(Finding, optional=("coordinate", "law", "seen")),
+    _layout(NotDetected, NOT_DETECTED),
+    _layout(HeldOut, HELD_OUT, ("explained_rms_m",)),
     _layout(Unexplained, UNEXPLAINED),
 )

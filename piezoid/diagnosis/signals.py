@@ -100,11 +100,14 @@ def drive_change(view: View, drive_filter: Filter, parameters: Parameters) -> Ar
     return np.concatenate(changes)[:, None]
 
 
-def with_displacement(recording: Recording, displacement_m: Array) -> Recording:
-    """Return a recording with other readings of the displacement."""
+def with_displacement(
+    recording: Recording, displacement_m: Array, axis: str | None = None
+) -> Recording:
+    """Return a recording with other readings of the displacement; ``axis``: default its own."""
+    replaced = (Quantity.DISPLACEMENT, axis or recording.axis)
     channels = tuple(
         replace(channel, values=displacement_m)
-        if channel.quantity is Quantity.DISPLACEMENT and channel.axis == recording.axis
+        if (channel.quantity, channel.axis) == replaced
         else channel
         for channel in recording.channels
     )

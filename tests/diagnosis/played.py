@@ -3,7 +3,7 @@
 Some of them are parts of a healthy campaign's drives.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -29,6 +29,7 @@ STRETCH = {
 }
 GLIDE = 0.01  # of half the range for a sample, on the way to where the next recording begins
 NOISE = 3e-4  # of the stroke
+RINGING_NOISE = 6e-4  # of half the stroke
 Before = Callable[[float], Sequence[float]]  # (first value) -> turns before it
 
 
@@ -87,6 +88,20 @@ def recordings_after(*before: Before | None) -> tuple[Recording, ...]:
         rate_Hz = whole.sampling_rate_Hz / EVERY
         made.append(recorded_as(name, rate_Hz, drive, HALF_STROKE_m * (response + noise)))
         last = float(drive[-1])
+    return tuple(made)
+
+
+def ringing(
+    drives: Mapping[tuple[str, float], Array],
+    ring: Callable[[Array, float], Array],
+    chance: np.random.Generator,
+) -> tuple[Recording, ...]:
+    """Record drives after cycles, (name, rate in Hz) -> drive; ring is (response, rate in Hz)."""
+    made = []
+    for (name, rate_Hz), drive in drives.items():
+        still, _ = moved(drive, memory_after(cycled, float(drive[0])))
+        reading = ring(still, rate_Hz) + RINGING_NOISE * chance.normal(size=len(drive))
+        made.append(recorded_as(name, rate_Hz, drive, HALF_STROKE_m * reading))
     return tuple(made)
 
 

@@ -53,39 +53,41 @@ def fault_of(*seen: tuple[Array, Array]):
     return quantisation.EFFECT.fault.find(view)
 
 
-def test_steps_of_a_coarse_drive_are_found_where_the_file_has_a_smooth_one() -> None:
-    fault = fault_of((smooth(), saw(smooth())))
+def staircase() -> tuple[Array, Array]:
+    """Return levels that are held, and an error of each of them."""
+    levels = np.repeat(np.linspace(-1.0, 1.0, 100), ROWS // 100)
+    return levels, 2.0 * STEP * np.random.default_rng(3).uniform(-1.0, 1.0, 100).repeat(
+        ROWS // 100
+    )
+
+
+@pytest.mark.parametrize(
+    "beside",
+    [[], [(repeating(0.3), saw(repeating(0.3)))], [staircase()]],
+    ids=["alone", "beside a drive that repeats", "beside a staircase of few values"],
+)
+def test_steps_of_a_coarse_drive_are_found_where_the_file_has_a_smooth_one(beside) -> None:
+    fault = fault_of((smooth(), saw(smooth())), *beside)
     assert fault.value == pytest.approx(1e4 * STEP, rel=0.1)
     left = fault.tracks[0].drive - STEP * np.round(smooth() / STEP)
     assert np.mean(np.abs(left) < 0.1 * STEP) > 0.9
 
 
-def test_what_is_left_on_the_lattice_of_a_drive_that_repeats_is_no_converters_step() -> None:
-    drive = repeating(0.5)
-    assert len(np.unique(np.round(drive, 9))) < 250
-    # seen at these values only, a reading that is off every other sample has the waves of a saw
-    every_other = 5e-3 * np.where(np.arange(ROWS) % 2, -1.0, 1.0)
-    assert fault_of((drive, every_other)) is None
-
-
-def test_steps_are_not_told_of_a_drive_that_takes_too_few_values_between_them() -> None:
-    drive = repeating(0.3)
-    assert fault_of((drive, saw(drive))) is None
-
-
-def test_a_drive_that_repeats_itself_does_not_hide_steps_beside_a_smooth_one() -> None:
-    both = fault_of((smooth(), saw(smooth())), (repeating(0.3), saw(repeating(0.3))))
-    assert both.value == pytest.approx(1e4 * STEP, rel=0.1)
-
-
-def test_a_staircase_that_rests_on_few_values_does_not_hide_steps_beside_a_smooth_drive() -> None:
-    levels = np.repeat(np.linspace(-1.0, 1.0, 100), ROWS // 100)
-    left = 2.0 * STEP * np.random.default_rng(3).uniform(-1.0, 1.0, 100).repeat(ROWS // 100)
-    both = fault_of((smooth(), saw(smooth())), (levels, left))
-    assert both.value == pytest.approx(1e4 * STEP, rel=0.1)
-
-
-def test_steps_that_one_part_of_a_recording_has_alone_are_no_converters() -> None:
+def in_one_part() -> Array:
     left = np.zeros(ROWS)
     left[4000:4500] = 20.0 * saw(smooth())[4000:4500]
-    assert fault_of((smooth(), left)) is None
+    return left
+
+
+@pytest.mark.parametrize(
+    ("drive", "left"),
+    [
+        # seen at these values only, a reading that is off every other sample has waves of a saw
+        (repeating(0.5), 5e-3 * np.where(np.arange(ROWS) % 2, -1.0, 1.0)),
+        (repeating(0.3), saw(repeating(0.3))),
+        (smooth(), in_one_part()),
+    ],
+    ids=["off on a lattice", "too few values between steps", "one part of a recording"],
+)
+def test_what_is_no_converters_step_is_not_taken_for_one(drive: Array, left: Array) -> None:
+    assert fault_of((drive, left)) is None

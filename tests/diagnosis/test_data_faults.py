@@ -87,11 +87,11 @@ def test_a_jump_of_the_drive_is_no_spike():
     assert outliers.EFFECT.fault.find(view_on(recordings, axis="x", lab=Lab())) is None
 
 
-@pytest.mark.parametrize("period", [16, 20, 23])
+@pytest.mark.parametrize("period", [16, 23])
 def test_a_recording_that_begins_and_ends_in_the_midst_of_a_ramp_has_no_spikes(period):
     drive = np.linspace(-0.9, 0.9, 4000)
     quiet = 1e-6 * np.random.default_rng(1).normal(size=len(drive))
-    for phase in np.linspace(0.0, 2 * np.pi, 16, endpoint=False):
+    for phase in np.linspace(0.0, 2 * np.pi, 8, endpoint=False):
         # ramps of a hum, on which the drive hardly moves
         hum = 0.02 * np.sin(2 * np.pi * np.arange(len(drive)) / period + phase)
         track = replace(driven(drive), response=drive + hum + quiet)
@@ -104,23 +104,16 @@ def coarse_reading(step_m: float):
     return view_with(**{kind: step_m * np.round(y / step_m) for kind, y in readings_m.items()})
 
 
-def test_a_coarse_reading_is_named_with_its_step_and_its_saw_is_no_periodic_error():
-    step_m = 4e-3 * STROKE_m
-    view = coarse_reading(step_m)
-    assert within(quantisation.EFFECT.fault.find(view), 1e9 * step_m)
-    ripple = score_test(sensor_periodic_error.EFFECT, view)
-    assert ripple is None or ripple.cv.gain < 0.05
-
-
-@pytest.mark.parametrize("repaired", [False, True])
-def test_spikes_off_the_lattice_do_not_hide_a_coarse_reading(repaired):
-    step_m = 4e-3 * STROKE_m
-    kinds = ("sweep", "walk", "waves")
+@pytest.mark.parametrize("spikes", ["", "beside the steps", "between two of them"])
+def test_a_coarse_reading_is_named_with_its_step_and_its_saw_is_no_periodic_error(spikes):
+    """Spikes off the lattice do not hide it, nor do those that were repaired."""
+    step_m, kinds = 4e-3 * STROKE_m, ("sweep", "walk", "waves")
     readings_m = {kind: step_m * np.round(clean(kind)[2] / step_m) for kind in kinds}
-    for k, reading_m in enumerate(readings_m.values()):
+    for k, reading_m in enumerate(readings_m.values() if spikes else ()):
         where = np.random.default_rng(k).choice(len(reading_m) - 2, 9, replace=False) + 1
         between_m = 0.5 * (reading_m[where - 1] + reading_m[where + 1]) + 0.25 * step_m
-        reading_m[where] = between_m if repaired else reading_m[where] + 17.3 * step_m
+        is_between = spikes == "between two of them"
+        reading_m[where] = between_m if is_between else reading_m[where] + 17.3 * step_m
     view = view_with(**readings_m)
     fault = quantisation.EFFECT.fault.find(view)
     assert within(fault, 1e9 * step_m)
@@ -146,17 +139,6 @@ def test_a_coarse_drive_is_found_where_the_file_has_the_smooth_one():
     assert fault.value == pytest.approx(1e9 * step * slope_m, rel=0.4)
     assert with_tracks(view, fault.tracks).rms < 0.8 * view.rms
     assert outliers.EFFECT.fault.find(view) is None
-
-
-def test_hum_a_little_off_its_nominal_frequency_is_found_at_its_own():
-    readings_m = {}
-    for kind in ("sweep", "walk", "waves"):
-        rate_Hz, _, y = clean(kind)
-        turn = 2 * np.pi * 49.91 * np.arange(len(y)) / rate_Hz
-        readings_m[kind] = y + 2e-3 * STROKE_m * (0.4 * np.sin(turn) + np.sin(3 * turn + 1.0))
-    found = score_test(mains_interference.EFFECT, view_with(**readings_m))
-    assert found.trial.parameters["frequency_Hz"] == pytest.approx(49.91, abs=0.05)
-    assert found.cv.gain > 0.1
 
 
 def test_a_fine_ripple_is_found_though_every_recording_counts_from_its_own_zero():
@@ -206,17 +188,3 @@ def test_a_few_wrong_readings_are_spikes_and_more_side_by_side_are_none(long):
         places = range(2000, 2004 + long)
         dip = with_added(driven(np.linspace(-0.9, 0.9, 6000)), places, sign * 0.05)
         assert found_in(dip, dip.drive) == []
-
-
-def test_a_spike_as_high_as_might_hide_is_found_at_most_places_and_a_tenth_of_it_at_none():
-    height = outliers.EFFECT.fault.bound(healthy()) * 2.0 * healthy().half_stroke_m
-    places = np.linspace(300, 8600, 12).astype(int)
-    found = {}
-    for times in (1.2, 0.1):
-        found[times] = 0
-        for place in places:
-            reading_m = np.array(clean("walk")[2])
-            reading_m[place] += times * height
-            found[times] += outliers.EFFECT.fault.find(view_with(walk=reading_m)) is not None
-    assert found[1.2] > 0.9 * len(places)
-    assert found[0.1] == 0

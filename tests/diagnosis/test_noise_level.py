@@ -18,6 +18,7 @@ from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from tests.journeys.test_batch import write_night
 
 from .bench import causes, recorded
+from .play_stage import NOISE_m, clean, view_with
 
 pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
@@ -90,3 +91,10 @@ def test_noise_is_told_where_most_of_what_is_left_is_noise(wave_m: float, is_tol
         wave = np.sin(2.0 * np.pi * 1.7 * np.arange(one.samples) / one.sampling_rate_Hz)
         waved.append(with_displacement(one, one.displacement_m() + wave_m * wave))
     assert (level_in(waved, lab) is not None) is is_told
+
+
+def test_a_hum_at_every_other_sample_is_no_more_noise_than_it_leaves() -> None:
+    reading_m, hum_m = clean("walk")[2], 4.0 * NOISE_m
+    view = view_with(walk=reading_m + hum_m * (-1.0) ** np.arange(len(reading_m)))
+    truth_m = np.sqrt(NOISE_m**2 + hum_m**2 / len(view.tracks))
+    assert np.isclose(view.noise * view.half_stroke_m, truth_m, rtol=0.1)

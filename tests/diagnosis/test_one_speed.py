@@ -1,18 +1,20 @@
-"""What needs time is a width of the loop at one speed, whatever else goes on meanwhile."""
+"""What needs time is a width of the loop at one speed; a loss of sensitivity is named there."""
 
+import re
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
 
 from piezoid.diagnosis.diagnose import diagnose
+from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import relaxed
 from piezoid.records.collection import collect
+from piezoid.records.frames import from_arrays
 from piezoid.records.recording import Recording
 from tests.diagnosis.bench import causes
 from tests.laws import LAWS, RATE_Hz, triangles, write
-
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_order")]
 
 LAG_s = 0.01
 GREW_percent = 5.0
@@ -28,6 +30,8 @@ def late(folder: Path, cycles: int, samples: int, gain: float, drift_um: float) 
     return collect([write(folder / f"{samples}.csv", field, reading_um)])[0]
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_order")
 def test_a_lag_is_no_cause_where_speeds_hardly_differ(tmp_path: Path) -> None:
     first = late(tmp_path, 16, 250, 1.0, DRIFT_um)
     grown = late(tmp_path, 10, 180, 1.0 + GREW_percent / 100.0, 0.0)
@@ -43,6 +47,8 @@ def test_a_lag_is_no_cause_where_speeds_hardly_differ(tmp_path: Path) -> None:
         assert "half the speed" in unseen.next_experiment
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_order")
 def test_loop_shape_of_a_single_loop_is_not_told_from_a_lag(tmp_path: Path) -> None:
     ramp = np.linspace(-1.0, 1.0, 1500)
     field = np.concatenate([ramp, ramp[-2::-1]])
@@ -53,3 +59,56 @@ def test_loop_shape_of_a_single_loop_is_not_told_from_a_lag(tmp_path: Path) -> N
     (shape,) = [one for one in found.findings if one.effect == "loop_shape"]
     assert {"lag", "creep", "thermal_drift", "initial_state"} <= set(shape.not_separable_from)
     assert "ten times slower" in shape.next_experiment
+
+
+CYCLES, SAMPLES, CYCLES_RATE_Hz = 60, 120, 120.0  # one cycle in a second
+LOSS = 0.013  # of the sensitivity, over all cycles
+NOISE_M = 5e-9
+LAG_S = 0.02
+
+
+def lagged(moved_m: Array) -> Array:
+    share, slow_m = 1.0 - np.exp(-1.0 / (CYCLES_RATE_Hz * LAG_S)), moved_m.copy()
+    for k in range(1, len(moved_m)):
+        slow_m[k] = slow_m[k - 1] + share * (moved_m[k] - slow_m[k - 1])
+    return slow_m
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_order")
+@pytest.mark.parametrize("beside", ["dropouts", "lag"])
+def test_a_loss_of_sensitivity_is_named_beside_dropouts_or_a_lag(
+    beside: Literal["dropouts", "lag"],
+) -> None:
+    rng, field = np.random.default_rng(3), triangles(CYCLES + 3, SAMPLES)
+    moved_m = 2e-5 * LAWS["bouc_wen"](field)[3 * SAMPLES :]
+    moved_m = moved_m * (1.0 - LOSS * np.linspace(0.0, 1.0, len(moved_m)))
+    if beside == "lag":
+        moved_m = lagged(moved_m)
+    moved_m = moved_m + NOISE_M * rng.standard_normal(len(moved_m))
+    if beside == "dropouts":
+        moved_m[rng.integers(0, len(moved_m), 12)] = 0.0
+    diagnosis = diagnose(
+        [
+            from_arrays(
+                voltage_V=50.0 + 50.0 * field[3 * SAMPLES :],
+                displacement_m=moved_m,
+                sampling_rate_Hz=CYCLES_RATE_Hz,
+                axis="x",
+                name="cycles",
+            )
+        ]
+    )
+    findings = {finding.effect: finding for finding in diagnosis.findings}
+    allowed = {"gain_change", "loop_shape"} | ({"outliers"} if beside == "dropouts" else set())
+    assert "gain_change" in findings
+    assert set(findings) <= allowed
+    size = findings["gain_change"].size
+    assert size is not None
+    assert size.value == pytest.approx(-100.0 * LOSS, rel=0.1)
+    assert diagnosis.model is not None
+    remarks = " ".join(diagnosis.model.verdict.remarks)
+    stated = re.search(r"the sensitivity changes by (\S+) %", remarks)
+    assert stated is not None
+    assert float(stated.group(1)) == pytest.approx(size.value, rel=0.1)
+    assert diagnosis.final.rms_m < 1.5 * NOISE_M

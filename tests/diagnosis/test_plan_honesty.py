@@ -11,15 +11,19 @@ from piezoid.diagnosis.candidate import MINIMUM_SHARE
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.experiment import CandidateTable, Plan, plan, simulate_candidates
+from piezoid.diagnosis.experiment import (
+    Alternative,
+    CandidateTable,
+    Choice,
+    Plan,
+    plan,
+    simulate_candidates,
+)
 from piezoid.diagnosis.planning.candidate_drives import EXPERIMENTS, drive_of
 from piezoid.diagnosis.planning.drive_limits import Bench, DriveLimits, bench_of
 from piezoid.diagnosis.planning.open_questions import (
-    Question,
-    answers,
     expected_limit_m,
     questions_of,
-    remaining_uncertainty,
 )
 from piezoid.diagnosis.planning.plan_file import sentences
 from piezoid.diagnosis.planning.separation import SeparationEstimate
@@ -90,7 +94,7 @@ def test_other_axes_that_reach_their_loops_late_are_waited_for() -> None:
     slow = DriveLimits(voltage_min_V=0.0, voltage_max_V=10.0, slew_V_per_s=1.0)
     fast = replace(slow, slew_V_per_s=50.0)
     bench = Bench(axis="x", limits=fast, clock_Hz=CLOCK_Hz, other_limits={"y": slow, "z": fast})
-    drive = drive_of(next(one for one in EXPERIMENTS if one.needs_other), bench, 0)
+    drive = drive_of(next(one for one in EXPERIMENTS if one.name == "other_axis"), bench, 0)
     still_V = drive.voltage_V[:, 0] == 5.0
     for k in (1, 2):
         moving = np.abs(np.diff(drive.voltage_V[:, k])) > 0.0
@@ -108,9 +112,9 @@ def test_where_speed_is_what_is_missing_the_plan_says_so_and_is_right() -> None:
     )
     assert said is not None
     faster = _planned(_open(delay=HIGH_m), 8.0, effect="delay")
-    left = remaining_uncertainty(faster.question, None, faster.planned)
+    left = faster.remaining_share
     assert 100 * left == pytest.approx(float(said[1]), abs=0.6)
-    assert left < remaining_uncertainty(slow.question, None, slow.planned)
+    assert left < slow.remaining_share
 
 
 def test_a_question_that_no_drive_answers_gives_way_to_one_that_is_answered() -> None:
@@ -142,12 +146,12 @@ def test_a_diagnosis_that_leaves_nothing_open_asks_for_nothing() -> None:
         _planned(_open())
 
 
-def test_two_that_stay_lost_in_their_errors_are_not_told_apart_however_unlike_they_are() -> None:
-    found = diagnosed(finding("creep", rivals=("thermal_drift",)))
-    asked: Question = questions_of(found, "creep")[0]
-    unlike = SeparationEstimate(separability=0.9, errors=(2.0, 0.1))
-    assert not answers(asked, None, unlike)
-    assert answers(asked, None, replace(unlike, errors=(0.1, 0.1)))
-    assert not answers(
-        asked, replace(unlike, errors=(0.1, 0.1)), replace(unlike, errors=(0.1, 0.1))
-    )
+@pytest.mark.parametrize(("errors", "is_answered"), [((2.0, 0.1), False), ((0.1, 0.1), True)])
+def test_two_that_stay_lost_in_their_errors_are_not_told_apart_however_unlike_they_are(
+    errors: tuple[float, float], is_answered: bool
+) -> None:
+    asked = questions_of(diagnosed(finding("creep", rivals=("thermal_drift",))), "creep")[0]
+    unlike = SeparationEstimate(separability=0.9, errors=errors)
+    best = Alternative(name="drive", why="", estimate=unlike, score=1.0)
+    choice = Choice(question=asked, alternatives=(best,), best=best, recorded=None)
+    assert choice.answers is is_answered

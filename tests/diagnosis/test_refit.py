@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import piezoid.diagnosis.effects as effects
+from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.effect import EffectEstimate
-from piezoid.diagnosis.refit import ModelErrors, refit_model
+from piezoid.diagnosis.refit import ModelErrors, refit_model, repair_recordings
 from piezoid.identification.extensions import CreepLadder, Delay, GainChange, SlewLimit
-from piezoid.identification.hysteresis.pieces import Scales
+from piezoid.identification.hysteresis.pieces import Scales, scales_of
 from piezoid.identification.model import Lag
 from piezoid.identification.simulation import simulate_recording
 from piezoid.records.lab import Acquisition, Lab
@@ -96,18 +97,15 @@ def test_a_repaired_fault_is_worth_what_it_did_to_the_raw_recordings() -> None:
     assert numbers.baseline_m > 1.5 * numbers.final_m
 
 
-def test_the_clock_that_the_laboratory_declares_is_no_finding() -> None:
-    recordings = recordings_of(Delay(delay_s=1e-3))
+@pytest.mark.parametrize("delay_s", [1e-3, 0.0], ids=["held by the clock", "not held"])
+def test_the_clock_that_the_laboratory_declares_is_no_finding(delay_s: float) -> None:
+    """Nor does it make a stage late whose drive moves between samples, as of a generator."""
     declared = Lab(acquisition=Acquisition(sampling_rate_Hz=500.0))
-    numbers = _refitted(recordings, (), lab=declared)
-    assert numbers.baseline_m < 1.3 * NOISE_m
-
-
-def test_a_declared_clock_makes_no_stage_late_whose_recordings_show_no_lag() -> None:
-    """Its drive moves between samples, as that of a generator does."""
-    early = replace(known_model(), lag=Lag(kind="delay", time_s=0.0))
-    declared = Lab(acquisition=Acquisition(sampling_rate_Hz=500.0))
-    numbers = _refitted(recordings_of(), (), lab=declared, model=early)
+    if delay_s:
+        numbers = _refitted(recordings_of(Delay(delay_s=delay_s)), (), lab=declared)
+    else:
+        early = replace(known_model(), lag=Lag(kind="delay", time_s=0.0))
+        numbers = _refitted(recordings_of(), (), lab=declared, model=early)
     assert numbers.baseline_m < 1.3 * NOISE_m
 
 
@@ -116,3 +114,28 @@ def test_a_finding_alone_and_the_baseline_have_the_same_error_without_it() -> No
     found = (EffectEstimate(effect="initial_state"),)
     numbers = _refitted(recordings_of(), found)
     assert numbers.without_m["initial_state"] == pytest.approx(numbers.baseline_m, rel=1e-9)
+
+
+@pytest.mark.usefixtures("plays_alone", "one_order")
+def test_a_model_in_which_nothing_is_wrong_states_its_own_error() -> None:
+    model = known_model()
+    found = diagnose(recordings_of(), axis="x", model=model)
+    assert found.findings == ()
+    assert found.final.rms_m == found.model.quality.held_out_rms_m
+    assert found.final.rms_m == pytest.approx(found.baseline.rms_m, rel=0.02)
+    assert found.final.rms_m == pytest.approx(NOISE_m, rel=0.05)
+
+
+@pytest.mark.usefixtures("plays_alone", "one_order")
+def test_a_repair_changes_the_recording_where_it_was_and_nothing_else() -> None:
+    recordings = recordings_of()
+    spiked = (disturbed(recordings[0], slice(700, 701), 4e-7), recordings[1])
+    view = view_on(spiked, axis="x", lab=Lab())
+    mended = view_on(recordings, axis="x", lab=Lab())
+    scales = scales_of(spiked, "x")
+    first, second = repair_recordings(spiked, "x", view.tracks, mended.tracks, scales)
+    np.testing.assert_allclose(
+        first.displacement_m(), recordings[0].displacement_m(), rtol=0, atol=1e-15
+    )
+    assert second is recordings[1]
+    assert np.array_equal(first.voltage_V(), spiked[0].voltage_V())

@@ -6,7 +6,6 @@ import pytest
 from piezoid.diagnosis.candidate import evaluate
 from piezoid.diagnosis.effects import resonance
 from piezoid.diagnosis.refinement import initial_guess, refine
-from piezoid.diagnosis.refitted_view import SelectedEffect, without_ringing
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.selection import search
@@ -15,15 +14,19 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
 
 from .bench import view_of_recordings
-from .played import HALF_STROKE_m, cycled, memory_after, moved, recorded_as
+from .played import RINGING_NOISE as NOISE
+from .played import HALF_STROKE_m, cycled, memory_after, moved, recorded_as, ringing
 
 FREQUENCY_Hz, QUALITY = 300.0, 38.0
 FAST_Hz = 20.0  # of the triangle: its 15th harmonic lies on the mode
-NOISE = 6e-4  # of half the stroke
 
 
 def triangle(phase: Array) -> Array:
     return 2 / np.pi * np.arcsin(np.sin(2 * np.pi * (phase - 0.25)))
+
+
+def rung(response: Array, rate_Hz: float) -> Array:
+    return mode(response, FREQUENCY_Hz, QUALITY, rate_Hz)
 
 
 def ringing_view() -> View:
@@ -34,14 +37,7 @@ def ringing_view() -> View:
         ("waves", 500.0): np.linspace(0.2, 1.0, 3000) * np.sin(2 * np.pi * 0.7 * count / 500.0),
         ("fast", 5000.0): 0.8 * triangle(FAST_Hz * count / 5000.0),
     }
-    chance = np.random.default_rng(1)
-    found = []
-    for (name, rate_Hz), drive in drives.items():
-        response, _ = moved(drive, memory_after(cycled, float(drive[0])))
-        rung = mode(response, FREQUENCY_Hz, QUALITY, rate_Hz)
-        noise = NOISE * chance.normal(size=len(drive))
-        found.append(recorded_as(name, rate_Hz, drive, HALF_STROKE_m * (rung + noise)))
-    return view_of_recordings(tuple(found), Lab())
+    return view_of_recordings(ringing(drives, rung, np.random.default_rng(1)), Lab())
 
 
 def test_a_sharp_mode_on_a_harmonic_of_the_drive_is_found_at_its_frequency_and_as_sharp() -> None:
@@ -81,8 +77,8 @@ def test_ringing_behind_steps_that_no_sample_resolves_is_no_residual_of_a_mode()
     for (name, fine_Hz), drive in drives.items():
         every = finer if name == "steps" else 1
         static, _ = moved(drive, memory_after(cycled, float(drive[0])))
-        rung = mode(static, FREQUENCY_Hz, QUALITY, fine_Hz)[::every]
-        reading_m = HALF_STROKE_m * (rung + NOISE * chance.normal(size=len(rung)))
+        reading = rung(static, fine_Hz)[::every]
+        reading_m = HALF_STROKE_m * (reading + NOISE * chance.normal(size=len(reading)))
         recordings.append(recorded_as(name, fine_Hz / every, drive[::every], reading_m))
     outcome = search(view_of_recordings(tuple(recordings), Lab()))
     (cause,) = [c for c in outcome.causes if c.effect.name == "resonance"]
@@ -98,32 +94,12 @@ def test_a_mode_is_refitted_where_a_few_loops_say_nothing_of_a_noisy_drive() -> 
         ("middle", 4000.0): 0.95 * triangle(5.0 * count / 4000.0),
         ("noise", 10_000.0): noisy_drive(chance, 0.1),
     }
-    recordings = []
-    for (name, rate_Hz), drive in drives.items():
-        static, _ = moved(drive, memory_after(cycled, float(drive[0])))
-        loops = static + 0.04 * np.sin(3.0 * static)  # a curve that plays follow along loops only
-        reading = mode(loops, FREQUENCY_Hz, QUALITY, rate_Hz) + NOISE * chance.normal(
-            size=len(drive)
-        )
-        recordings.append(recorded_as(name, rate_Hz, drive, HALF_STROKE_m * reading))
-    outcome = search(view_of_recordings(tuple(recordings), Lab()))
+
+    def bent(response: Array, rate_Hz: float) -> Array:
+        """Bend loops by a curve that plays follow along loops only."""
+        return rung(response + 0.04 * np.sin(3.0 * response), rate_Hz)
+
+    recordings = ringing(drives, bent, chance)
+    outcome = search(view_of_recordings(recordings, Lab()))
     (cause,) = [c for c in outcome.causes if c.effect.name == "resonance"]
     assert cause.selected.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.01)
-
-
-def test_what_drives_a_mode_is_told_by_the_recordings_it_leaves_alone() -> None:
-    """Plays that may follow the ringing are off by several times as much there."""
-    view = ringing_view()
-    parameters = {"frequency_Hz": FREQUENCY_Hz, "quality": QUALITY}
-    ringing = SelectedEffect(effect=resonance.EFFECT, parameters=parameters)
-    calm = without_ringing(view, [ringing])
-    assert calm.static_override is not None
-    drive = view.tracks[2].drive
-    truth, _ = moved(drive, memory_after(cycled, float(drive[0])))
-
-    off = [
-        np.std(truth - np.polyval(np.polyfit(static, truth, 1), static))
-        for static in (calm.static_override[2], view.static[2])
-    ]
-    assert off[0] < 0.3 * off[1]
-    assert without_ringing(view, []) is view

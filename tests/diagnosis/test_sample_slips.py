@@ -12,7 +12,7 @@ from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import timestamp_fault
 from piezoid.diagnosis.effects.timestamp_fault import slip_evidence
 from piezoid.diagnosis.residual_view import with_tracks
-from piezoid.diagnosis.sample_slips import delay_like_null, strongest_slips
+from piezoid.diagnosis.sample_slips import delay_like_null, max_slip, strongest_slips
 from piezoid.diagnosis.selection import Outcome, search, with_ingest_faults
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Channel, Quantity
@@ -128,6 +128,21 @@ def test_what_the_drive_of_another_axis_explains_as_well_is_no_slip(is_driven) -
     view = view_on([recording("sweep"), coupled, recording("waves")], axis="x", lab=Lab())
     fault = timestamp_fault.EFFECT.fault.find(view)
     assert fault is None if is_driven else within(fault, 10)
+
+
+@pytest.mark.parametrize("seed", [2, 9])
+def test_a_recording_that_hardly_moves_promises_no_slip_longer_than_may_be(seed) -> None:
+    chance = np.random.default_rng(seed)
+    field = 0.3 + 0.01 * np.sin(2 * np.pi * 1.3 * np.arange(9000) / 9000)
+    wandered = 0.05 * np.cumsum(chance.normal(size=9000)) / np.sqrt(9000)
+    reading_m = STROKE_m * (moved(field) + wandered) + chance.normal(0.0, NOISE_m, 9000)
+    recordings = [recording("sweep"), recording("walk"), recording("waves", reading_m, field)]
+    view = view_on(recordings, axis="x", lab=Lab())
+    slips = strongest_slips(view, delay_like_null(view))
+    assert slips
+    for slip in slips:
+        assert abs(slip.samples) <= max_slip(len(view.tracks[slip.track].drive))
+    assert timestamp_fault.EFFECT.fault.find(view) is None
 
 
 @pytest.mark.slow

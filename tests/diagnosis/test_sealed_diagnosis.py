@@ -2,6 +2,7 @@
 
 import copy
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -13,7 +14,8 @@ from tests.reports.known_diagnosis import diagnosed, finding
 
 WRONG: tuple[Any, ...] = ("x", [[]], {"x": []}, True, None, 7.5)
 KNOWN = diagnosed(finding("creep", 0.3), finding("lag", 0.1))
-WRITTEN = json.loads(write_diagnosis(KNOWN, further_axes=(KNOWN,)))
+KNOWN = replace(KNOWN, not_detected=KNOWN.not_detected[:2])
+WRITTEN = json.loads(write_diagnosis(KNOWN))
 NOT_READ = {"schema", "digest", "unit"}
 
 
@@ -61,3 +63,10 @@ def test_an_entry_of_another_kind_is_refused() -> None:
 
 def test_what_was_written_is_read_back_the_same_for_every_axis() -> None:
     assert read_diagnoses(write_diagnosis(KNOWN, further_axes=(KNOWN,))) == (KNOWN, KNOWN)
+
+
+def test_an_effect_that_nobody_knows_is_refused() -> None:
+    strange = replace(KNOWN.not_detected[0], effect="gremlins")
+    content = write_diagnosis(replace(KNOWN, not_detected=(strange,)))
+    with pytest.raises(ParameterFileError, match="gremlins"):
+        read_diagnoses(content)

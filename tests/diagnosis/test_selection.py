@@ -10,11 +10,7 @@ import piezoid.diagnosis.diagnose as diagnose
 import piezoid.diagnosis.selection as search
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.effects import creep, cross_coupling, initial_state, thermal_drift
-from piezoid.diagnosis.refitted_view import SelectedEffect
-from piezoid.diagnosis.score_test import score_test
-from piezoid.diagnosis.selection import compare_models
 from piezoid.diagnosis.signals import with_displacement
-from piezoid.numerics.executor import SERIAL
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
@@ -57,19 +53,6 @@ def creep_and_an_unknown_memory(share: float) -> Diagnosis:
 @cache
 def drift_alone() -> Diagnosis:
     return diagnose.diagnose(drifting())
-
-
-def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first() -> None:
-    """Creep and drift are none beside each other; without the creep the drift is beyond doubt."""
-    view = view_of_recordings(drifting(), Lab())
-    both = [
-        SelectedEffect(effect=seen.effect, parameters=seen.trial.parameters)
-        for seen in (score_test(effect, view) for effect in (creep.EFFECT, thermal_drift.EFFECT))
-    ]
-    causes, confounded, dismissed = compare_models(view, both, SERIAL)
-    assert [cause.effect.name for cause in causes] == ["thermal_drift"]
-    assert confounded == {"thermal_drift": ("creep",)}
-    assert [cause.effect.name for cause in dismissed] == ["creep"]
 
 
 @pytest.mark.slow

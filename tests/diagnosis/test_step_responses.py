@@ -94,20 +94,14 @@ def humming(followed: Array) -> Array:
         lambda: lagging(static(), 2.0),
         lambda: creeping(static()),
         lambda: humming(static()),
+        lambda: static() + 0.005 * (rung(static(), 61.0, 15.0) - static()),
     ],
-    ids=["at once", "late", "creeping", "humming"],
+    ids=["at once", "late", "creeping", "humming", "ringing below the noise"],
 )
 def test_what_only_follows_a_jump_late_or_hums_as_before_does_not_ring(made) -> None:
     noise_m = np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
     reading_m = STROKE_m * made() + noise_m
     recordings = [recording("sweep"), recording("walk", reading_m, jumping())]
-    assert modes_after_steps(view_on(recordings, axis="x", lab=Lab())) == ()
-
-
-def test_a_ring_that_drowns_in_the_noise_is_no_evidence() -> None:
-    faint = static() + 0.005 * (rung(static(), 61.0, 15.0) - static())
-    noise_m = np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
-    recordings = [recording("sweep"), recording("walk", STROKE_m * faint + noise_m, jumping())]
     assert modes_after_steps(view_on(recordings, axis="x", lab=Lab())) == ()
 
 

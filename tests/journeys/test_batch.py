@@ -13,19 +13,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
+from tests.journeys.command import PIEZOID, started
+
 COUNT = 4
 DEAD = 2  # the stage whose drive never changes
-
-
-def piezoid(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*PIEZOID, *map(str, arguments)],
-        env={**os.environ, "COLUMNS": "400"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
 
 
 def write_night(folder: Path) -> Path:
@@ -100,7 +91,7 @@ def test_a_killed_worker_loses_nothing_and_a_second_start_does_nothing_again(
     assert set(held.values()) == {"passed"}
 
     before = {p: p.stat().st_mtime_ns for p in out.glob("stages/*/*")}
-    again = piezoid("batch", night, "--out", out, "--scheduler", address, "--json")
+    again = started("batch", night, "--out", out, "--scheduler", address, "--json")
     assert json.loads(again.stdout)["passed"] is False
     assert before == {p: p.stat().st_mtime_ns for p in out.glob("stages/*/*")}
 
@@ -111,7 +102,7 @@ def test_a_killed_worker_loses_nothing_and_a_second_start_does_nothing_again(
     assert all(sum(row["play_weight_m_per_V"]) > 0 for row in rows if row["applies"])
 
     (night / "unit-0" / "lab.toml").write_text('[rig]\nname = "another"\n')
-    refused = piezoid("batch", night, "--out", out, "--scheduler", address)
+    refused = started("batch", night, "--out", out, "--scheduler", address)
     assert refused.returncode == 2
     assert "--force" in refused.stderr
     assert before == {p: p.stat().st_mtime_ns for p in out.glob("stages/*/*")}
@@ -119,13 +110,13 @@ def test_a_killed_worker_loses_nothing_and_a_second_start_does_nothing_again(
 
 def test_a_batch_of_nothing_and_a_folder_of_something_else_are_refused(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    nothing = piezoid("batch", tmp_path / "empty", "--out", tmp_path / "out")
+    nothing = started("batch", tmp_path / "empty", "--out", tmp_path / "out")
     assert nothing.returncode == 3
     assert "lab.toml" in nothing.stderr
     write_night(tmp_path / "night")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("precious")
-    mine = piezoid("batch", tmp_path / "night", "--out", tmp_path / "mine")
+    mine = started("batch", tmp_path / "night", "--out", tmp_path / "mine")
     assert mine.returncode == 2
     assert "has no manifest" in mine.stderr
 
@@ -143,6 +134,6 @@ def test_a_batch_that_was_interrupted_goes_on_with_the_stages_that_are_missing(
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130
     assert said == b"interrupted: no file is left half written\n"
-    again = piezoid("batch", night, "--out", out, "--workers", "1", "--quiet")
+    again = started("batch", night, "--out", out, "--workers", "1", "--quiet")
     assert again.returncode == 1, again.stderr  # one stage's drive never changes
     assert len(states(out)) == COUNT

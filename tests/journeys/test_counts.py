@@ -13,8 +13,7 @@ from piezoid.identification.parameters import parameters_of
 from piezoid.identification.store import read_model
 from piezoid.raw_counts import in_counts
 from piezoid_cli.batch_stage import StageTask, calibrate_stage
-from tests.journeys.test_strangers import joined
-from tests.journeys.test_strangers import piezoid as run
+from tests.journeys.command import piezoid as run
 from tests.laws import RATE_Hz, swept_um
 
 # Units in what people read: a number or a label with metres or volts, prefix or not.
@@ -57,7 +56,7 @@ def test_a_stage_in_counts_is_told_in_counts_everywhere(tmp_path: Path) -> None:
     assert found["counted"] == ["displacement", "voltage"]
     assert {one["unit"] for one in found["not_detected"]} == {"counts, rms"}
     assert not (tmp_path / "stage/design.json").exists()
-    assert "the size of one count in m" in joined(done)
+    assert "the size of one count in m" in " ".join(done.output.split())
     run("diagnose", sweep, "--out", tmp_path / "causes")
     told = (
         done.output,

@@ -4,22 +4,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from piezoid.design.design import design_from_json
 from piezoid.errors import DesignError, TemplateError
 from piezoid.identification.dynamics.bandwidth import unmeasured
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.store import write_model
-from piezoid_cli.design import design
 from piezoid_reports.page import Page
 from piezoid_reports.quantities import significant
 from piezoid_reports.render import render
+from tests.journeys.command import piezoid, run
 from tests.reports.known_stage import axis_model, recording, stage_model
 
-APP = typer.Typer()
-APP.command()(design)
 MODEL = replace(
     stage_model(
         replace(
@@ -41,13 +37,8 @@ def stage(tmp_path: Path) -> Path:
     return folder
 
 
-def run(*arguments: str | Path) -> tuple[int, str, BaseException | None]:
-    result = CliRunner(env={"COLUMNS": "160"}).invoke(APP, [str(a) for a in arguments])
-    return result.exit_code, result.output, result.exception
-
-
 def test_a_fitted_stage_gets_both_forms_and_keeps_its_other_files(stage: Path) -> None:
-    status, shown, _ = run(stage)
+    status, shown = run("design", stage)
     assert status == 0
     assert "mpi_dob" in shown
     found = design_from_json((stage / "design.json").read_bytes())
@@ -70,7 +61,7 @@ def test_a_rate_that_lab_toml_states_after_the_fit_is_not_passed_for_the_one_des
     stage: Path,
 ) -> None:
     (stage / "lab.toml").write_text("[acquisition]\nsampling_rate_Hz = 5000\n")
-    status, shown, _ = run(stage)
+    status, shown = run("design", stage)
     assert status == 0
     design = design_from_json((stage / "design.json").read_bytes())
     assert design.axis("x").sampling_rate_Hz == 20e3
@@ -82,7 +73,7 @@ def test_a_rate_that_lab_toml_states_after_the_fit_is_not_passed_for_the_one_des
 def test_what_is_asked_is_asked_of_its_axis(stage: Path, tmp_path: Path) -> None:
     spec = tmp_path / "design.toml"
     spec.write_text("[x]\nbandwidth_Hz = 100\n")
-    status, _, _ = run(stage, "--spec", spec, "--quiet")
+    status, _ = run("design", stage, "--spec", spec, "--quiet")
     assert status == 0
     found = design_from_json((stage / "design.json").read_bytes())
     assert found.axis("x").specification.bandwidth_Hz == 100.0
@@ -91,7 +82,7 @@ def test_what_is_asked_is_asked_of_its_axis(stage: Path, tmp_path: Path) -> None
 def test_what_cannot_be_met_is_refused_and_nothing_is_written(stage: Path, tmp_path: Path) -> None:
     spec = tmp_path / "design.toml"
     spec.write_text("[x]\nbandwidth_Hz = 5000\n")
-    _, _, error = run(stage, "--spec", spec)
+    error = piezoid("design", stage, "--spec", spec).exception
     assert isinstance(error, TemplateError)
     assert error.exit_status == 4
     assert not (stage / "design.json").exists()
@@ -104,7 +95,7 @@ def test_where_one_of_two_axes_cannot_be_met_the_other_is_written(
     (stage / "model.json").write_bytes(write_model(both))
     spec = tmp_path / "design.toml"
     spec.write_text("[y]\nbandwidth_Hz = 5000\n")
-    status, shown, _ = run(stage, "--spec", spec)
+    status, shown = run("design", stage, "--spec", spec)
     assert status == 1
     assert "axis y does not ship" in shown
     found = design_from_json((stage / "design.json").read_bytes())
@@ -118,9 +109,9 @@ def test_where_one_of_two_axes_cannot_be_met_the_other_is_written(
 
 def test_the_rate_may_be_given_where_the_model_has_none(stage: Path) -> None:
     (stage / "model.json").write_bytes(write_model(replace(MODEL, controller_rate_Hz=None)))
-    _, _, error = run(stage)
+    error = piezoid("design", stage).exception
     assert isinstance(error, DesignError)
-    status, _, _ = run(stage, "--rate", "10000")
+    status, _ = run("design", stage, "--rate", "10000")
     assert status == 0
     found = design_from_json((stage / "design.json").read_bytes())
     assert found.axis("x").recommended.members[0].sampling_rate_Hz == 10e3
@@ -128,6 +119,6 @@ def test_the_rate_may_be_given_where_the_model_has_none(stage: Path) -> None:
 
 @pytest.mark.parametrize("rate", ["0", "1e-300", "1e300", "inf"])
 def test_a_rate_at_which_no_controller_runs_is_refused(stage: Path, rate: str) -> None:
-    _, _, error = run(stage, "--rate", rate)
+    error = piezoid("design", stage, "--rate", rate).exception
     assert isinstance(error, DesignError)
     assert "a rate from 1 to 10000000 Hz" in str(error)

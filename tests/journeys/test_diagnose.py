@@ -1,7 +1,6 @@
-"""Recordings of today against the model of last month, and a diagnosis that stumbles."""
+"""`piezoid diagnose`: today against last month, a diagnosis that stumbles, and no drive at all."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +9,17 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
+import piezoid_datasets
 from piezoid.diagnosis import effects
+from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
+from piezoid.errors import ExcitationError
 from piezoid.identification.store import read_model, write_model
+from piezoid.records.collection import collect
 from piezoid_cli.main import app
+from piezoid_datasets.virtual_lab.campaign import draw_campaign
+from piezoid_datasets.virtual_lab.write import write_campaign
 from tests.plays_alone import fit_one_order, fit_plays_alone
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, stage_model
@@ -114,13 +119,13 @@ def stumbling(view: View) -> str:
 
 
 @pytest.fixture(scope="module")
-def crashed_run(sweeps: Path) -> Iterator[Result]:
+def crashed_run(sweeps: Path) -> Result:
     """What a fit says whose catalogue holds that effect, all of it in this process."""
     known = effects.effect_named("outliers")
     added = replace(known, name="stumbling", untestable=stumbling)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(effects, "EFFECTS", (*effects.EFFECTS, added))
-        yield ran("fit", sweeps, "x.csv", "y.csv", "--processes=1", out="stage")
+        return ran("fit", sweeps, "x.csv", "y.csv", "--processes=1", out="stage")
 
 
 def test_a_fault_of_ours_in_a_diagnosis_leaves_model_and_report_and_ends_with_status_1(
@@ -135,3 +140,74 @@ def test_a_fault_of_ours_in_a_diagnosis_leaves_model_and_report_and_ends_with_st
     (other,) = read_diagnoses((sweeps / "stage/diagnosis.json").read_bytes())
     assert other.axis == "y"
     assert "error budget y:" in crashed_run.output
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("plays_alone", "one_order")
+def test_a_tone_of_no_grid_is_told_first_with_its_frequency_and_drawn(tmp_path: Path) -> None:
+    campaign = draw_campaign(91, plans=("sweep", "check"), uncatalogued={"tone": 0.6})
+    write_campaign(campaign, tmp_path)
+    made = tmp_path / "recordings"
+    files = [str(file) for file in sorted(made.glob("*.csv"))]
+    out = tmp_path / "diag"
+    done = CliRunner().invoke(
+        app, ["diagnose", *files, "--lab", str(made / "lab.toml"), "--out", str(out)]
+    )
+    assert done.exit_code == 0, done.output
+    record = json.loads((out / "diagnosis.json").read_text())
+    (finding,) = record["findings"]
+    assert (finding["effect"], finding["coordinate"]) == ("something_else", "frequency")
+    assert finding["size"]["value"] == pytest.approx(6e6 * campaign.rig.stroke_m, rel=0.05)
+    assert f"{finding['parameters']['frequency_Hz']:.5g} Hz" in " ".join(done.output.split())
+    assert record["unexplained"]["p_value"] < 0.05
+    assert "something_else" not in {absent["effect"] for absent in record["not_detected"]}
+    page = (out / "diagnosis.html").read_text()
+    assert "residual against the part of a period" in page
+
+
+@pytest.mark.usefixtures("plays_alone", "one_order")
+def test_a_sweep_a_thousand_times_slower_is_fitted_and_diagnosed(tmp_path: Path) -> None:
+    """Hours for what took seconds: what one block alone determines is nothing but rounding."""
+    lines = piezoid_datasets.recordings()[0].read_text().splitlines()[:1501]
+    rows = [line.partition(",") for line in lines[1:]]
+    text = "".join(f"{1000.0 * float(time):.0f},{rest}\n" for time, _, rest in rows)
+    (tmp_path / "slow.csv").write_text(f"{lines[0]}\n{text}")
+    words = ["diagnose", str(tmp_path / "slow.csv"), "--out", str(tmp_path / "out"), "--quiet"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, (done.output, done.exception)
+    (found,) = read_diagnoses((tmp_path / "out/diagnosis.json").read_bytes())
+    assert found.axis == "x"
+
+
+NO_DRIVE = "Time (s)\tZ (m)"
+SPECTROSCOPY = "Z rel (m)\tCurrent (A)"
+
+
+def write(place: Path, experiment: str, names: str) -> Path:
+    """Write a Nanonis file of two columns: the first rises, the second wanders."""
+    rows = np.column_stack([np.linspace(0.0, 10.0, 400), np.linspace(0.0, 1e-9, 400)])
+    lines = ["\t".join(f"{value:.9e}" for value in row) for row in rows]
+    place.write_text(
+        f"Experiment\t{experiment}\t\nBias>Bias (V)\t0E+0\t\n\n[DATA]\n"
+        + "\n".join([names, *lines])
+        + "\n"
+    )
+    return place
+
+
+@pytest.mark.parametrize(
+    ("experiment", "names", "told"),
+    [("history", NO_DRIVE, "only displacement"), ("Z spectroscopy", SPECTROSCOPY, "no recording")],
+)
+def test_a_file_without_a_drive_is_refused_with_what_is_missing(
+    tmp_path: Path, experiment: str, names: str, told: str
+) -> None:
+    held = collect([write(tmp_path / "drift.dat", experiment, names)])
+    with pytest.raises(ExcitationError, match=f"{told}.*a drive voltage and a displacement"):
+        diagnose(held.recordings)
+
+
+def test_an_axis_that_is_not_there_is_refused_by_its_name() -> None:
+    held = collect([Path("datasets/x_check.csv")])
+    with pytest.raises(ExcitationError, match="displacement of axis y"):
+        diagnose(held.recordings, axis="y")

@@ -10,15 +10,9 @@ import pytest
 
 import piezoid_datasets
 from piezoid.identification.store import read_model
+from tests.journeys.command import started
 
-PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
 LOOP = 10 * (1 - np.cos(2 * np.pi * np.arange(480) / 120)) / 2  # few rows: no loop shape
-
-
-def piezoid(*arguments: str | Path, place: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*PIEZOID, *map(str, arguments)], cwd=place, capture_output=True, text=True, check=False
-    )
 
 
 def write_sweep(path: Path, displacement_um: np.ndarray, heading: str = "pos [um]") -> None:  # type: ignore[type-arg]
@@ -33,7 +27,7 @@ def write_sweep(path: Path, displacement_um: np.ndarray, heading: str = "pos [um
 def test_bundled_sweep_becomes_model_and_report(tmp_path: Path) -> None:
     rows = piezoid_datasets.recordings()[0].read_text().splitlines()[:2501]
     (tmp_path / "sweep.csv").write_text("\n".join(rows) + "\n")
-    done = piezoid("fit", "sweep.csv", "--out", "stage", place=tmp_path)
+    done = started("fit", "sweep.csv", "--out", "stage", place=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "closure" in done.stdout
     model = read_model((tmp_path / "stage" / "model.json").read_bytes())
@@ -61,7 +55,7 @@ def test_a_stage_of_two_axes_is_one_model_one_report_and_a_diagnosis_of_each(
         '[[recording]]\nfile = "y.csv"\naxis = "y"\n'
         'columns = { time = "time [s]", voltage = "voltage [V]", displacement = "pos [um]" }\n'
     )
-    done = piezoid(
+    done = started(
         "fit", "x.csv", "y.csv", "--lab", "lab.toml", "--out", "stage", "--quiet", place=tmp_path
     )
     assert done.returncode in (0, 1), done.stderr
@@ -82,7 +76,7 @@ def test_an_axis_that_another_process_cannot_fit_is_one_message(tmp_path: Path) 
         'columns = { time = "time [s]", voltage = "voltage [V]", displacement = "pos [um]" }\n'
     )
     given = "fit", "x.csv", "y.csv", "--lab", "lab.toml", "--out", "stage", "--quiet"
-    done = piezoid(*given, "--processes", "2", place=tmp_path)
+    done = started(*given, "--processes", "2", place=tmp_path)
     assert done.returncode == 3
     assert "y.csv" in done.stderr
     assert "Traceback" not in done.stderr
@@ -92,7 +86,7 @@ def test_an_axis_that_another_process_cannot_fit_is_one_message(tmp_path: Path) 
 
 def test_a_class_that_does_not_apply_ends_with_status_1_and_a_report(tmp_path: Path) -> None:
     write_sweep(tmp_path / "butterfly.csv", 0.1 * (LOOP - 5) ** 2)
-    done = piezoid("fit", "butterfly.csv", "--out", "stage", place=tmp_path)
+    done = started("fit", "butterfly.csv", "--out", "stage", place=tmp_path)
     assert done.returncode == 1, done.stderr
     assert "does not apply" in done.stdout
     assert (tmp_path / "stage" / "report.html").exists()
@@ -109,7 +103,7 @@ def test_what_is_ambiguous_is_refused_with_the_line_to_write(
     tmp_path: Path, heading: str, status: int, said: str
 ) -> None:
     write_sweep(tmp_path / "sweep.csv", LOOP, heading)
-    done = piezoid("fit", "sweep.csv", "--out", "stage", place=tmp_path)
+    done = started("fit", "sweep.csv", "--out", "stage", place=tmp_path)
     assert done.returncode == status
     assert said in done.stderr
     assert "Traceback" not in done.stderr
@@ -117,16 +111,16 @@ def test_what_is_ambiguous_is_refused_with_the_line_to_write(
 
 
 def test_a_missing_file_is_one_message_and_debug_brings_the_traceback(tmp_path: Path) -> None:
-    done = piezoid("fit", "nowhere.csv", "--out", "stage", place=tmp_path)
+    done = started("fit", "nowhere.csv", "--out", "stage", place=tmp_path)
     assert done.returncode == 3
     assert "nowhere.csv" in done.stderr
     assert "Traceback" not in done.stderr
-    again = piezoid("fit", "nowhere.csv", "--out", "stage", "--debug", place=tmp_path)
+    again = started("fit", "nowhere.csv", "--out", "stage", "--debug", place=tmp_path)
     assert "Traceback" in again.stderr
 
 
 def test_help_names_the_verbs_and_loads_nothing_heavy(tmp_path: Path) -> None:
-    done = piezoid("--help", place=tmp_path)
+    done = started("--help", place=tmp_path)
     assert done.returncode == 0
     assert "fit" in done.stdout
     code = (

@@ -1,8 +1,6 @@
 """A slow sweep and the response of an analyser in, a fast loop out that is stable on the stage."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +15,12 @@ from piezoid.operators.linear import cascade, first_order, resonance, sample
 from piezoid.operators.play import play_columns
 from piezoid.runtime.controller import Controller
 from piezoid_cli.main import app
+from tests.journeys.command import started
 from tests.plays_alone import fit_one_order, fit_plays_alone
 from tests.records.responses import matrix, noisy, response, write_csv, write_matlab
 
 pytestmark = pytest.mark.slow
 
-PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
 RATE_Hz = 20_000.0
 MODE_Hz, QUALITY, AMPLIFIER_Hz, SENSOR_Hz = 640.0, 25.0, 4000.0, 8500.0
 THRESHOLDS_V = np.array([3.0, 8.0, 18.0, 30.0])
@@ -36,17 +34,6 @@ bandwidth_Hz = {SENSOR_Hz}
 sampling_rate_Hz = {RATE_Hz}
 """
 HEADING = "Frequency (Hz),Magnitude (dB re 1 um/V),Phase (deg),Coherence"
-
-
-def piezoid(*arguments: str, place: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*PIEZOID, *arguments],
-        cwd=place,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"COLUMNS": "4000", "OPENBLAS_NUM_THREADS": "1", "PATH": "/usr/bin:/bin"},
-    )
 
 
 def moved(drive_V: Array) -> Array:
@@ -114,7 +101,7 @@ def test_the_report_draws_the_response_and_draws_it_again(folder: Path) -> None:
     page = (folder / "stage" / "report.html").read_text()
     assert "gain as measured, response.csv" in page
     assert "not fitted" in page
-    done = piezoid("report", "stage", "sweep.csv", "response.csv", place=folder)
+    done = started("report", "stage", "sweep.csv", "response.csv", place=folder)
     assert done.returncode == 0, done.stderr
     assert (folder / "stage" / "report.html").read_text() == page
 
@@ -175,10 +162,10 @@ def driven(values: dict, wanted_m: Array) -> Array:  # type: ignore[type-arg]
 
 
 def test_a_response_alone_is_refused_by_fit_and_told_by_inspect(folder: Path) -> None:
-    done = piezoid("fit", "response.csv", "--lab", "lab.toml", "--out", "no", place=folder)
+    done = started("fit", "response.csv", "--lab", "lab.toml", "--out", "no", place=folder)
     assert done.returncode == 3
     assert "no recording over time shows its hysteresis" in done.stderr
-    seen = piezoid("inspect", "response.csv", place=folder)
+    seen = started("inspect", "response.csv", place=folder)
     assert seen.returncode == 0
     assert "a frequency response, 500 mHz to 5.00 kHz, 400 lines" in seen.stdout
     assert "possible resonances at 6" in seen.stdout
@@ -187,7 +174,7 @@ def test_a_response_alone_is_refused_by_fit_and_told_by_inspect(folder: Path) ->
 def test_a_matrix_is_told_with_its_coupling(tmp_path: Path) -> None:
     f = np.geomspace(1.0, 3000.0, 300)
     write_matlab(tmp_path / "stage.mat", f_Hz=f, H_m_per_V=matrix())
-    seen = piezoid("inspect", "stage.mat", place=tmp_path)
+    seen = started("inspect", "stage.mat", place=tmp_path)
     assert seen.returncode == 0, seen.stdout + seen.stderr
     assert "x moves by 2.0 % of y when y is driven" in seen.stdout
     assert "coupling is reported, not controlled" in seen.stdout
@@ -196,7 +183,7 @@ def test_a_matrix_is_told_with_its_coupling(tmp_path: Path) -> None:
 def test_a_response_of_an_axis_without_recording_or_name_is_refused(folder: Path) -> None:
     text = LAB + '[[recording]]\nfile = "response.csv"\naxis = "y"\n'
     (folder / "y.toml").write_text(text)
-    done = piezoid(
+    done = started(
         "fit", "sweep.csv", "response.csv", "--lab", "y.toml", "--out", "no", place=folder
     )
     assert done.returncode == 3

@@ -6,20 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import piezoid_datasets
 from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
-from piezoid.records.lab_draft import as_comments, draft_lab
-from piezoid_cli.main import app
+from piezoid.records.lab_draft import draft_lab
+from tests.journeys.command import run
 
 HOSTILE = ('po"s [um]', "pos\\n [um]", "pos # [um]", "pos\u202e [um]", "pos 'x' [um]")
-
-
-def run(*arguments: str | Path) -> tuple[int, str]:
-    result = CliRunner(env={"COLUMNS": "160"}).invoke(app, ["init", *map(str, arguments)])
-    return result.exit_code, result.output
 
 
 def sweep(path: Path, heading: str = "pos [um]", drive: str = "voltage [V]") -> Path:
@@ -33,7 +27,7 @@ def sweep(path: Path, heading: str = "pos [um]", drive: str = "voltage [V]") -> 
 
 def test_the_lab_file_reads_the_recordings_as_they_were_read_without_it(tmp_path: Path) -> None:
     files = piezoid_datasets.recordings()[:2]
-    status, shown = run(*files, "--out", tmp_path / "lab.toml")
+    status, shown = run("init", *files, "--out", tmp_path / "lab.toml")
     assert status == 0, shown
     assert "x_sweep.csv: text table" in shown
     declared = collect(files, read_lab(tmp_path / "lab.toml")).recordings
@@ -78,7 +72,7 @@ def test_an_ambiguous_file_becomes_an_entry_to_complete_and_the_status_says_so(
     tmp_path: Path,
 ) -> None:
     path = sweep(tmp_path / "a.csv", "pos")
-    status, shown = run(path, "--out", tmp_path / "lab.toml")
+    status, shown = run("init", path, "--out", tmp_path / "lab.toml")
     assert status == 3
     assert "to complete" in shown
     text = (tmp_path / "lab.toml").read_text()
@@ -102,15 +96,15 @@ def test_a_lab_file_that_is_there_is_kept_unless_forced(tmp_path: Path) -> None:
     lab = tmp_path / "lab.toml"
     lab.write_text("precious")
     for words in ((), ("--force",)):
-        status, shown = run(path, "--out", lab, *words)
+        status, shown = run("init", path, "--out", lab, *words)
         assert status == 2
         assert "--force" in shown
         assert lab.read_text() == "precious"
     lab.unlink()
-    run(path, "--out", lab)
+    run("init", path, "--out", lab)
     lab.write_text(lab.read_text() + "# edited\n")
-    assert run(path, "--out", lab)[0] == 2
-    assert run(path, "--out", lab, "--force", "--quiet") == (0, "")
+    assert run("init", path, "--out", lab)[0] == 2
+    assert run("init", path, "--out", lab, "--force", "--quiet") == (0, "")
     assert "# edited" not in lab.read_text()
     assert read_lab(lab).recordings[0].file == "a.csv"
 
@@ -124,12 +118,6 @@ def test_files_are_named_from_the_folder_of_the_lab_file(tmp_path: Path) -> None
     lab = read_lab(tmp_path / "rig" / "lab.toml")
     assert lab.recordings[0].file == "../data/a.csv"
     assert len(lab.entries_of(path)) == 1
-
-
-def test_no_line_of_a_name_escapes_its_comment() -> None:
-    text = as_comments("one\ntwo\r[rig]\u2028three\x0bfour\x00")
-    assert all(line.startswith("# ") for line in text.split("\n")[:-1])
-    assert tomllib.loads(text) == {}
 
 
 def test_a_link_to_itself_becomes_an_entry_to_complete(tmp_path: Path) -> None:

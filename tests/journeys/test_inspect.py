@@ -5,18 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
-from piezoid_cli.inspect import inspect
-
-APP = typer.Typer()
-APP.command()(inspect)
-
-
-def run(*arguments: str | Path) -> tuple[int, str]:
-    result = CliRunner(env={"COLUMNS": "160"}).invoke(APP, [str(a) for a in arguments])
-    return result.exit_code, result.output
+from tests.journeys.command import run
 
 
 @pytest.fixture
@@ -33,7 +23,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_people_see_channels_clock_and_problems(folder: Path) -> None:
-    status, shown = run(folder / "good.csv")
+    status, shown = run("inspect", folder / "good.csv")
     assert status == 0
     for words in (
         "good.csv: text table, 1999 rows",
@@ -48,8 +38,10 @@ def test_people_see_channels_clock_and_problems(folder: Path) -> None:
         assert words in shown
 
 
-def test_every_file_is_shown_even_behind_one_that_is_refused(folder: Path) -> None:
-    status, shown = run(folder / "missing.csv", folder / "scope.csv", folder / "good.csv")
+def test_every_file_is_shown_behind_one_that_is_refused(folder: Path) -> None:
+    status, shown = run(
+        "inspect", folder / "missing.csv", folder / "scope.csv", folder / "good.csv"
+    )
     assert status == 3
     assert "No such file" in shown
     assert 'file = "scope.csv"' in shown
@@ -58,7 +50,7 @@ def test_every_file_is_shown_even_behind_one_that_is_refused(folder: Path) -> No
 
 def test_a_name_without_end_does_not_fill_the_screen(folder: Path) -> None:
     np.savez(folder / "long.npz", **{"n" * 60_000: np.arange(9.0), "m" * 60_000: np.arange(3.0)})
-    status, shown = run(folder / "long.npz")
+    status, shown = run("inspect", folder / "long.npz")
     assert status == 3
     assert len(shown) < 20_000
 
@@ -69,13 +61,13 @@ def test_lab_toml_makes_a_recording_of_what_was_refused(folder: Path) -> None:
         '[[recording]]\nfile = "scope.csv"\nsampling_rate_Hz = 10\n'
         'columns = { voltage = "CH1", displacement = "CH2" }\nunits = { displacement = "um" }\n'
     )
-    status, shown = run(folder / "scope.csv", "--lab", lab)
+    status, shown = run("inspect", folder / "scope.csv", "--lab", lab)
     assert status == 0
     assert "axis x, 10 Hz" in shown
 
 
 def test_scripts_read_json(folder: Path) -> None:
-    status, text = run("--json", folder / "good.csv", folder / "scope.csv")
+    status, text = run("inspect", "--json", folder / "good.csv", folder / "scope.csv")
     assert status == 3
     content = json.loads(text)
     assert content["schema"] == "piezoid.inspection/1"

@@ -4,18 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from piezoid.digests import digest_of_file
 from piezoid.identification.store import write_model
-from piezoid_cli.main import app
+from tests.journeys.command import piezoid
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
-
-
-def run(*arguments: str | Path) -> tuple[int, str]:
-    result = CliRunner().invoke(app, ["report", *map(str, arguments)])
-    return result.exit_code, f"{result.output}{result.exception or ''}"
 
 
 @pytest.fixture
@@ -48,9 +42,9 @@ def sections(stage: Path) -> set[str]:
 
 
 def test_without_recordings_the_page_says_what_it_lacks(stage: Path) -> None:
-    status, said = run(stage)
-    assert status == 0, said
-    assert "without loops and residuals" in said
+    done = piezoid("report", stage)
+    assert done.exit_code == 0, (done.output, done.exception)
+    assert "without loops and residuals" in f"{done.output}{done.exception}"
     assert {"summary", "parameters", "limits", "provenance"} <= sections(stage)
     assert "loops" not in sections(stage)
     assert "made without the recordings" in (stage / "report.html").read_text()
@@ -58,8 +52,8 @@ def test_without_recordings_the_page_says_what_it_lacks(stage: Path) -> None:
 
 
 def test_with_the_recordings_of_the_fit_the_loops_are_drawn(stage: Path, sweep: Path) -> None:
-    status, said = run(stage, sweep)
-    assert status == 0, said
+    done = piezoid("report", stage, sweep)
+    assert done.exit_code == 0, (done.output, done.exception)
     assert {"loops", "residuals"} <= sections(stage)
     assert "made without the recordings" not in (stage / "report.html").read_text()
 
@@ -67,18 +61,18 @@ def test_with_the_recordings_of_the_fit_the_loops_are_drawn(stage: Path, sweep: 
 def test_any_other_file_is_refused_and_the_old_page_stays(stage: Path, sweep: Path) -> None:
     (stage / "report.html").write_text("old")
     sweep.write_text(sweep.read_text().replace("0.0000", "0.0001", 1))
-    status, said = run(stage, sweep, "--force")
-    assert status != 0
-    assert "sweep.csv has other contents" in said
+    done = piezoid("report", stage, sweep, "--force")
+    assert done.exit_code != 0
+    assert "sweep.csv has other contents" in f"{done.output}{done.exception}"
     assert (stage / "report.html").read_text() == "old"
 
 
 def test_a_changed_bit_is_refused_and_the_old_page_stays(stage: Path) -> None:
-    assert run(stage)[0] == 0
+    assert piezoid("report", stage).exit_code == 0
     (stage / "report.html").write_text("old")
     content = (stage / "model.json").read_bytes()
     (stage / "model.json").write_bytes(content.replace(b"bench", b"bench2", 1))
-    status, said = run(stage, "--force")
-    assert status != 0
-    assert "digest" in said
+    done = piezoid("report", stage, "--force")
+    assert done.exit_code != 0
+    assert "digest" in f"{done.output}{done.exception}"
     assert (stage / "report.html").read_text() == "old"

@@ -6,22 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from piezoid.identification.fit import rig_of
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
-from piezoid_cli.fit import fit
 from piezoid_datasets.virtual_lab.stage import Stage
 from piezoid_datasets.virtual_lab.truths.return_point import draw_preisach
 from piezoid_datasets.virtual_lab.write import csv_text, lab_toml
+from tests.journeys.command import run
 from tests.plays_alone import fit_one_order, fit_plays_alone
 from tests.servo import servo_stage, triangles
 
-APP = typer.Typer()
-APP.command()(fit)
 BANDWIDTH_Hz = 10.0
 LAG_s = 1.0 / (2.0 * np.pi * BANDWIDTH_Hz)
 
@@ -40,9 +36,9 @@ def servo(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, dict[str,
     with pytest.MonkeyPatch.context() as patch:
         fit_plays_alone(patch)
         fit_one_order(patch)
-        result = CliRunner(env={"COLUMNS": "400"}).invoke(APP, [str(a) for a in arguments])
+        status, shown = run("fit", *arguments)
     model: dict[str, Any] = json.loads((folder / "out" / "model.json").read_bytes())
-    return result.exit_code, result.output, model["axes"]["x"]
+    return status, shown, model["axes"]["x"]
 
 
 def test_a_wide_loop_that_is_only_lag_is_reported_as_lag(

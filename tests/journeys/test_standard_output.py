@@ -2,12 +2,12 @@
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
+from tests.journeys.command import PIEZOID
+
 ROWS = "".join(f"{k / 100},{k % 9},{2 * (k % 9)}\n" for k in range(60))
 
 

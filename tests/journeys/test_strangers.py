@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import Result
-from typer.testing import CliRunner
 
 import piezoid as piezoid_library
 from piezoid.diagnosis.diagnose import diagnose
@@ -17,16 +16,12 @@ from piezoid.identification.fit_statements import Grade, fit_statements, grade_o
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import IN_SAMPLE
 from piezoid.numerics.arrays import Array
-from piezoid_cli.main import app
 from piezoid_datasets.virtual_lab.signals import first_order
 from tests.diagnosis.bench import causes
+from tests.journeys.command import piezoid
 from tests.laws import LAWS, RATE_Hz, recorded, swept_um, triangles, write
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
-
-
-def piezoid(*arguments: str | Path) -> Result:
-    return CliRunner(env={"COLUMNS": "120"}).invoke(app, [str(word) for word in arguments])
 
 
 def joined(done: Result) -> str:
@@ -72,16 +67,6 @@ def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
     assert all(loop["certificate"] is None for loop in axis["loops"])
 
 
-def test_phase_lag_alone_is_called_so(tmp_path: Path) -> None:
-    field = triangles(6, 500)
-    late = first_order(first_order(field, 0.03, RATE_Hz, -1.0), 0.05, RATE_Hz, -1.0)
-    axis = fitted(tmp_path, field, 40 * late + noise_um(len(field)))
-    assert not axis.verdict.applies
-    assert "is phase lag, not hysteresis" in axis.verdict.reason
-    # corners of the residual are no outliers
-    assert not any("single readings" in remark for remark in axis.verdict.remarks)
-
-
 def test_a_lag_whose_corners_an_envelope_follows_is_called_lag(tmp_path: Path) -> None:
     """A servo of 60 rad/s, damping 0.66, asymmetric triangles: an objective's positioner."""
     field = np.tile(np.concatenate([np.linspace(-1, 1, 500), np.linspace(1, -1, 900)]), 5)
@@ -108,48 +93,40 @@ def test_noise_on_a_drive_that_rests_is_no_sweep(tmp_path: Path) -> None:
     assert "hysteresis" not in said
 
 
-def test_a_diagnosis_of_a_class_that_does_not_apply_says_why_none_was_made(tmp_path: Path) -> None:
-    field = triangles(4, 400)
-    polarised = 2 * LAWS["preisach"](field) - 1
-    sweep = write(tmp_path / "sweep.csv", field, 10 * polarised**2 + noise_um(len(field)))
-    said = joined(piezoid("diagnose", sweep, "--out", tmp_path / "diagnosis"))
-    assert "No effect was tested" in said
-    assert "butterfly" in said
-
-
-def test_cycles_that_grow_ever_smaller_are_a_change_of_gain(tmp_path: Path) -> None:
-    """No drift, though the middle sinks as well, and no error of the sensor."""
-    field = np.tile(triangles(1, 60), 40)
-    gain = 1.0 - 0.03 * np.arange(len(field)) / len(field)
-    moved_um = 10 * gain * LAWS["preisach"](field)
-    found = diagnose([recorded(tmp_path, field, moved_um + noise_um(len(field)))])
-    assert causes(found) == ("gain_change",)
-    low, high = found.findings[0].size.ci95
-    assert -3.4 < low < -2.96 < high < -2.6
-
-
-def test_half_a_stroke_on_one_branch_is_no_hysteresis_model(tmp_path: Path) -> None:
-    field = np.linspace(-1.0, 0.0, 125)
-    axis = fitted(tmp_path, field, 10 * LAWS["wall_pinning"](field) + noise_um(125))
-    assert "branch" in facts_of(axis)
-    assert grade_of(axis) is Grade.POOR
-
-
-def test_a_loop_at_one_speed_may_be_lag(tmp_path: Path) -> None:
-    field = triangles(6, 500)
-    late = first_order(10 * LAWS["duhem"](field), 0.02, RATE_Hz, -10.0)
-    axis = fitted(tmp_path, field, late + noise_um(len(field)))
-    (speed,) = [fact for fact in fit_statements(axis) if fact.quantity == "speed"]
-    assert "ten times slower" in speed.text
-    assert grade_of(axis) is Grade.LIMITED
-
-
-def test_what_is_odd_about_a_recording_is_stated_beside_what_it_lacks(tmp_path: Path) -> None:
-    field = triangles(8, 300)
-    slipped_um = 10 * LAWS["preisach"](field) + noise_um(2400) + 0.9 * (np.arange(2400) >= 1000)
-    axis = fitted(tmp_path, field, slipped_um)
-    assert {"speed", "zero_jump"} <= facts_of(axis)
-    assert grade_of(axis) is not Grade.GOOD
+@pytest.mark.parametrize(
+    ("field", "law", "lag_s", "slip_um", "lacks", "grades"),
+    [
+        (np.linspace(-1.0, 0.0, 125), "wall_pinning", 0.0, 0.0, {"branch"}, {Grade.POOR}),
+        (triangles(6, 500), "duhem", 0.02, 0.0, {"speed"}, {Grade.LIMITED}),
+        (
+            triangles(8, 300),
+            "preisach",
+            0.0,
+            0.9,
+            {"speed", "zero_jump"},
+            {Grade.POOR, Grade.LIMITED},
+        ),
+    ],
+    ids=["half a stroke", "one speed may be lag", "a slip beside one speed"],
+)
+def test_what_a_recording_lacks_and_what_is_odd_about_it_are_stated(
+    tmp_path: Path,
+    field: Array,
+    law: str,
+    lag_s: float,
+    slip_um: float,
+    lacks: set[str],
+    grades: set[Grade],
+) -> None:
+    moved_um = 10 * LAWS[law](field)
+    if lag_s:
+        moved_um = first_order(moved_um, lag_s, RATE_Hz, -10.0)
+    slipped_um = slip_um * (np.arange(len(field)) >= 1000)
+    axis = fitted(tmp_path, field, moved_um + slipped_um + noise_um(len(field)))
+    facts = {fact.quantity: fact.text for fact in fit_statements(axis)}
+    assert lacks <= set(facts)
+    assert grade_of(axis) in grades
+    assert not lag_s or "ten times slower" in facts["speed"]
 
 
 def test_a_drive_drawn_anew_at_every_sample_turns_all_the_time(tmp_path: Path) -> None:

@@ -5,18 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from piezoid.errors import RecordingError
 from piezoid.identification.fit import fit as fit_model
 from piezoid.identification.fit import refuse_duplicate_names
-from piezoid.identification.store import read_model, write_model
 from piezoid.records.collection import collect
-from piezoid_cli.fit import fit
-
-APP = typer.Typer()
-APP.command()(fit)
+from tests.journeys.command import run
 
 DECAY_per_m = 20e9  # (20 / 10.246)^2 = 3.81 eV
 FLOOR_A = 2e-14
@@ -39,15 +33,10 @@ def write_sweep(path: Path, rng: np.random.Generator, *, top_A: float = 5e-10) -
     return path
 
 
-def run(*arguments: str | Path) -> tuple[int, str]:
-    result = CliRunner(env={"COLUMNS": "200"}).invoke(APP, [str(a) for a in arguments])
-    return result.exit_code, result.output
-
-
 def test_a_stage_of_one_spectroscopy_gives_barrier_model_and_report(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:
-    status, shown = run(write_sweep(tmp_path / "z.dat", rng), "--out", tmp_path / "stage")
+    status, shown = run("fit", write_sweep(tmp_path / "z.dat", rng), "--out", tmp_path / "stage")
     assert status == 0
     assert "Apparent barrier 3.8" in shown
     record = json.loads((tmp_path / "stage" / "model.json").read_bytes())
@@ -60,24 +49,11 @@ def test_a_stage_of_one_spectroscopy_gives_barrier_model_and_report(
     assert 'id="loops"' not in page
 
 
-def test_the_model_with_its_junction_comes_back_to_the_last_bit(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
-    held = collect([write_sweep(tmp_path / "z.dat", rng)])
-    model = fit_model(held.recordings, sweeps=held.sweeps)
-    content = write_model(model)
-    back = read_model(content)
-    assert back.tunnelling == model.tunnelling
-    assert back.tunnelling is not None
-    assert back.tunnelling.shift is not None
-    assert write_model(back) == content
-
-
 def test_a_weak_spectroscopy_says_low_confidence_and_every_reason(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:
     weak = write_sweep(tmp_path / "weak.dat", rng, top_A=20 * FLOOR_A)
-    _, shown = run(weak, "--out", tmp_path / "stage")
+    _, shown = run("fit", weak, "--out", tmp_path / "stage")
     assert "low confidence" in shown
     assert "decades above three times its noise" in shown
     assert (
@@ -121,7 +97,7 @@ def test_a_current_over_time_is_said_to_be_unused(
 
 def test_the_published_recording_gives_the_published_decay(realdata: Path, tmp_path: Path) -> None:
     path = realdata / "stm_current_vs_z" / "z.dat"
-    status, shown = run(path, "--out", tmp_path / "stage")
+    status, shown = run("fit", path, "--out", tmp_path / "stage")
     assert status == 0
     assert "high confidence" in shown
     record = json.loads((tmp_path / "stage" / "model.json").read_bytes())["tunnelling"]

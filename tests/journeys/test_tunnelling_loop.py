@@ -9,30 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from piezoid.errors import LabFileError
 from piezoid.identification.store import read_model, write_model
-from piezoid.identification.tunnelling.junction import join_barriers
-from piezoid.identification.tunnelling.loop_files import loops_of, period_of
+from piezoid.identification.tunnelling.loop_files import loops_of
 from piezoid.records.collection import collect
 from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, read_lab
-from piezoid_cli.fit import fit
-from piezoid_cli.simulate import simulate
+from tests.journeys.command import run
 
 pytestmark = pytest.mark.slow
 
 RANGE = ("input_range_V", "dac_bits", "adc_bits")  # of the converters
-APP = typer.Typer()
-APP.command()(fit)
-APP.command()(simulate)
-
-
-def run(*arguments: str | Path) -> tuple[int, str]:
-    result = CliRunner(env={"COLUMNS": "300"}).invoke(APP, [str(a) for a in arguments])
-    return result.exit_code, result.output
 
 
 @pytest.fixture(scope="module")
@@ -145,24 +133,16 @@ def test_an_extension_declared_wrong_makes_sweeps_and_loop_disagree_aloud(
     assert low < found["gap_law"]["barrier_eV"] < found["loop_plant"]["barrier_eV"] < high
 
 
-def test_the_report_shows_the_loop_and_the_naive_estimate(fitted: tuple[Path, str]) -> None:
+def test_model_and_report_keep_the_loop_and_the_naive_estimate(
+    fitted: tuple[Path, str],
+) -> None:
     folder, shown = fitted
-    page = (folder / "report.html").read_text()
-    for words in (
-        'id="tunnelling"',
-        "Spectra in the closed loop: loop_1.csv",
-        "naive barrier",
-        "resolution of the drive",
-        "mains, 60 Hz",
-        "Sweeps and loop agree",
-    ):
-        assert words in page
-    assert "Closed loop: apparent barrier" in shown
-
-
-def test_the_model_with_its_loop_comes_back_to_the_last_bit(fitted: tuple[Path, str]) -> None:
-    content = (fitted[0] / "model.json").read_bytes()
+    content = (folder / "model.json").read_bytes()
     assert write_model(read_model(content)) == content
+    page = (folder / "report.html").read_text()
+    assert 'id="tunnelling"' in page
+    assert "naive barrier" in page
+    assert "Closed loop: apparent barrier" in shown
 
 
 def test_inspection_calls_the_dither_a_reference(made: Path) -> None:
@@ -203,25 +183,6 @@ def test_what_lab_toml_lacks_or_has_wrong_is_refused_with_what_to_write(
         (tmp_path / recording.name).touch()  # those that lab.toml is about
     with pytest.raises(LabFileError, match=told):
         _read(made / "recordings" / "loop_1.csv", read_lab(place))
-
-
-def test_a_period_is_found_and_only_where_there_is_one(rng: np.random.Generator) -> None:
-    once = rng.standard_normal(250)
-    assert period_of(np.round(np.tile(once, 4)[:930], 7)) == 250
-    assert period_of(rng.standard_normal(900)) is None
-    assert period_of(np.ones(100)) is None
-
-
-def test_two_barriers_that_differ_are_not_averaged() -> None:
-    sweeps = (20.65e9, (20.4e9, 20.9e9))
-    same = join_barriers(sweeps, (20.0e9, (19.0e9, 21.0e9)))
-    other = join_barriers(sweeps, (15.0e9, (14.5e9, 15.5e9)))
-    assert same.agree
-    assert same.decay_per_m == pytest.approx(20.65e9, rel=5e-3)
-    assert not other.agree
-    assert other.decay_per_m is None
-    assert other.decay_interval_per_m == (14.5e9, 20.9e9)
-    assert other.ratio == pytest.approx(15.0 / 20.65, rel=1e-3)
 
 
 def test_too_short_a_tip_is_a_usage_error(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from piezoid.diagnosis.diagnosis import (
     BudgetPart,
     Diagnosis,
-    FinalError,
     Finding,
     HeldOut,
     NotDetected,
@@ -43,7 +42,7 @@ def diagnosed(*findings: Finding) -> Diagnosis:
         axis="x",
         stroke_m=STROKE_m,
         baseline=HeldOut(rms_m=5e-8, rms_percent=0.2),
-        final=FinalError(rms_m=3e-8, rms_percent=0.12, explained_rms_m=2.5e-8),
+        final=HeldOut(rms_m=3e-8, rms_percent=0.12, explained_rms_m=2.5e-8),
         envelope_rms_m=2.2e-8,
         noise_floor_rms_m=5e-9,
         explained_fraction=0.64,

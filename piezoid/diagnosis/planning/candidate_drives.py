@@ -1,59 +1,58 @@
 """Candidate experiments of a plan, each with its drive.
 
-Each drive begins with cycles over the whole range, and begins and ends at rest. Slow drives are
-played at a part of the converter's clock, so that a file of minutes stays readable.
+Each drive begins with two cycles over the whole range, which determine the initial state of every
+play, and begins and ends at rest. Every waveform stays within the limits. Slow drives are played
+at a part of the converter's clock, so that a file of minutes stays readable.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.diagnosis.planning.drive_limits import Bench, Drive, DriveLimits
-from piezoid.diagnosis.planning.waveforms import (
-    decaying_loops,
-    equal_cycles,
-    held_levels,
-    multisine_period,
-    odd_lines,
-    path_V,
-    rest_V,
-    reversal_curves,
-    rising_ramps,
-    sine_grid,
-    with_lead_in,
-)
 from piezoid.errors import ExcitationError
 from piezoid.numerics.arrays import Array
 
 SLOW_Hz = 500.0
 SLOWER_Hz = 100.0
-AMPLITUDES = (1.0, 0.3, 0.1)  # of the grid of sines, of half the range
-GRID_Hz = (0.97, 3.1, 9.7, 31.0, 97.0, 310.0)  # low harmonics miss the mains
+AMPLITUDES = (0.1, 0.3, 1.0)  # of the grid of sines, of half the range
+GRID_Hz = (310.0, 97.0, 31.0, 9.7, 3.1, 0.97)  # low harmonics miss the mains
+SINE_s, MIN_CYCLES = 0.5, 3  # of one sine of the grid
 ROWS = 20.0  # of the fastest sine
 RAMP_ROWS = 1000.0  # of the fastest triangle
+RAMP_SHARES = np.geomspace(0.1, 1.0, 8)  # speeds of the triangles, of the slew limit
 MULTISINE_RMS = 0.02  # of half the range, before the slew limit
 MULTISINE_PERIODS = 10
+CREST_TRIALS = 20  # draws of phases; the one with the lowest peak is taken
+CYCLES_BEFORE = 2
+CYCLE_s = 2.0  # of one such cycle, where the slew limit allows
+FULL_AT_Hz = 100.0  # fastest sine of the full range, to protect the mechanics
+GLIDE = np.pi / 2  # peak speed of half a cosine over its mean speed
+CURVES = 10  # first-order reversal curves
+HOLD_s = 8.0  # of a level
 
-Voltages = tuple[float, Array, dict[str, Array]]  # rate in Hz, (samples,) volts, and of other axes
-VoltageFunction = Callable[[Bench, np.random.Generator], Voltages]
-Waveform = Callable[[Bench, float, np.random.Generator], Array]  # (..., rate in Hz, ...) -> volts
+Waveform = Callable[[DriveLimits, float, np.random.Generator], Array]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
     """A candidate drive.
 
-    name         of the drive
-    why          purpose, in one sentence
-    drive        (bench, generator) -> rate in Hz, (samples,) volts of the axis, and of other axes
-    needs_other  whether another axis must be driven
+    name        of the drive
+    why         purpose, in one sentence
+    waveform    (limits, rate in Hz, generator) -> (samples,) volts of the axis; None: the axis
+                rests while every other axis moves
+    highest_Hz  largest rate at which it is played, or a function of the limits
     """
 
     name: str
     why: str
-    drive: VoltageFunction
-    needs_other: bool = False
+    waveform: Waveform | None
+    highest_Hz: float | Callable[[DriveLimits], float] = SLOW_Hz
 
 
 def drive_of(experiment: Experiment, bench: Bench, seed: int) -> Drive:
@@ -61,49 +60,171 @@ def drive_of(experiment: Experiment, bench: Bench, seed: int) -> Drive:
 
     Raises ``ExcitationError`` where the bench cannot play it.
     """
-    if experiment.needs_other and not bench.other_limits:
-        raise ExcitationError(
-            "no other axis is known to the model or to lab.toml",
-            needed="another axis that can be driven",
-            remedy="Record its drive as well.",
-        )
-    rate_Hz, voltage_V, others_V = experiment.drive(bench, np.random.default_rng(seed))
-    low_V, high_V = bench.limits.voltage_min_V, bench.limits.voltage_max_V
+    limits, highest_Hz, waveform = bench.limits, experiment.highest_Hz, experiment.waveform
+    highest_Hz = highest_Hz(limits) if callable(highest_Hz) else highest_Hz
+    rate_Hz = bench.clock_Hz / max(int(np.ceil(bench.clock_Hz / highest_Hz - 1e-9)), 1)
+    if waveform is None:
+        voltage_V, others_V = _other_axes(bench, rate_Hz)
+    else:
+        body_V, others_V = waveform(limits, rate_Hz, np.random.default_rng(seed)), {}
+        voltage_V = with_lead_in(body_V, rate_Hz, limits)
     return Drive(
         name=experiment.name,
         why=experiment.why,
         sampling_rate_Hz=rate_Hz,
         axes=(bench.axis, *others_V),
-        voltage_V=np.column_stack([np.clip(voltage_V, low_V, high_V), *others_V.values()]),
+        voltage_V=np.column_stack([np.clip(voltage_V, *limits.range_V), *others_V.values()]),
     )
 
 
-def divided_clock_Hz(clock_Hz: float, highest_Hz: float) -> float:
-    """Return the clock divided by the smallest integer such that it is not above a rate."""
-    return clock_Hz / max(int(np.ceil(clock_Hz / highest_Hz - 1e-9)), 1)
+def rest_V(limits: DriveLimits) -> float:
+    """Return the voltage within the limits that is nearest to 0 V."""
+    return float(np.clip(0.0, limits.voltage_min_V, limits.voltage_max_V))
 
 
-def at_rate(highest_Hz: float, waveform: Waveform) -> VoltageFunction:
-    """Return a function for the drive of this axis alone, at the clock divided by an integer.
+def with_lead_in(body_V: Array, rate_Hz: float, limits: DriveLimits) -> Array:
+    """Return a drive preceded by cycles over the whole range and followed by a return to rest."""
+    full_cycle_V = (limits.voltage_max_V, limits.voltage_min_V)
+    stops_V = [rest_V(limits), *full_cycle_V * CYCLES_BEFORE, float(body_V[0])]
+    lead_in_V = path_V(stops_V, limits, rate_Hz, move_s=CYCLE_s / 2)
+    return_V = path_V([float(body_V[-1]), rest_V(limits)], limits, rate_Hz, move_s=CYCLE_s / 2)
+    return np.concatenate([lead_in_V, body_V, return_V])
 
-    highest_Hz  largest rate at which the drive is played
+
+def path_V(
+    stops_V: Sequence[float],
+    limits: DriveLimits,
+    rate_Hz: float,
+    *,
+    move_s: float,
+    hold_s: float = 0.0,
+) -> Array:
+    """Return a drive through voltages, with half-cosine moves and holds.
+
+    move_s  of each move; longer if the slew limit requires it
     """
+    parts = [np.array([stops_V[0]])]
+    for start_V, stop_V in pairwise(stops_V):
+        time_s = max(move_s, GLIDE * abs(stop_V - start_V) / limits.slew_V_per_s)
+        count = max(int(np.ceil(time_s * rate_Hz)), 1)
+        share = 0.5 * (1.0 - np.cos(np.pi * np.arange(1, count + 1) / count))
+        parts += [start_V + (stop_V - start_V) * share, np.full(round(hold_s * rate_Hz), stop_V)]
+    return np.concatenate(parts)
 
-    def drive(bench: Bench, rng: np.random.Generator) -> Voltages:
-        rate_Hz = divided_clock_Hz(bench.clock_Hz, highest_Hz)
-        return rate_Hz, with_lead_in(waveform(bench, rate_Hz, rng), rate_Hz, bench.limits), {}
 
-    return drive
+def decaying_loops(
+    limits: DriveLimits,
+    rate_Hz: float,
+    _: np.random.Generator | None = None,
+    *,
+    frequency_Hz: float,
+    cycles: int,
+) -> Array:
+    """Return triangles about the middle with decaying amplitude: nested minor loops."""
+    middle_V, reach_V = _middle(limits)
+    frequency_Hz = min(frequency_Hz, limits.slew_V_per_s / (4.5 * reach_V))
+    phase = np.arange(round(cycles / frequency_Hz * rate_Hz)) * frequency_Hz / rate_Hz
+    amplitude_V = reach_V * (1.0 - phase / cycles)
+    return middle_V + np.asarray(amplitude_V) * _triangle(np.asarray(phase))
 
 
-def _small_multisine(bench: Bench, rate_Hz: float, rng: np.random.Generator) -> Array:
-    limits, samples = bench.limits, round(rate_Hz)
-    low_V, high_V = limits.voltage_min_V, limits.voltage_max_V
+def equal_cycles(
+    limits: DriveLimits,
+    rate_Hz: float,
+    _: np.random.Generator | None = None,
+    *,
+    frequency_Hz: float,
+    cycles: int,
+) -> Array:
+    """Return equal sine cycles."""
+    middle_V, reach_V = _middle(limits)
+    frequency_Hz = min(frequency_Hz, limits.slew_V_per_s / (2 * np.pi * reach_V))
+    phase = np.arange(round(cycles / frequency_Hz * rate_Hz)) * frequency_Hz / rate_Hz
+    return np.asarray(middle_V + reach_V * np.sin(2 * np.pi * phase))
+
+
+def reversal_curves(limits: DriveLimits, rate_Hz: float, _: np.random.Generator) -> Array:
+    """Return first-order reversal curves: from the top down to ever lower turns and back."""
+    top_V, low_V = limits.voltage_max_V, limits.voltage_min_V
+    turns = np.linspace(top_V, low_V, CURVES + 1)[1:]
+    stops = [top_V, *(stop for turn in turns.tolist() for stop in (turn, top_V))]
+    return path_V(stops, limits, rate_Hz, move_s=1.0)
+
+
+def held_levels(
+    limits: DriveLimits,
+    rate_Hz: float,
+    rng: np.random.Generator,
+    *,
+    levels: int,
+    mirrored: bool = False,
+) -> Array:
+    """Return random levels, each held; if ``mirrored``, followed by their mirror image."""
+    middle_V, reach_V = _middle(limits)
+    shares = rng.uniform(-0.95, 0.95, levels)
+    shares = np.concatenate([shares, -shares]) if mirrored else shares
+    stops_V = (middle_V + reach_V * shares).tolist()
+    return path_V([limits.voltage_min_V, *stops_V], limits, rate_Hz, move_s=0.05, hold_s=HOLD_s)
+
+
+def sine_grid(limits: DriveLimits, rate_Hz: float, _: np.random.Generator) -> Array:
+    """Return sines of every amplitude and frequency in the slew limit, small and fast first."""
+    middle_V, reach_V = _middle(limits)
+    parts = [np.array([middle_V])]
+    for share in AMPLITUDES:
+        for frequency_Hz in GRID_Hz:
+            speed_V_per_s = 2 * np.pi * frequency_Hz * share * reach_V
+            is_too_fast = speed_V_per_s > limits.slew_V_per_s or share * frequency_Hz > FULL_AT_Hz
+            if is_too_fast or frequency_Hz > rate_Hz / ROWS:
+                continue
+            cycles = max(round(SINE_s * frequency_Hz), MIN_CYCLES)
+            count = round(cycles / frequency_Hz * rate_Hz)
+            phase = cycles * np.arange(1, count + 1) / count
+            parts.append(middle_V + share * reach_V * np.sin(2 * np.pi * phase))
+    return np.concatenate(parts)
+
+
+def rising_ramps(limits: DriveLimits, rate_Hz: float, _: np.random.Generator) -> Array:
+    """Return full triangles whose speed rises from a share of the slew limit up to it."""
+    low_V, reach_V = limits.voltage_min_V, _middle(limits)[1]
+    parts = [np.array([low_V])]
+    for share in RAMP_SHARES:
+        frequency_Hz = share * limits.slew_V_per_s / (4.5 * reach_V)
+        count = max(round(2.0 / frequency_Hz * rate_Hz), 8)
+        phase = 2.0 * np.arange(1, count + 1) / count
+        parts.append(low_V + reach_V * (1.0 + _triangle(phase - 0.25)))
+    return np.concatenate(parts)
+
+
+def ramp_rate_Hz(limits: DriveLimits) -> float:
+    """Return the rate that resolves the fastest triangle."""
+    fastest_Hz = limits.slew_V_per_s / (2.0 * (limits.voltage_max_V - limits.voltage_min_V))
+    return max(RAMP_ROWS * fastest_Hz, SLOWER_Hz)
+
+
+def constant_drive(
+    limits: DriveLimits, rate_Hz: float, _: np.random.Generator, *, time_s: float
+) -> Array:
+    """Return mid-range."""
+    return np.full(round(time_s * rate_Hz), 0.5 * sum(limits.range_V))
+
+
+def slow_ramp(limits: DriveLimits, rate_Hz: float, _: np.random.Generator) -> Array:
+    """Return one slow cycle over the whole range."""
+    return path_V([*limits.range_V, limits.voltage_min_V], limits, rate_Hz, move_s=40.0)
+
+
+def small_multisine(limits: DriveLimits, rate_Hz: float, rng: np.random.Generator) -> Array:
+    """Return periods of a small multisine about mid-range.
+
+    Raises ``ExcitationError`` if it exceeds the slew limit.
+    """
+    samples, (middle_V, reach_V) = round(rate_Hz), _middle(limits)
     lines = odd_lines(5.0, rate_Hz / 10.0, 1.0, left_out_of=4, rng=rng)
     # the rms speed of equal lines, with room for a peak of four times as much
     rms_rad_per_s = 2 * np.pi * float(np.sqrt(np.mean(lines.astype(float) ** 2)))
-    rms_V = min(MULTISINE_RMS * (high_V - low_V) / 2, limits.slew_V_per_s / (5.0 * rms_rad_per_s))
-    period_V = 0.5 * (low_V + high_V) + rms_V * multisine_period(lines, samples, rng)
+    rms_V = min(MULTISINE_RMS * reach_V, limits.slew_V_per_s / (5.0 * rms_rad_per_s))
+    period_V = middle_V + rms_V * multisine_period(lines, samples, rng)
     slew_V_per_s = float(np.abs(np.diff(period_V, append=period_V[0])).max()) * rate_Hz
     if slew_V_per_s > limits.slew_V_per_s:
         raise ExcitationError(
@@ -114,9 +235,56 @@ def _small_multisine(bench: Bench, rate_Hz: float, rng: np.random.Generator) -> 
     return np.tile(period_V, MULTISINE_PERIODS)
 
 
-def _other_axes(bench: Bench, _: np.random.Generator) -> Voltages:
+def odd_lines(
+    lowest_Hz: float,
+    highest_Hz: float,
+    resolution_Hz: float,
+    *,
+    left_out_of: int,
+    rng: np.random.Generator,
+) -> NDArray[np.int64]:
+    """Return odd multiples of the resolution in a band, with one of each group left out at random.
+
+    left_out_of  size of a group; the line left out detects odd distortion, as all even lines
+                 detect even distortion. 0: no line is left out
+    """
+    first = int(np.ceil(lowest_Hz / resolution_Hz))
+    lines = np.arange(first + 1 - first % 2, int(highest_Hz / resolution_Hz) + 1, 2)
+    if left_out_of > 1:
+        groups = len(lines) // left_out_of
+        silent = np.arange(groups) * left_out_of + rng.integers(0, left_out_of, groups)
+        lines = np.delete(lines, silent)
+    return np.asarray(lines, dtype=np.int64)
+
+
+def multisine_period(lines: NDArray[np.int64], samples: int, rng: np.random.Generator) -> Array:
+    """Return one period of a random-phase multisine of equal lines and rms 1, (samples,).
+
+        u(t) = sum_k cos(2 pi k f_0 t + phi_k)         [Pintelon & Schoukens 2012]
+
+    Of several draws of the phases the one with the lowest peak is taken.
+
+    lines  multiples of the inverse period that it contains
+    """
+
+    def period(phase_rad: Array) -> Array:
+        spectrum = np.zeros(samples // 2 + 1, dtype=np.complex128)
+        spectrum[lines] = np.exp(1j * phase_rad)
+        wave = np.fft.irfft(spectrum, samples)
+        return np.asarray(wave / np.sqrt(np.mean(wave**2)))
+
+    draws = rng.uniform(0.0, 2.0 * np.pi, (CREST_TRIALS, len(lines)))
+    return min((period(draw) for draw in draws), key=lambda wave: float(np.abs(wave).max()))
+
+
+def _other_axes(bench: Bench, rate_Hz: float) -> tuple[Array, dict[str, Array]]:
     """Hold this axis at mid-range while every other axis runs decaying loops."""
-    rate_Hz = divided_clock_Hz(bench.clock_Hz, SLOW_Hz)
+    if not bench.other_limits:
+        raise ExcitationError(
+            "no other axis is known to the model or to lab.toml",
+            needed="another axis that can be driven",
+            remedy="Record its drive as well.",
+        )
     second, middle_V = round(rate_Hz), 0.5 * sum(bench.limits.range_V)
     loops = {
         axis: decaying_loops(limits, rate_Hz, frequency_Hz=0.7, cycles=10)
@@ -130,126 +298,99 @@ def _other_axes(bench: Bench, _: np.random.Generator) -> Voltages:
     own_V = with_lead_in(np.full(longest + 2 * second, middle_V), rate_Hz, bench.limits)
     settled = int(np.flatnonzero(own_V == middle_V)[-longest - second])
     begin = max(settled, *map(len, approach.values()))
-    own_V = np.pad(own_V, (begin - settled, 0), mode="edge")
-    others_V = {}
+    drives = {bench.axis: np.pad(own_V, (begin - settled, 0), mode="edge")}
     for axis, limits in bench.other_limits.items():
         zero_V, loop_V = rest_V(limits), loops[axis]
         wait_V = np.full(begin - len(approach[axis]), zero_V)
         return_V = path_V([float(loop_V[-1]), zero_V], limits, rate_Hz, move_s=1.0)
-        others_V[axis] = np.concatenate([wait_V, approach[axis], loop_V, return_V])
-    samples = max(len(own_V), *map(len, others_V.values()))
-
-    def padded(drive_V: Array) -> Array:
-        return np.pad(drive_V, (0, samples - len(drive_V)), mode="edge")
-
-    return rate_Hz, padded(own_V), {axis: padded(drive_V) for axis, drive_V in others_V.items()}
-
-
-def _ramps(bench: Bench, rng: np.random.Generator) -> Voltages:
-    low_V, high_V = bench.limits.range_V
-    fastest_Hz = bench.limits.slew_V_per_s / (2.0 * (high_V - low_V))
-    drive = at_rate(
-        max(RAMP_ROWS * fastest_Hz, SLOWER_Hz),
-        lambda b, f, _: rising_ramps(b.limits, f, slowest=0.1, steps=8),
-    )
-    return drive(bench, rng)
+        drives[axis] = np.concatenate([wait_V, approach[axis], loop_V, return_V])
+    samples = max(map(len, drives.values()))
+    others_V = {
+        axis: np.pad(drive_V, (0, samples - len(drive_V)), mode="edge")
+        for axis, drive_V in drives.items()
+    }
+    return others_V.pop(bench.axis), others_V
 
 
-def _held_levels(levels: int, *, mirrored: bool) -> VoltageFunction:
-    return at_rate(
-        SLOWER_Hz,
-        lambda b, f, rng: held_levels(
-            b.limits, f, levels=levels, hold_s=8.0, mirrored=mirrored, rng=rng
-        ),
-    )
+def _triangle(phase: Array) -> Array:
+    """Return a triangle with the reversals of the sine of 2 pi phase."""
+    return np.asarray(2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * phase)))
 
 
-def _constant_drive(limits: DriveLimits, rate_Hz: float, time_s: float) -> Array:
-    return np.full(round(time_s * rate_Hz), 0.5 * sum(limits.range_V))
+def _middle(limits: DriveLimits) -> tuple[float, float]:
+    low_V, high_V = limits.range_V
+    return 0.5 * (low_V + high_V), 0.5 * (high_V - low_V)
 
 
 EXPERIMENTS: tuple[Experiment, ...] = (
     Experiment(
         name="quasi_static_loops",
         why="Slow nested minor loops: hysteresis without creep or dynamics.",
-        drive=at_rate(
-            SLOW_Hz, lambda b, f, _: decaying_loops(b.limits, f, frequency_Hz=0.5, cycles=12)
-        ),
+        waveform=partial(decaying_loops, frequency_Hz=0.5, cycles=12),
     ),
     Experiment(
         name="reversal_curves",
         why="First-order reversal curves: from the top down to ten ever lower turns and back.",
-        drive=at_rate(
-            SLOW_Hz, lambda b, f, _: reversal_curves(b.limits, f, curves=10, move_s=1.0)
-        ),
+        waveform=reversal_curves,
     ),
     Experiment(
         name="held_levels",
         why="Random levels, each held: motion at constant drive, with the sign of the step.",
-        drive=_held_levels(20, mirrored=False),
+        waveform=partial(held_levels, levels=20),
+        highest_Hz=SLOWER_Hz,
     ),
     Experiment(
         name="held_levels_mirrored",
         why="Random levels and the same mirrored: creep changes sign with the steps, drift "
         "does not.",
-        drive=_held_levels(10, mirrored=True),
+        waveform=partial(held_levels, levels=10, mirrored=True),
+        highest_Hz=SLOWER_Hz,
     ),
     Experiment(
         name="sine_grid",
         why="Sines of every amplitude at every frequency: which errors grow with speed, and at "
         "which amplitudes.",
-        drive=at_rate(
-            ROWS * max(GRID_Hz),
-            lambda b, f, _: sine_grid(
-                b.limits,
-                f,
-                shares=AMPLITUDES,
-                frequencies_Hz=[line_Hz for line_Hz in GRID_Hz if line_Hz <= f / ROWS],
-                block_s=0.5,
-            ),
-        ),
+        waveform=sine_grid,
+        highest_Hz=ROWS * max(GRID_Hz),
     ),
     Experiment(
         name="small_multisine",
         why="Small motion up to a tenth of the sampling rate: gain and phase without hysteresis.",
-        drive=at_rate(np.inf, _small_multisine),  # at the clock itself
+        waveform=small_multisine,
+        highest_Hz=np.inf,  # the clock itself
     ),
     Experiment(
         name="other_axis",
         why="This axis at constant drive while the others move: cross-coupling.",
-        drive=_other_axes,
-        needs_other=True,
+        waveform=None,
     ),
     Experiment(
         name="fast_ramps",
         why="Full triangles at rising speed up to the slew limit.",
-        drive=_ramps,
+        waveform=rising_ramps,
+        highest_Hz=ramp_rate_Hz,
     ),
     Experiment(
         name="long_hold",
         why="Five minutes at one level: creep and drift.",
-        drive=at_rate(SLOWER_Hz, lambda b, f, _: _constant_drive(b.limits, f, 300.0)),
+        waveform=partial(constant_drive, time_s=300.0),
+        highest_Hz=SLOWER_Hz,
     ),
     Experiment(
         name="idle",
         why="The drive at rest, sampled fast: the sensor noise and disturbances.",
-        drive=at_rate(2000.0, lambda b, f, _: _constant_drive(b.limits, f, 20.0)),
+        waveform=partial(constant_drive, time_s=20.0),
+        highest_Hz=2000.0,
     ),
     Experiment(
         name="equal_cycles",
         why="The same full cycle many times: changes with time.",
-        drive=at_rate(
-            SLOW_Hz, lambda b, f, _: equal_cycles(b.limits, f, frequency_Hz=0.97, cycles=40)
-        ),
+        waveform=partial(equal_cycles, frequency_Hz=0.97, cycles=40),
     ),
     Experiment(
         name="slow_ramp",
         why="The whole range once, slowly, up and down.",
-        drive=at_rate(
-            1000.0,
-            lambda b, f, _: path_V(
-                [*b.limits.range_V, b.limits.voltage_min_V], b.limits, f, move_s=40.0
-            ),
-        ),
+        waveform=slow_ramp,
+        highest_Hz=1000.0,
     ),
 )

@@ -21,7 +21,6 @@ from piezoid.errors import ExcitationError
 
 HALF_95 = 1.96  # standard errors
 POWER = 2.8  # standard errors of the smallest size that is detected in four cases of five
-MAX_LEFT = 0.8  # largest remaining share after a recording that is worth its time
 WIDE = 0.25  # half the interval over the size from which a size is worth a recording
 UNTESTED_SHARE = 2e-3  # of the stroke: assumed size of an effect that was not tested
 LOWERABLE = 1.25  # detection limit over the smallest size that is named
@@ -90,7 +89,8 @@ def questions_of(diagnosis: Diagnosis, effect: str | None) -> tuple[Question, ..
 
 def _every_question(diagnosis: Diagnosis) -> list[Question]:
     """Return the effects to separate, the sizes to tighten, and the effects to detect."""
-    questions, stroke_m, findings = [], diagnosis.stroke_m, diagnosis.findings
+    questions, detections = [], []
+    stroke_m, findings = diagnosis.stroke_m, diagnosis.findings
     shares = {finding.effect: finding.share for finding in findings}
     suspects = {finding.effect: suspect_of(finding, stroke_m) for finding in findings}
     for finding in findings:
@@ -100,34 +100,35 @@ def _every_question(diagnosis: Diagnosis) -> list[Question]:
             if suspect and alternative:
                 pair = (suspect, alternative)
                 questions.append(Question(kind="separate", suspects=pair, finding=finding))
-    for finding in sorted(findings, key=_relative_width, reverse=True):
+    for finding in sorted(findings, key=lambda f: f.size.relative_width, reverse=True):
         suspect = suspects[finding.effect]
         if suspect:
             further = tuple(s for s in suspects.values() if s and s.name != finding.effect)
             questions.append(
                 Question(kind="tighten", suspects=(suspect, *further), finding=finding)
             )
-    limits_m = [
-        (inf if absent.detection_limit_m is None else absent.detection_limit_m, absent)
-        for absent in diagnosis.not_detected
-    ]
-    for limit_m, absent in sorted(limits_m, key=lambda pair: pair[0], reverse=True):
-        share = UNTESTED_SHARE if limit_m == inf else limit_m / stroke_m
+    for absent in diagnosis.not_detected:
+        limit_m = absent.detection_limit_m
+        share = UNTESTED_SHARE if limit_m is None else limit_m / stroke_m
         suspect = _suspect(absent.effect, share, stroke_m)
         if suspect is None:
             continue
         min_gain = effect_named(absent.effect).minimum_gain
         floor_m = max(MINIMUM_SHARE * stroke_m, diagnosis.envelope_rms_m * sqrt(2.0 * min_gain))
-        questions.append(
+        detections.append(
             Question(kind="detect", suspects=(suspect,), absent=absent, floor_m=floor_m)
         )
-    return questions
+
+    def limit(question: Question) -> float:
+        return inf if question.limit_m is None else question.limit_m
+
+    return [*questions, *sorted(detections, key=limit, reverse=True)]
 
 
 def is_open(question: Question) -> bool:
     """Tell whether a question is worth a recording."""
     if question.kind == "tighten":
-        return question.finding is not None and _relative_width(question.finding) > WIDE
+        return question.finding is not None and question.finding.size.relative_width > WIDE
     return question.limit_m is None or question.limit_m > LOWERABLE * question.floor_m
 
 
@@ -149,19 +150,6 @@ def _suspect(name: str, share: float, stroke_m: float) -> Suspect | None:
 def _tangent_of(name: str) -> Tangent | str | None:
     """Return the tangent of an effect, or the reason for having none; None if it is unknown."""
     return next((effect.tangent for effect in every_effect() if effect.name == name), None)
-
-
-def _relative_width(finding: Finding) -> float:
-    """Return half the interval of a size over the size."""
-    return finding.size.half_width / max(abs(finding.size.value), 1e-30)
-
-
-def answers(
-    question: Question, recorded: SeparationEstimate | None, planned: SeparationEstimate
-) -> bool:
-    """Tell whether a drive answers enough of a question to be worth recording."""
-    exceed_errors = question.kind != "separate" or POWER * planned.worst <= 1.0
-    return exceed_errors and remaining_uncertainty(question, recorded, planned) <= MAX_LEFT
 
 
 def remaining_uncertainty(
@@ -188,8 +176,7 @@ def expected_half(
 
     Without the recordings, the information of the planned drive is added to that of the diagnosis.
     """
-    if question.finding is None:
-        raise TypeError("no size was diagnosed")
+    assert question.finding is not None
     size, error = question.finding.size, planned.errors[0]
     half = size.half_width
     if recorded is not None and isfinite(recorded.errors[0]):

@@ -91,47 +91,41 @@ def _estimate_json(
 
 def _size_json(plan: Plan) -> Mapping[str, Any]:
     """Return the diagnosed size or detection limit, and the expected one."""
-    question = plan.question
+    question, estimates = plan.question, (plan.recorded, plan.planned)
     if question.finding is None:
         return {
             "unit": "m, rms",
             "detection_limit": question.limit_m,
-            "expected_detection_limit": expected_limit_m(question, plan.recorded, plan.planned),
+            "expected_detection_limit": expected_limit_m(question, *estimates),
         }
     size = question.finding.size
     return {
         "unit": size.unit,
         "value": size.value,
         "half": size.half_width,
-        "expected_half": expected_half(question, plan.recorded, plan.planned),
+        "expected_half": expected_half(question, *estimates),
     }
 
 
 def sentences(plan: Plan) -> tuple[str, ...]:
     """Return reason, drive, expectation and remaining questions of a plan."""
-    question = plan.question
+    question, limits = plan.question, plan.limits
+    drive = (
+        f"{plan.drive.name}, {plan.duration_s:.0f} s at {plan.drive.sampling_rate_Hz:g} Hz "
+        f"between {limits.voltage_min_V:.4g} and {limits.voltage_max_V:.4g} V"
+    )
     if question.kind == "detect" and not is_open(question):
         return (
             f"These recordings show {words(question.effects[0])} from "
             f"{with_unit(question.limit_m or 0.0, 'm')} rms, the smallest size that a diagnosis "
             "reports: no recording is needed.",
-            f"The best drive for a check is {_drive_text(plan)}.",
+            f"The best drive for a check is {drive}.",
         )
-    drive, set_aside = f"{_drive_text(plan)}. {plan.drive.why}", []
-    for earlier in plan.set_aside:
-        first, *further = map(words, earlier.effects)
-        if earlier.kind == "separate":
-            set_aside.append(f"{first} or {further[0]}")
-        elif earlier.kind == "tighten":
-            set_aside.append(f"the size of {first}")
-        else:
-            set_aside.append(f"whether there is {first}")
-    unanswered = "; ".join(set_aside)
+    verdict = "No drive answers this within these limits; the best is"
+    unanswered = "; ".join(map(_topic, plan.set_aside))
     texts = (
         _reason(question),
-        f"Play {drive}"
-        if plan.answers
-        else f"No drive answers this within these limits; the best is {drive}",
+        f"{'Play' if plan.answers else verdict} {drive}. {plan.drive.why}",
         _expectation(plan),
         ALONE if plan.recorded is None else "",
         plan.forbids,
@@ -142,12 +136,13 @@ def sentences(plan: Plan) -> tuple[str, ...]:
     return tuple(text for text in texts if text)
 
 
-def _drive_text(plan: Plan) -> str:
-    drive, limits = plan.drive, plan.limits
-    return (
-        f"{drive.name}, {plan.duration_s:.0f} s at {drive.sampling_rate_Hz:g} Hz between "
-        f"{limits.voltage_min_V:.4g} and {limits.voltage_max_V:.4g} V"
-    )
+def _topic(question: Question) -> str:
+    first, *further = map(words, question.effects)
+    return {
+        "separate": f"{first} or {' or '.join(further)}",
+        "tighten": f"the size of {first}",
+        "detect": f"whether there is {first}",
+    }[question.kind]
 
 
 def _reason(question: Question) -> str:

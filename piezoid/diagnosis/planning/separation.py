@@ -21,8 +21,9 @@ from itertools import combinations
 from typing import cast
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from piezoid.diagnosis.drive_response import DriveResponse, null_columns, side_by_side
+from piezoid.diagnosis.drive_response import DriveResponse, null_columns
 from piezoid.diagnosis.effect import Tangent
 from piezoid.numerics.arrays import Array
 
@@ -125,7 +126,7 @@ def block_of(tangent: Tangent, scale: float, drives: Sequence[DriveResponse]) ->
     """Return an effect's columns at the rows of all drives, (rows, columns)."""
     blocks = [tangent.columns(drive, scale)[drive.rows] for drive in drives]
     if tangent.per_drive:
-        return side_by_side(blocks)
+        return np.asarray(block_diag(*blocks))
     width = max(block.shape[1] for block in blocks)
     return np.vstack([np.pad(b, ((0, 0), (0, width - b.shape[1]))) for b in blocks])
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from piezoid.diagnosis.planning.waveforms import multisine_period, odd_lines
+from piezoid.diagnosis.planning.candidate_drives import multisine_period, odd_lines
 from piezoid.identification.dynamics.frequency_response import (
     FrequencyResponse,
     PeriodicData,
