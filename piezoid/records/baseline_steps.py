@@ -89,6 +89,10 @@ def split_at_baseline_steps(recording: Recording) -> Recording:
         # Lost fringes have multiples of one size.
         sizes_m = np.array([abs(step.size) for step in steps])
         cause = "slips of the stage or its mount, or a sensor that loses its zero"
+        if len(steps) == 1:
+            cause = (
+                "a slip of the stage or its mount, or a lost zero of the sensor (one step only)"
+            )
         smallest = (float(sizes_m.min()), "an interferometer or a counter")
         for unit_m, sensor in (*FRINGES, smallest) if len(steps) > 1 else ():
             multiples = sizes_m / unit_m

@@ -27,7 +27,6 @@ from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.columns import Assignment, assign_columns
 from piezoid.records.ingest import ingest_table, parts_of
 from piezoid.records.lab import Lab, RecordingEntry
-from piezoid.records.lab_tables import lab_error
 from piezoid.records.readers import read_table_in_chunks
 from piezoid.records.readers.source import open_source
 from piezoid.records.recording import Quantity, Recording
@@ -182,10 +181,11 @@ class _ThinnedFile:
     def recordings(self) -> list[Recording]:
         """Return a recording of each axis; refuse a file without samples, drive or response."""
         if self._first is None or self._selected < 2:
-            raise lab_error(
+            raise LabFileError(
                 f"{self._name} from {self._entry.start_s} s to {self._entry.stop_s} s holds "
                 f"{self._selected} of {self._read} samples",
-                "at least two samples; start_s and stop_s count from the first sample of the file",
+                needed="at least two samples",
+                remedy="Correct start_s and stop_s, counted from the first sample of the file.",
             )
         if not self._thinnings:
             kinds = sorted({channel.quantity.name.lower() for channel in self._first.channels})

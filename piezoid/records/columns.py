@@ -14,7 +14,6 @@ from piezoid.errors import LabFileError, UnitError
 from piezoid.numerics.arrays import Array
 from piezoid.records.column_roles import DIMENSION_OF, Meaning, meaning_of
 from piezoid.records.lab import Lab, RecordingEntry
-from piezoid.records.lab_tables import lab_error
 from piezoid.records.recording import Quantity
 from piezoid.records.table import Column, RawTable
 from piezoid.records.units import Dimension, Unit, unit_of
@@ -194,10 +193,11 @@ def clocks_of(table: RawTable) -> list[Column]:
 def missing_column(table: RawTable, lab: Lab, key: str, name_or_number: str | int) -> LabFileError:
     """Return the error for a column that lab.toml names and the file does not have."""
     columns = ", ".join(f"{c.number} {c.label!r}" for c in table.columns[:20])
-    return lab_error(
+    return LabFileError(
         f"{lab.place}: {table.name} has no column {name_or_number!r} of its own for {key!r}, only "
         f"{columns}",
-        "one column of the file, by heading or by number from 1, for each name",
+        needed="one column of the file, by heading or by number from 1, for each name",
+        remedy=f"Correct 'columns' of the entry for {table.name}.",
     )
 
 
@@ -205,16 +205,18 @@ def check_entry_names(lab: Lab, entry: RecordingEntry) -> None:
     """Refuse names and units of a ``[[recording]]`` that no recording over time has."""
     for key in (*entry.columns, *entry.units, *entry.scale, *entry.offset):
         if key != "time" and key.partition("_")[0] not in QUANTITIES:
-            raise lab_error(
+            raise LabFileError(
                 f"{lab.place}: [[recording]] {entry.file!r} names {key!r}",
-                f"one of time, {', '.join(QUANTITIES)}, with an axis as in voltage_y",
+                needed=f"one of time, {', '.join(QUANTITIES)}, with an axis as in voltage_y",
+                remedy="Correct the name.",
             )
     for key, symbol in entry.units.items():
         unit = unit_of(symbol)
         if unit is None or (unit.dimension is Dimension.OTHER and not unit.is_counted):
-            raise lab_error(
+            raise LabFileError(
                 f"{lab.place}: [[recording]] {entry.file!r}: the unit of {key} is {symbol!r}",
-                "a unit of time, voltage, length, current, temperature or humidity",
+                needed="a unit of time, voltage, length, current, temperature or humidity",
+                remedy="Write s, ms, V, mV, m, um, nm, A, nA, K, degC, %, counts or the like.",
             )
 
 
@@ -371,6 +373,7 @@ def ambiguous_columns(table: RawTable, problem: str) -> UnitError:
         needed="one meaning, one axis and one unit for every column that is read",
         remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
         f"columns:\n\n{entry_template(table)}\n",
+        columns=tuple(column.label for column in table.columns),
     )
 
 

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from msgspec import structs
 
-from piezoid.errors import RecordingError, UnitError
+from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.raw_counts import record_in_counts
 from piezoid.records.baseline_steps import split_at_baseline_steps
 from piezoid.records.checks import check_recording
@@ -32,7 +32,6 @@ from piezoid.records.invalid_samples import (
     invalid_statement,
 )
 from piezoid.records.lab import Lab, RecordingEntry
-from piezoid.records.lab_tables import lab_error
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid.records.row_alignment import (
     Rows,
@@ -111,11 +110,15 @@ def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[P
         shifted = entry
         if entry is not None:
             # Start and stop of the entry count from the beginning of the part.
-            start_s = (entry.start_s or 0.0) - first_s
-            stop_s = None if entry.stop_s is None else entry.stop_s - first_s
-            if start_s >= last_s - first_s or (stop_s is not None and stop_s <= 0.0):
+            start_s = 0.0 if entry.start_s is None else entry.start_s
+            stop_s = np.inf if entry.stop_s is None else entry.stop_s
+            if start_s >= last_s or stop_s <= first_s:
                 continue
-            shifted = structs.replace(entry, start_s=max(start_s, 0.0), stop_s=stop_s)
+            shifted = structs.replace(
+                entry,
+                start_s=start_s - first_s if start_s > first_s else None,
+                stop_s=stop_s - first_s if stop_s < last_s else None,
+            )
         part = table.part(slice(start, stop), f"{table.name} (part {k} of {len(segments)})")
         part = replace(part, statements=(*part.statements, statement))
         parts.append((part, shifted))
@@ -221,6 +224,8 @@ def _make_channels(
 
 # Smallest and largest range of a moving channel, in SI units.
 _POSSIBLE = {Quantity.DISPLACEMENT: (1e-13, 1.0), Quantity.VOLTAGE: (1e-6, 1e6)}
+_USUAL_m = (1e-8, 1e-3)
+_LENGTHS_m = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
 
 
 def _refuse_impossible_sizes(
@@ -234,12 +239,19 @@ def _refuse_impossible_sizes(
         is_moved = channel.quantity is Quantity.VOLTAGE or channel.axis in driven
         if channel.is_counted or size == 0.0 or not (size > high or (size < low and is_moved)):
             continue
+        usual = [
+            unit
+            for unit, factor in _LENGTHS_m.items()
+            if channel.quantity is Quantity.DISPLACEMENT
+            and _USUAL_m[0] <= size / assigned.unit.factor * factor <= _USUAL_m[1]
+        ]
         unit = channel.quantity.value
+        instead = f"In {' or '.join(usual)} it would be usual. " if usual else ""
         raise UnitError(
             f"{table.name}: {assigned.column.place} in {assigned.unit.symbol} goes over "
             f"{size:.3g} {unit}",
             needed=f"a range from {low:g} to {high:g} {unit}",
-            remedy="Write its true unit under units of its [[recording]] in lab.toml.",
+            remedy=f"{instead}Write its unit under units of its [[recording]] in lab.toml.",
         )
 
 
@@ -253,10 +265,11 @@ def _select_axis(
     axes = sorted({c.axis for c in channels})
     if entry.axis is not None:
         if entry.axis not in axes:
-            raise lab_error(
+            raise LabFileError(
                 f"{lab_file}: {entry.file} is declared as a recording of axis {entry.axis!r}, its "
                 f"columns are of {', '.join(axes)}",
-                "the axis of one of its columns",
+                needed="the axis of one of its columns",
+                remedy="Correct the axis, or name the columns.",
             )
         return entry.axis, []
     displaced = {c.axis for c in channels if c.quantity is Quantity.DISPLACEMENT}
@@ -326,9 +339,10 @@ def _clock(
         clock_Hz = clock.sampling_rate_Hz
     declared_Hz = entry.sampling_rate_Hz
     if declared_Hz is not None and abs(declared_Hz - clock_Hz) > _RATE_TOLERANCE * clock_Hz:
-        raise lab_error(
+        raise LabFileError(
             f"{lab.place}: sampling_rate_Hz of {table.name} is {declared_Hz:.9g} Hz, the file's "
             f"clock runs at {clock_Hz:.9g} Hz",
-            "one rate, or no time column",
+            needed="one rate, or no time column",
+            remedy="Correct the rate or the unit of the time column.",
         )
     return clock

@@ -80,9 +80,11 @@ class Inspection:
 
     name              the file's name
     digest, format    None if the file could not be read
+    rows, columns     of its table
     axis              of the recording, None if it is refused
     axis_is_named     whether a heading or lab.toml names the axis; otherwise it is x
-    levels_V          at which the drive turns
+    sampling_rate_Hz, duration_s, breaks, reversals, levels_V
+                      of the recording; the drive turns at the voltages levels_V
     counted           quantities in counts of a converter, of ``displacement`` and ``voltage``
     response          summary of a frequency response, which has no rate and no duration
     statements        all problems of the file, each with its place

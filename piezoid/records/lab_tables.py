@@ -98,8 +98,9 @@ class Tunnelling(Table, frozen=True, kw_only=True):
                            (latched) until an operator intervenes
     lost_s                 duration of an unusable current after which the tip is retracted
     search_m               > 0: distance beyond its last contact that the tip searches for a lost
-                           surface. The tip moves so far towards the surface when the current
-                           sensor has failed: a gap is 0.4 to 1 nm wide
+                           surface. A step down of the surface and a dead current sensor look the
+                           same: the tip finds lower steps by itself, and moves so far towards the
+                           surface when the sensor has failed. A gap is 0.4 to 1 nm wide
     approach_m_per_s       speed of the approach; default: the largest that the loop allows
     """
 
@@ -159,22 +160,26 @@ class RecordingEntry(Table, frozen=True, kw_only=True):
 
     file              name, relative to the folder of lab.toml
     axis              axis of the recording
-    columns           heading, or number from 1, of ``time``, ``voltage``, ``displacement``,
-                      ``current``, ``temperature``, ``humidity`` and ``reference`` (an independent
-                      dither), each also with ``_x``, ``_y``, ``_z``; other columns are not read.
+    columns           ``time``, ``voltage``, ``displacement``, ``current``, ``temperature``,
+                      ``humidity``, ``reference``, each also with ``_x``, ``_y``, ``_z``: a
+                      heading, or a number from 1; other columns are not read. A reference is
+                      a dither of the set point or of the drive, independent of all measurements.
                       Of a frequency response ``frequency`` with ``magnitude`` and ``phase``,
                       ``real`` and ``imaginary``, or ``response`` (a complex array), ``coherence``
                       and ``excitation``, each also with ``_x``, or ``_xy``: x moves, y is driven
     units             by the same names
-    scale             by the same names: factor after the unit, as -1 for a polarity, 15 for volts
-                      of a monitor, or SI units per count
-    offset            by the same names: constant added after the scale, in SI units
+    scale             by the same names: factor that is applied after the unit. It reverses a
+                      polarity (-1), converts volts of a monitor (15), or converts counts (in SI
+                      units per count)
+    offset            by the same names: constant that is added after the scale, in SI units
     sampling_rate_Hz  of this file, if it has no time column
     start_s, stop_s   the part to use, in seconds from the first sample
     reverse           whether the newest row is the first
-    includes          poles that a frequency response was measured through; default: both
-    separator, decimal, heading_row   of a text table: the character between fields (a blank for
-                      any white space), ``.`` or ``,``, and the line of the headings, from 1
+    includes          poles of the rig that a frequency response was measured through, of
+                      ``amplifier`` and ``sensor``; default: both
+    separator, decimal, heading_row   layout of a text table: the character between fields
+                      (a blank for any white space), ``.`` or ``,``, and the line of the headings,
+                      from 1
     """
 
     file: str

@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.errors import RecordingError
+from piezoid.errors import LabFileError, RecordingError
 from piezoid.numerics.arrays import Array
 from piezoid.records.columns import Assignment
 from piezoid.records.lab import RecordingEntry
-from piezoid.records.lab_tables import lab_error
 from piezoid.records.table import RawTable
 from piezoid.statement import Statement, finding
 
@@ -58,10 +57,11 @@ class SampleRows:
         stop = samples if entry.stop_s is None else round(entry.stop_s * sampling_rate_Hz) + 1
         first, stop = max(0, first), min(samples, stop)
         if stop - first < 2:
-            raise lab_error(
+            raise LabFileError(
                 f"lab.toml: {entry.file} from {entry.start_s} s to {entry.stop_s} s holds "
                 f"{max(0, stop - first)} samples of its {samples / sampling_rate_Hz:.6g} s",
-                "at least two samples; start_s and stop_s count from the first sample of the file",
+                needed="at least two samples",
+                remedy="Correct start_s and stop_s, counted from the first sample of the file.",
             )
         return replace(
             self,

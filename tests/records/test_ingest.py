@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid.errors import LabFileError, UnitError
+from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.records.collection import collect
-from piezoid.records.lab import Acquisition, Lab, RecordingEntry, read_lab
+from piezoid.records.lab import Acquisition, Lab, RecordingEntry, Sensor, read_lab
 from piezoid.records.recording import Quantity
-from tests.records.tables import RESPONSE, VOLTAGE_V, RATE_Hz, TIME_s, lab_with, table
+from tests.records.tables import RESPONSE, SAMPLES, VOLTAGE_V, RATE_Hz, TIME_s, lab_with, table
 
 
 def test_units_are_converted_to_si(tmp_path: Path) -> None:
@@ -38,9 +38,6 @@ def test_two_axes_keep_their_channels_apart(tmp_path: Path) -> None:
     assert recording.axis == "x"
     assert [p.quantity for p in recording.statements] == ["several_axes"]
     np.testing.assert_allclose(recording.voltage_V("y"), 0.1 * VOLTAGE_V, rtol=1e-8)
-    # A column without an axis belongs to the only one that is named.
-    path = table(tmp_path, "time [s],voltage [V],position_z [um]", TIME_s, VOLTAGE_V, RESPONSE)
-    assert collect([path])[0].complete_axes == ("z",)
 
 
 def test_a_second_drive_does_not_take_the_nameless_columns_with_it(tmp_path: Path) -> None:
@@ -79,6 +76,13 @@ def test_drives_of_other_axes_are_read_beside_declared_columns(
     assert (recording.find(Quantity.VOLTAGE, "y") is not None) is is_read
 
 
+def test_nameless_columns_belong_to_the_one_axis_named(tmp_path: Path) -> None:
+    path = table(tmp_path, "time [s],voltage [V],position_z [um]", TIME_s, VOLTAGE_V, RESPONSE)
+    recording = collect([path])[0]
+    assert recording.axis == "z"
+    assert len(recording.voltage_V()) == SAMPLES
+
+
 @pytest.mark.parametrize(
     ("headings", "reason"),
     [
@@ -113,6 +117,13 @@ def test_columns_and_units_of_the_laboratory_replace_the_headings(tmp_path: Path
     assert recording.axis == "y"
     np.testing.assert_allclose(recording.displacement_m(), RESPONSE * 1e-6, rtol=1e-8)
     assert [p.quantity for p in recording.statements] == ["unit_assumed"]
+
+
+def test_volts_of_a_sensor_become_a_displacement_by_its_gain(tmp_path: Path) -> None:
+    headings = "time [s],voltage_z [V],sensor_z [V]"
+    path = table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE)
+    recording = collect([path], Lab(sensor=Sensor(gain_V_per_m=2e5)))[0]
+    np.testing.assert_allclose(recording.displacement_m(), RESPONSE / 2e5, rtol=1e-8)
 
 
 def test_a_table_without_time_takes_the_rate_of_the_laboratory(tmp_path: Path) -> None:
@@ -195,11 +206,33 @@ def test_one_file_may_hold_several_recordings(tmp_path: Path) -> None:
     assert [r.samples for r in collect([path], lab).recordings] == [101, 200]
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("nm", 1e-6), ("um", 1e24), ("um", 1e-310)])
-def test_a_motion_of_a_size_that_no_stage_has_is_refused(
-    unit: str, factor: float, tmp_path: Path
+def test_the_digest_is_of_the_files_bytes(tmp_path: Path) -> None:
+    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
+    before = collect([path])[0].digest
+    path.write_text(path.read_text() + "\n")
+    assert collect([path])[0].digest != before
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "said"),
+    [
+        ("nm", 1e-6, "In m or mm it would be usual"),  # metres, labelled nm
+        ("um", 1e24, "to 1 m"),
+        ("um", 1e-310, "to 1 m"),
+    ],
+)
+def test_a_motion_of_a_size_that_no_stage_has_is_refused_with_the_usual_unit(
+    unit: str, factor: float, said: str, tmp_path: Path
 ) -> None:
     rows = "".join(f"{k / 100},{k % 20},{1.7 * (k % 20) * factor!r}\n" for k in range(200))
     (tmp_path / "s.csv").write_text(f"time [s],voltage [V],position [{unit}]\n{rows}")
-    with pytest.raises(UnitError, match="to 1 m"):
-        collect([tmp_path / "s.csv"])
+    with pytest.raises(UnitError, match=said):
+        collect([tmp_path / "s.csv"])[0]
+
+
+@pytest.mark.parametrize("factor", [1e24, 1e-310])
+def test_time_stamps_that_no_recording_has_are_refused(factor: float, tmp_path: Path) -> None:
+    rows = "".join(f"{k * factor!r},{k % 20},{k % 20}\n" for k in range(200))
+    (tmp_path / "s.csv").write_text(f"time [s],voltage [V],position [um]\n{rows}")
+    with pytest.raises(RecordingError, match="s apart"):
+        collect([tmp_path / "s.csv"])[0]

@@ -42,6 +42,11 @@ MIN_COHERENCE = 0.8
 # a monitor is a fifth of the drive at most.
 MAX_GAIN_RATIO = 3.0
 UNIT_TOLERANCE = 0.1  # decades over three, of a factor of a thousand
+MONITORS = (5, 10, 15, 20, 25, 30, 40, 50, 100, 200)
+# A ratio of gains is exactly that of a monitor within this (natural logarithm). Loops of other
+# size or speed differ more: by 1.17 between sweep and check of the bundled stage.
+MONITOR_TOLERANCE = 0.03
+LOOP_TOLERANCE = 0.25
 MIN_RANGE = 0.01  # of the widest drive; the hysteresis cannot be identified from a smaller one
 _MAX_NAMES = 3  # in a message
 
@@ -271,20 +276,36 @@ def inconsistency(
 def likely_cause(ratio: float, *, is_drive: bool) -> tuple[str, str]:
     """Return the cause of a ratio of gains, and the line of lab.toml that corrects it."""
     size, sign = abs(ratio), "-" if ratio < 0.0 else ""
+    polarity = " and opposite polarity" if ratio < 0.0 else ""
     if _is_alike(size):
-        line = "scale = { voltage = -1 }   # or displacement = -1"
-        return "opposite polarity of drive or sensor", line
+        return (
+            "opposite polarity of drive or sensor",
+            "scale = { voltage = -1 }   # or displacement = -1",
+        )
     thousands = math.log10(size) / 3.0
     if round(thousands) and abs(thousands - round(thousands)) < UNIT_TOLERANCE:
         factor = 10.0 ** (3 * round(thousands))
-        cause = f"another unit of the {'drive' if is_drive else 'displacement'}"
-        scale = f"voltage = {sign}{factor:g}"
-        scale = scale if is_drive else f"displacement = {sign}{1.0 / factor:g}"
-        line = f"scale = {{ {scale} }}"
-    elif is_drive:
-        cause = "the drive is the output of a monitor or the command in front of the amplifier"
-        line = f"scale = {{ voltage = ... }}   # volts at the stage for {sign}1 V of this drive"
-    else:
-        cause = "another axis, stage or range of the sensor"
-        line = 'axis = "..."   # or scale = { displacement = ... }'
-    return f"{cause}{' and opposite polarity' if ratio < 0.0 else ''}", line
+        if is_drive:
+            return (
+                f"another unit of the drive{polarity}",
+                f"scale = {{ voltage = {sign}{factor:g} }}",
+            )
+        line = f"scale = {{ displacement = {sign}{1.0 / factor:g} }}"
+        return f"another unit of the displacement{polarity}", line
+    distances = {monitor: abs(math.log(size / monitor)) for monitor in MONITORS}
+    monitors = [m for m in MONITORS if distances[m] < MONITOR_TOLERANCE]
+    monitors = monitors or [m for m in MONITORS if distances[m] < LOOP_TOLERANCE]
+    if is_drive and monitors:
+        exact = len(monitors) == 1 and distances[monitors[0]] < MONITOR_TOLERANCE
+        scale = f"{sign}{monitors[0]}" if exact else "..."
+        comment = "" if exact else f"   # volts at the stage for {sign}1 V of the monitor"
+        names = " or ".join(f"1/{monitor}" for monitor in monitors)
+        return (
+            f"the drive is the output of a monitor ({names}) or the command in front of the "
+            f"amplifier{polarity}",
+            f"scale = {{ voltage = {scale} }}{comment}",
+        )
+    return (
+        f"another axis, stage or range of the sensor{polarity}",
+        'axis = "..."   # or scale = { displacement = ... }',
+    )

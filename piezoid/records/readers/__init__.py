@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-from piezoid.records.lab_tables import lab_error
+from piezoid.errors import LabFileError
 from piezoid.records.readers import (
     archive,
     excel,
@@ -68,12 +68,14 @@ def read_table(path: Path, text: TextFormat | None = None) -> RawTable:
             source.name,
             f"no known format starts with the bytes {source.head[:8].hex(' ')}",
             needed=f"one of {', '.join(reader.name for reader in READERS)}",
+            remedy="Export the recording as CSV.",
         )
     if source.text.entries and not reader.has_text_layout:
-        raise lab_error(
+        raise LabFileError(
             f"lab.toml: {', '.join(source.text.entries)} of {source.name} is declared, which is "
             f"{reader.name}",
-            "a text table: the layout of every other format is fixed",
+            needed="a text table: the layout of every other format is fixed",
+            remedy="Leave it out.",
         )
     with library_errors(source, reader) if reader.library else nullcontext():
         table = reader.read(source)
@@ -90,10 +92,7 @@ def read_table(path: Path, text: TextFormat | None = None) -> RawTable:
 def read_table_in_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     """Yield the chunks of a file; refuse formats that are only read as a whole.
 
-    rows  a chunk has so many to twice as many, and only the last one may have fewer
-
-    Every chunk begins with the last row of the previous one, so that a gap between two chunks lies
-    inside one of them.
+    rows  approximate number of rows of a chunk
     """
     reader = next((reader for reader in READERS if reader.recognises(source)), None)
     if reader is None or reader.read_chunks is None:
@@ -113,17 +112,8 @@ def read_table_in_chunks(source: Source, rows: int) -> Iterator[RawTable]:
             remedy="Unpack it with gunzip; or read it whole if it fits into memory.",
         )
     with library_errors(source, reader):
-        chunk: RawTable | None = None
         for table in reader.read_chunks(source, rows):
-            table = replace(table, name=source.name, digest=source.digest, format=reader.name)
-            if chunk is None or chunk.rows + table.rows < 2 * rows:  # a short remainder
-                chunk = table if chunk is None else chunk.followed_by(table)
-                continue
-            yield chunk
-            last_row = chunk.part(slice(chunk.rows - 1, chunk.rows), source.name)
-            chunk = replace(last_row, statements=()).followed_by(table)
-        if chunk is not None:
-            yield chunk
+            yield replace(table, name=source.name, digest=source.digest, format=reader.name)
 
 
 def is_approach_curve(table: RawTable) -> bool:

@@ -32,6 +32,7 @@ def read(source: Source) -> RawTable:
                 source.name,
                 "the workbook is cut short or damaged: the directory at its end is missing",
                 needed="a whole workbook",
+                remedy="Copy the file again from where it was written, or export it as CSV.",
             )
         check_unpacked_size(source)
         sheets = pd.read_excel(
@@ -47,6 +48,7 @@ def read(source: Source) -> RawTable:
             source.name,
             f"its {len(sheets)} sheets are empty",
             needed="a sheet with headings and rows of numbers",
+            remedy="Save the workbook again, or export the recording as CSV.",
         )
     with_rows = []
     for name, text in texts.items():

@@ -35,6 +35,8 @@ def read(source: Source) -> RawTable:
             f"DIM is {pairs.get('DIM')}, SEPARATOR is {pairs.get('SEPARATOR')}, "
             f"{len(body.split())} numbers follow line {line - 1}",
             needed="a count of columns, a separator (tab, blank, comma, semicolon) and rows",
+            remedy="Write the array again from the controller's software.",
+            line=line - 1,
         )
     layout = Layout(separator=separator, decimal=".", fields=fields)
     headings = [(pairs.get(f"NAME{k}", ""), "") for k in range(fields)]

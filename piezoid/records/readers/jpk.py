@@ -23,6 +23,7 @@ def read(source: Source) -> RawTable:
             source.name,
             f"it is a JPK archive of {len(members(source))} parts without its folders of segments",
             needed="the archive as the microscope wrote it",
+            remedy="Copy it again; do not unpack it and pack it anew.",
         )
     from afmformats.errors import AFMFileFormatError
     from afmformats.formats.fmt_jpk.jpk_reader import ArchiveCache, JPKReader

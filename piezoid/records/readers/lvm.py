@@ -5,21 +5,30 @@ published description by National Instruments (Writer_Version 0.92 to 2).
 """
 
 import re
-from dataclasses import replace
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
+from piezoid.numerics.arrays import Array
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
-from piezoid.records.readers.text_numbers import Layout, count_of, number_of, parse_numbers
+from piezoid.records.readers.text_numbers import (
+    Layout,
+    NumberTable,
+    count_of,
+    number_of,
+    parse_numbers,
+)
 from piezoid.records.readers.text_table import metadata_of
 from piezoid.records.table import Column, RawTable, rate_of
 from piezoid.statement import finding
 
 HEADER_END = "***End_of_Header***"
-CLOCK = "time (X_Value)"
-Header = dict[str, list[str]]  # cells of the header of a segment by key
+
+
+# Cells of the header by key, labels of the columns, their numbers, and line of the first row.
+_Segment = tuple[dict[str, list[str]], list[str], NumberTable, int]
 
 
 def read(source: Source) -> RawTable:
@@ -31,6 +40,7 @@ def read(source: Source) -> RawTable:
             source.name,
             f"{len(header_ends)} header ends",
             needed="one for the file and one for each segment",
+            remedy="Write the file again from LabVIEW with headers.",
         )
     header = metadata_of(lines[: header_ends[0]])
     separator = {"Tab": "\t", "Comma": ","}.get(header.get("Separator", "Tab"), "\t")
@@ -51,38 +61,10 @@ def read(source: Source) -> RawTable:
             starts, header_ends[1:], [*starts[1:], len(lines)], strict=True
         )
     ]
-    first_header, table = segments[0]
-    for _, segment in segments[1:]:
-        labels, first_labels = ([c.label for c in t.columns] for t in (segment, table))
-        if labels != first_labels:
-            raise unreadable(
-                source.name,
-                f"the segment at line {segment.first_line} has channels {tuple(labels)}, the "
-                f"first {tuple(first_labels)}",
-                needed="the same channels in every segment",
-                remedy="Write the segments with different channels into separate files.",
-            )
-        table = table.followed_by(segment)
-    columns = _used_columns(table, segments[0][1].rows)
-    has_clock = any(column.label == CLOCK for column in columns)
-    # With ``Multi_Headings No`` a file of several segments has one header and a multiple of the
-    # declared samples. With a time column the segments are visible in the clock.
-    declared = _declared_samples(first_header)
-    if len(segments) == 1 and not has_clock and declared > 1 and table.rows % declared == 0:
-        table = replace(table, segment_starts=tuple(range(0, table.rows, declared)))
-    interval_s = _interval_s(source.name, first_header, header.get("Decimal_Separator", "."))
-    return replace(
-        table,
-        columns=columns,
-        sampling_rate_Hz=None if has_clock else rate_of(interval_s),
-        segment_starts=table.segment_starts[1:],
-        metadata=header,
-    )
+    return _join_segments(source.name, header, segments)
 
 
-def _read_segment(
-    name: str, lines: list[str], start: int, end: int, layout: Layout
-) -> tuple[Header, RawTable]:
+def _read_segment(name: str, lines: list[str], start: int, end: int, layout: Layout) -> _Segment:
     """Read the segment to the end of the lines.
 
     start, end  first and last line of its header
@@ -94,6 +76,8 @@ def _read_segment(
             name,
             f"no rows after the header that ends on line {end + 1}",
             needed="a heading and rows of numbers",
+            remedy="Write the file again from LabVIEW.",
+            line=end + 1,
         )
     labels = [label.strip() for label in lines[end + 1].split(separator)]
     labels = labels[:-1] if labels[-1] in ("Comment", "") else labels
@@ -101,39 +85,26 @@ def _read_segment(
     width = len(labels)
     if any(line.count(separator) >= width for line in rows):
         rows = [separator.join(line.split(separator)[:width]) for line in rows]
-    block = parse_numbers("\n".join(rows), replace(layout, fields=width), name, end + 3)
+    layout = Layout(separator=separator, decimal=layout.decimal, fields=width)
+    block = parse_numbers("\n".join(rows), layout, name, end + 3)
     pairs = [line.split(separator) for line in lines[start:end] if line.strip()]
     header = {key.strip(): [cell.strip() for cell in cells] for key, *cells in pairs}
-    # The line of units has a cell for each channel, and also for each clock in files with a
-    # clock for each channel; its first field is the key.
-    units = ["", *header.get("Y_Unit_Label", []), *[""] * width]
-    columns = tuple(
-        Column(
-            number=k + 1,
-            label=CLOCK if label == "X_Value" else label,
-            declared_unit="s" if label == "X_Value" else units[k],
-            values=block.columns[k],
-        )
-        for k, label in enumerate(labels)
-    )
-    table = RawTable(
-        columns=columns, first_line=end + 3, segment_starts=(0,), statements=block.statements
-    )
-    if (declared := _declared_samples(header)) > max(table.rows, 1):
-        text = f"the header declares {declared} samples, the file holds {table.rows}"
-        truncated = finding("truncated", text, place=f"line {end + 3}")
-        table = replace(table, statements=(*table.statements, truncated))
-    return header, table
+    return header, labels, block, end + 3
 
 
-def _declared_samples(header: Header) -> int:
-    counts = map(count_of, header.get("Samples", []))
-    return max((count for count in counts if count is not None), default=0)
-
-
-def _interval_s(name: str, header: Header, decimal: str) -> float:
-    """Return the sampling interval of all channels, or 0 if none is stated."""
-    intervals = sorted({cell for cell in header.get("Delta_X", []) if cell})
+def _join_segments(name: str, header: dict[str, str], segments: Sequence[_Segment]) -> RawTable:
+    first_header, labels, first_block, first_line = segments[0]
+    for _, labels_of_segment, _, line in segments[1:]:
+        if labels_of_segment != labels:
+            raise unreadable(
+                name,
+                f"the segment at line {line} has channels {tuple(labels_of_segment)}, the first "
+                f"{tuple(labels)}",
+                needed="the same channels in every segment",
+                remedy="Write the segments with different channels into separate files.",
+                line=line,
+            )
+    intervals = sorted({cell for cell in first_header.get("Delta_X", []) if cell})
     if len(intervals) > 1:
         raise unreadable(
             name,
@@ -141,21 +112,67 @@ def _interval_s(name: str, header: Header, decimal: str) -> float:
             needed="one clock for all channels",
             remedy="Write the channels of each rate into a separate file.",
         )
+    has_clock = any(
+        label == "X_Value" and np.isfinite(values).any()
+        for label, values in zip(labels, first_block.columns, strict=True)
+    )
+    decimal = header.get("Decimal_Separator", ".")
     numbers = (number_of(interval, decimal) for interval in intervals)
-    return next((n for n in numbers if n is not None and np.isfinite(n)), 0.0)
+    interval_s = next((n for n in numbers if n is not None and np.isfinite(n)), 0.0)
+    rows = [len(block.columns[0]) for _, _, block, _ in segments]
+    declared = [
+        max((n for n in map(count_of, cells.get("Samples", [])) if n is not None), default=0)
+        for cells, _, _, _ in segments
+    ]
+    starts = [int(k) for k in np.cumsum(rows)[:-1]]
+    # With ``Multi_Headings No`` a file of several segments has one header and a multiple of the
+    # declared samples. With a time column the segments are visible in the clock.
+    if not starts and not has_clock and declared[0] > 1 and rows[0] % declared[0] == 0:
+        starts = list(range(declared[0], rows[0], declared[0]))
+    truncated = [
+        finding(
+            "truncated",
+            f"the header declares {samples} samples, the file holds {count}",
+            place=f"line {line}",
+        )
+        for samples, count, (_, _, _, line) in zip(declared, rows, segments, strict=True)
+        if samples > max(count, 1)
+    ]
+    return RawTable(
+        columns=_columns(segments),
+        sampling_rate_Hz=None if has_clock else rate_of(interval_s),
+        segment_starts=tuple(starts),
+        first_line=first_line if len(segments) == 1 else 0,
+        metadata=header,
+        statements=(*(s for _, _, block, _ in segments for s in block.statements), *truncated),
+    )
 
 
-def _used_columns(table: RawTable, rows: int) -> tuple[Column, ...]:
-    """Return the columns without repeated clocks, and without clocks empty in the first rows."""
+def _columns(segments: Sequence[_Segment]) -> tuple[Column, ...]:
+    """Return the channels with their units, and only one of equal clocks."""
+    header, labels, first_block, _ = segments[0]
+    units = header.get("Y_Unit_Label", [])
     columns: list[Column] = []
-    clocks: list[Column] = []
-    for column in table.columns:
-        if column.label == CLOCK:
-            is_empty = not np.isfinite(column.values[:rows]).any()
-            if is_empty or (clocks and np.array_equal(column.values, clocks[0].values)):
+    clocks: list[Array] = []
+    for k, label in enumerate(labels):
+        values = np.concatenate([block.columns[k] for _, _, block, _ in segments])
+        is_time = label == "X_Value"
+        if is_time:
+            is_empty = not np.isfinite(first_block.columns[k]).any()
+            if is_empty or (clocks and np.array_equal(values, clocks[0])):
                 continue
-            clocks.append(column)
-        columns.append(column)
+            clocks.append(values)
+        # The line of units has a cell for each channel, and also for each clock in files with a
+        # clock for each channel; its first field is the key.
+        unit = units[k - 1] if 0 < k <= len(units) else ""
+        columns.append(
+            Column(
+                number=k + 1,
+                label="time (X_Value)" if is_time else label,
+                declared_unit="s" if is_time else unit,
+                values=values,
+            )
+        )
     return tuple(columns)
 
 

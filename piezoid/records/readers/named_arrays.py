@@ -1,7 +1,9 @@
 """Tables of named arrays, as returned by libraries for binary formats."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,8 @@ from piezoid.statement import Statement, finding
 # dozen channels, recordings thousands of samples.
 MIN_TRANSPOSED_RATIO = 50
 MAX_AXES = 3  # of a stage: number of outputs and inputs of its response
+
+Arrays = Mapping[str, NDArray[Any]]
 
 
 def table_of(
@@ -70,6 +74,37 @@ def table_of(
         metadata=metadata,
         statements=tuple(statements),
     )
+
+
+def tables_of_pieces(
+    source: Source,
+    pieces: Iterable[Arrays],
+    rows: int,
+    *,
+    units: Mapping[str, str],
+    sampling_rate_Hz: float | None = None,
+) -> Iterator[RawTable]:
+    """Yield tables of ``rows`` to ``2 rows`` rows from arrays in pieces of any length.
+
+    Each table after the first begins with the last row of the previous one.
+
+    rows  at least 2
+    """
+    table = partial(table_of, source, units=units, sampling_rate_Hz=sampling_rate_Hz)
+    pending: Arrays = {}
+    first = 0
+    for piece in pieces:
+        pending = {
+            name: np.concatenate([pending[name], values]) if pending else values
+            for name, values in piece.items()
+        }
+        while max(map(len, pending.values()), default=0) >= 2 * rows:
+            chunk = {name: values[:rows] for name, values in pending.items()}
+            yield replace(table(chunk), first_row=first)
+            pending = {name: values[rows - 1 :] for name, values in pending.items()}
+            first += rows - 1
+    if max(map(len, pending.values()), default=0) > int(first > 0):
+        yield replace(table(pending), first_row=first)
 
 
 def commonest_length(lengths: Iterable[int]) -> int:

@@ -32,6 +32,8 @@ def read(source: Source) -> RawTable:
             source.name,
             f"no rows of numbers behind {_MARK}",
             needed="that line, a heading and rows of numbers after it",
+            remedy="Save the measurement in Nanonis after the sweep has run.",
+            line=row + 1,
         )
     labels = [label.strip() for label in lines[row + 1].rstrip("\t ").split("\t")]
     layout = Layout(separator="\t", decimal=".", fields=len(labels))

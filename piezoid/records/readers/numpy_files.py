@@ -26,6 +26,7 @@ def read_npy(source: Source) -> RawTable:
                 source.name,
                 f"it declares {shape} of {dtype}, {declared} bytes, and has {source.size()}",
                 needed="a whole array of numbers, without Python objects",
+                remedy="Save it again with numpy.save of a plain float array.",
             )
         stream.seek(0)
         array = np.load(stream, allow_pickle=False)
@@ -36,6 +37,7 @@ def read_npy(source: Source) -> RawTable:
             needed="one recording: (samples,) or (samples, channels)",
             remedy="Save one realisation at a time, drive and response side by side, and name the "
             "columns by number in lab.toml.",
+            shape=array.shape,
         )
     fields = array.dtype.names
     return table_of(source, {name: array[name] for name in fields} if fields else {"": array})

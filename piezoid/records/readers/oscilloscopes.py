@@ -39,6 +39,8 @@ def read_tektronix(source: Source) -> RawTable:
                 source.name,
                 f"line 1 holds no time and value beside the record length: {','.join(rows[0])!r}",
                 needed="a time and a sample in every row",
+                remedy="Save the waveform as CSV again.",
+                line=1,
             )
         fields += numbers[:2]
         settings = _settings(rows, start)
@@ -118,6 +120,8 @@ def read_rigol(source: Source) -> RawTable:
             source.name,
             "no rows below its headings",
             needed="rows of numbers",
+            remedy="Save the waveform again.",
+            line=skipped,
         )
     channels = [label for label in labels if label not in ("Start", "Increment")]
     unit_of = dict(enumerate(units if has_units else []))
@@ -137,6 +141,8 @@ def read_rigol(source: Source) -> RawTable:
             source.name,
             f"line 2 gives no positive time increment: {','.join(units)!r}",
             needed="an increment in seconds",
+            remedy="Save the waveform again.",
+            line=2,
         )
     return replace(
         table,

@@ -41,14 +41,10 @@ _REMEDY_TOO_DENSE = (
 
 
 def unreadable(
-    file: str,
-    problem: str,
-    *,
-    needed: str,
-    remedy: str = "Copy or save the file again, or export the recording as CSV.",
+    file: str, problem: str, *, needed: str, remedy: str, **numbers: object
 ) -> UnreadableFileError:
     """Return the error of readers; the message begins with the name of the file."""
-    return UnreadableFileError(f"{file}: {problem}", needed=needed, remedy=remedy)
+    return UnreadableFileError(f"{file}: {problem}", needed=needed, remedy=remedy, **numbers)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +76,6 @@ class Source:
     head          the first bytes of the content, decompressed
     is_gzip       whether the file as a whole is compressed by gzip
     decompressed  the content of a compressed file if it is in memory, else None
-    in_memory     whether the file is read as a whole; otherwise in chunks, of any size
     text          layout of a text table, as declared in lab.toml
     """
 
@@ -90,7 +85,6 @@ class Source:
     head: bytes
     is_gzip: bool
     decompressed: bytes | None
-    in_memory: bool = True
     text: TextFormat = TextFormat()
 
     @property
@@ -100,13 +94,13 @@ class Source:
 
     def open(self) -> BinaryIO:
         """Open the content as a binary stream."""
-        content = self.decompressed
-        return self.path.open("rb") if content is None else io.BytesIO(content)
+        in_memory = self.decompressed
+        return self.path.open("rb") if in_memory is None else io.BytesIO(in_memory)
 
     def size(self) -> int:
         """Return the number of bytes of the content."""
-        content = self.decompressed
-        return self.path.stat().st_size if content is None else len(content)
+        in_memory = self.decompressed
+        return self.path.stat().st_size if in_memory is None else len(in_memory)
 
 
 def open_source(path: Path, *, in_memory: bool = True) -> Source:
@@ -146,6 +140,7 @@ def open_source(path: Path, *, in_memory: bool = True) -> Source:
             path.name,
             "the file is empty",
             needed="a table of numbers",
+            remedy="Export the recording again.",
         )
     inner = path.name[:-3] if path.name.lower().endswith(".gz") else path.name
     return Source(
@@ -155,7 +150,6 @@ def open_source(path: Path, *, in_memory: bool = True) -> Source:
         head=head,
         is_gzip=is_gzip,
         decompressed=decompressed if in_memory else None,
-        in_memory=in_memory,
     )
 
 
@@ -178,11 +172,14 @@ def growth_limit(size: int, *, in_memory: bool = True) -> int:
     return min(SIZE_LIMIT, grown) if in_memory else grown
 
 
-def check_growth(source: Source, size: int) -> None:
-    """Refuse content of ``size`` bytes that grew implausibly or does not fit into memory."""
-    limit = growth_limit(source.path.stat().st_size, in_memory=source.in_memory)
+def check_growth(source: "Source", size: int, *, in_memory: bool = True) -> None:
+    """Refuse content of ``size`` bytes with an implausibly high compression ratio.
+
+    in_memory  True: also refuse content that does not fit into memory
+    """
+    limit = growth_limit(source.path.stat().st_size, in_memory=in_memory)
     check_size(source.name, size, limit)
-    if source.in_memory:
+    if in_memory:
         check_memory(source.name, size)
 
 
@@ -201,6 +198,7 @@ def check_memory(file: str, size: int) -> None:
             needed="a recording that fits into memory",
             remedy="Fit it with --stream, which reads in chunks; or cut the recording into "
             "several files.",
+            size=size,
         )
 
 
@@ -231,6 +229,7 @@ def check_size(file: str, size: int, limit: int) -> None:
             f"it holds {size} bytes once unpacked",
             needed=f"at most {limit} bytes",
             remedy=_REMEDY_TOO_LARGE if limit == SIZE_LIMIT else _REMEDY_TOO_DENSE,
+            size=size,
         )
 
 
@@ -242,6 +241,7 @@ def check_columns(file: str, columns: int) -> None:
             f"it has {columns} columns",
             needed=f"at most {MAX_COLUMNS}, a row for each sample",
             remedy="Keep only the columns that matter, or transpose the table.",
+            columns=columns,
         )
 
 
@@ -257,6 +257,7 @@ def _decompress(path: Path, limit: int, *, in_memory: bool) -> bytes:
             path.name,
             f"the gzip archive is damaged ({error})",
             needed="an archive that unpacks",
+            remedy="Copy the file again from where it was written.",
         ) from error
     if in_memory:
         check_size(path.name, len(content), limit)
@@ -296,6 +297,7 @@ def refuse_zero_bytes(source: Source) -> None:
                     needed="a text table to its end",
                     remedy="Copy the file again from where it was written, or remove the zero "
                     "bytes and the rows that they cut; an empty cell is read as a lost sample.",
+                    line=line,
                 )
             line += piece.count(b"\n")
             first += len(piece)

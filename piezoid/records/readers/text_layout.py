@@ -8,11 +8,11 @@ from itertools import accumulate
 
 import numpy as np
 
+from piezoid.errors import LabFileError
 from piezoid.numerics.arrays import Array
 from piezoid.records.column_roles import meaning_of
-from piezoid.records.lab_tables import lab_error
 from piezoid.records.readers.source import TextFormat, check_columns, unreadable
-from piezoid.records.readers.text_numbers import Layout, cells_of, number_of, split
+from piezoid.records.readers.text_numbers import Layout, cells_of, number_of, refuse_prefix, split
 from piezoid.records.units import heading_of, unit_of
 
 # Longer preambles than this have their own formats.
@@ -23,7 +23,9 @@ MAX_TRIED_TEXT = 1 << 20
 _SEPARATORS = ("\t", ";", "|", ",", "")
 # A comma that may mark decimals or thousands: ``1,234``.
 _THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
+_SPLIT_NUMBER = re.compile(r"[+-]?\d{1,9},\d{3,9}(?=,)")
 _BELOW_THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}")
+_BRACKETS = frozenset("[](){}")
 UNIT_BRACKETS = "[]() "  # around a unit in a row of units
 _HEXADECIMAL = re.compile(r"\b0[xX][0-9a-fA-F]{1,16}\b")
 _COMMENT = re.compile(r"^\s*(?:#|%|//)+\s?")
@@ -64,10 +66,11 @@ def find_table(lines: list[str], name: str, declared: TextFormat) -> TableStart:
     line_count = max(sum(size <= MAX_TRIED_TEXT for size in sizes), 1)
     lines, count = lines[:line_count], len(lines)
     if declared.heading_row is not None and declared.heading_row >= len(lines):
-        raise lab_error(
+        raise LabFileError(
             f"lab.toml: heading_row of {name} is {declared.heading_row}, the headings of this "
             f"file are within its first {len(lines)} lines",
-            "the number of the line that holds the headings, from 1, with rows below it",
+            needed="the number of the line that holds the headings, from 1, with rows below it",
+            remedy="Correct heading_row of the entry.",
         )
     # Rows of only numbers; if there are none, rows that also contain text.
     best = _find_best_start(lines, 1.0, declared) or _find_best_start(lines, 0.5, declared)
@@ -84,7 +87,15 @@ def find_table(lines: list[str], name: str, declared: TextFormat) -> TableStart:
             needed="a table of numbers separated by tabs, semicolons, bars, commas or blanks",
             remedy="Export the recording as CSV, in decimal numbers, without units or words in "
             "the cells.",
+            line=1,
         )
+    for row, line in enumerate(lines[: best.row], start=1):
+        # A row of numbers above the table may contain a prefix in a cell.
+        cells = cells_of(line, best.layout) if len(line) <= MAX_LINE else []
+        numbers_of_row = [number_of(cell, best.layout.decimal) for cell in cells if cell]
+        if len(cells) == best.layout.fields and set(numbers_of_row) - {None}:
+            for column, cell in enumerate(cells, start=1):
+                refuse_prefix(cell, name, row, column)
     if not any(best.labels) and best.above and not _COMMENT.match(best.above[-1]):
         check_columns(name, _column_count(best.above[-1]))
         if not declared.decimal:
@@ -115,17 +126,27 @@ def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name
     counts = [[str(first + k) for k in range(len(first_cells))] for first in (0, 1)]
     if heading_count == layout.fields - 1 and first_cells in counts:
         return  # a column of row numbers without a heading
-    entry = 'decimal = "."'
+    explanation, entry = "", 'decimal = "."'
+    if heading_count < layout.fields and layout.separator == ",":
+        explanation = ", as if commas stood between the numbers and inside them"
+        matches = (match[0] for x in lines[start.row :] if (match := _SPLIT_NUMBER.match(x)))
+        example = next(matches, "")
+        explanation += f" ({example})" if example else ""
     if layout.separator == "," and layout.fields == 2 * heading_count:
-        entry = 'separator = ","\ndecimal = ","'  # commas between the numbers and inside them
+        entry = 'separator = ","\ndecimal = ","'
+    remedy = "Export with decimal points, or with semicolons between the columns"
+    if heading_count < layout.fields - 1:
+        remedy += (
+            "; or declare the layout of the rows in lab.toml:\n\n[[recording]]\n"
+            f"file = {json.dumps(name)}\n{entry}\n"
+        )
     raise unreadable(
         name,
         f"line {row + 1} heads {heading_count} columns, and the rows from line {start.row + 1} on "
-        f"have {layout.fields} fields",
+        f"have {layout.fields} fields{explanation}",
         needed="as many fields in a row as there are headings",
-        remedy="Export with decimal points, or with semicolons between the columns; or declare "
-        "the layout of the rows in lab.toml:\n\n[[recording]]\n"
-        f"file = {json.dumps(name)}\n{entry}\n",
+        remedy=remedy if remedy.endswith("\n") else f"{remedy}.",
+        line=start.row + 1,
     )
 
 
@@ -257,9 +278,16 @@ def _heading_fields(line: str, layout: Layout, is_open: bool = False) -> tuple[s
     if not layout.separator:
         cuts += [_NAME_AND_BRACKET.findall(heading), re.split(r"\s{2,}|\t", heading.strip())]
     cuts += [split(heading, separator) for separator in ("\t", ";", ",")]
-    if layout.separator:  # ``position [um, filtered]`` is split outside its brackets
-        inside = r"[^\[\](){}]{0,100}[\])}]"
-        cuts.append(re.split(rf"{re.escape(layout.separator)}(?!{inside})", heading))
+    if layout.separator and layout.separator in heading and not _BRACKETS.isdisjoint(heading):
+        # ``position [um, filtered]`` is split outside its brackets.
+        outside, depth = [""], 0
+        for part in re.split(rf"([\[\](){{}}]|{re.escape(layout.separator)})", heading):
+            depth = max(depth + (part in tuple("[({")) - (part in tuple("])}")), 0)
+            if part == layout.separator and depth == 0:
+                outside.append("")
+            else:
+                outside[-1] += part
+        cuts.append(outside)
     for cells in cuts:
         cells = [cell.strip().strip('"').strip() for cell in cells]
         if len(cells) > layout.fields and not any(cells[layout.fields :]):
@@ -310,10 +338,15 @@ def drop_repeated_headings(
                 f"{' | '.join(start.labels)[:200]!r} above",
                 needed="columns that mean the same from the first row to the last",
                 remedy="Cut the file in front of that line.",
+                line=number,
             )
         row_lines.append(content)
         rows += bool(content.strip()) and not _COMMENT.match(content)
-    return "\n".join(row_lines), tuple(segment_starts), tuple(heading_lines)
+    return (
+        "\n".join(row_lines),
+        tuple(row for row in segment_starts if row),
+        tuple(heading_lines),
+    )
 
 
 def _is_unit_row(cells: tuple[str, ...]) -> bool:

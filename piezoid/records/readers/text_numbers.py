@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from piezoid.errors import UnreadableFileError
 from piezoid.numerics.arrays import Array
 from piezoid.records.readers.source import check_columns, unreadable
 from piezoid.statement import Statement, finding
@@ -29,6 +30,9 @@ _GROUPED = {
     ".": re.compile(r"[+-]?\d{1,3}(?:([,' \xa0\u2009\u202f])\d{3}(?:\1\d{3})*)?(?:\.\d*)?"),
     ",": re.compile(r"[+-]?\d{1,3}(?:([.' \xa0\u2009\u202f])\d{3}(?:\1\d{3})*)?(?:,\d*)?"),
 }
+_PREFIXED = re.compile(
+    r"[+-]?(?:\d{1,20}(?:[.,]\d{1,20})?|[.,]\d{1,20})\s?[fpnuµμmkKMG][A-Za-z]{0,2}"
+)
 _COMMENT = re.compile(r"^[ \t]*(?:#|%|//)")
 # A time of day behind any date: a clock that starts again shows a new day.
 _TIME_OF_DAY = (
@@ -68,9 +72,9 @@ class NumberTable:
     """
 
     columns: tuple[Array, ...]
-    textual: frozenset[int] = frozenset()
+    textual: frozenset[int]
     stamped: frozenset[int] = frozenset()
-    statements: tuple[Statement, ...] = ()
+    statements: tuple[Statement, ...]
 
 
 def split(line: str, separator: str) -> list[str]:
@@ -104,6 +108,18 @@ def number_of(text: str, decimal: str, *, grouped: bool = False) -> float | None
     return value if isfinite(value) else np.nan
 
 
+def refuse_prefix(cell: str, name: str, line: int, column: int) -> None:
+    """Refuse a number with a prefix or a unit in its cell: ``987.3m``."""
+    if _PREFIXED.fullmatch(cell):
+        raise unreadable(
+            name,
+            f"line {line}, column {column} holds {cell!r}, a number with a prefix or unit",
+            needed="plain numbers in the cells, all of one unit",
+            remedy="Export the recording without prefixes in the cells, the unit in the heading.",
+            line=line,
+        )
+
+
 def count_of(text: str) -> int | None:
     """Return the count in a field; None for anything but up to eighteen digits."""
     return int(text) if _COUNT.fullmatch(text) else None
@@ -117,11 +133,30 @@ def parse_numbers(text: str, layout: Layout, name: str, first_line: int) -> Numb
             name,
             f"there is no row from line {first_line} on, where the table should begin",
             needed="rows of numbers",
+            remedy="Export the recording again.",
+            line=first_line,
         )
-    columns = _read_regular(text, layout)
-    if columns is not None:
-        return NumberTable(columns=columns)
-    return _parse_cells(text, layout, name, first_line)
+    frame = _read_regular(text, layout, np.float64)
+    if frame is not None:
+        columns = tuple(frame[k].to_numpy(dtype=np.float64) for k in frame.columns)
+        return NumberTable(columns=columns, textual=frozenset(), statements=())
+    try:
+        table = _parse_cells(text, layout, name, first_line)
+    except UnreadableFileError:
+        _refuse_prefixes(text, layout, name, first_line, frozenset())  # the clearer message
+        raise
+    if any(statement.quantity == "not_a_number" for statement in table.statements):
+        _refuse_prefixes(text, layout, name, first_line, table.textual)
+    return table
+
+
+def _refuse_prefixes(
+    text: str, layout: Layout, name: str, first_line: int, textual: frozenset[int]
+) -> None:
+    for line, content in enumerate(text.split("\n"), start=first_line):
+        for k, cell in enumerate(cells_of(content, layout)):
+            if k not in textual:
+                refuse_prefix(cell, name, line, k + 1)
 
 
 def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, ...]]:
@@ -179,9 +214,10 @@ def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> Numbe
         raise unreadable(
             name,
             f"{damaged} of {len(numbers)} rows hold text or too many fields, the first on line "
-            f"{lines[first]}: {' | '.join(rows.iloc[first])[:60]!r}",
+            f"{lines[first]}",
             needed="rows of numbers, as many in each",
-            remedy="Export numbers without prefixes or units; remove rows that are no data.",
+            remedy="Export the recording again, or remove the rows that are no data.",
+            line=int(lines[first]),
         )
     return NumberTable(
         columns=tuple(numbers[:, k].copy() for k in range(layout.fields)),
@@ -194,12 +230,18 @@ def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> Numbe
 def _split_rows(
     text: str, layout: Layout, first_line: int
 ) -> tuple["DataFrame", NDArray[np.intp], NDArray[np.intp]]:
-    """Return a column of cells for each field, empty for missing ones, and the line of each row.
+    """Split a table into cells, row by row only if rows are blank or of different lengths.
 
-    The last array is the number of fields of rows with surplus ones, and 0 for the others.
+    Returns:
+        A column of text for each field, empty for missing fields; the line of each row; and its
+        number of fields if it has surplus ones (otherwise any number up to that of the table).
     """
     import pandas as pd
 
+    frame = None if "\n\n" in text.rstrip("\n") else _read_regular(text, layout, str)
+    if frame is not None:
+        lines = first_line + np.arange(len(frame))
+        return frame.fillna(""), lines, np.full(len(frame), layout.fields)
     rows = [
         (line, cells_of(content, layout))
         for line, content in enumerate(text.split("\n"), start=first_line)
@@ -260,8 +302,8 @@ def _parse_times(cells: "Series[str]") -> "Series[float] | None":
     return (running - running.iloc[0]).round(9)
 
 
-def _read_regular(text: str, layout: Layout) -> tuple[Array, ...] | None:
-    """Read rows of equal length that hold only numbers without thousands separators, or None."""
+def _read_regular(text: str, layout: Layout, dtype: type) -> "DataFrame | None":
+    """Read rows of equal length without thousands separators, or return None."""
     import pandas as pd
 
     if layout.grouped or layout.paired:
@@ -270,17 +312,16 @@ def _read_regular(text: str, layout: Layout) -> tuple[Array, ...] | None:
         # The parser warns if it drops fields; such a table is split row by row.
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
-            frame = pd.read_csv(
+            return pd.read_csv(
                 io.BytesIO(text.encode("utf-8", "replace")),  # StringIO: 4 bytes per letter
                 sep=layout.separator or r"\s+",
                 decimal=layout.decimal,
                 header=None,
                 names=list(range(layout.fields)),
                 index_col=False,
-                dtype=np.float64,
+                dtype=dtype,
                 engine="c",
                 na_values=["-", "--"],
             )
     except (ValueError, OverflowError, pd.errors.ParserError, pd.errors.ParserWarning):
         return None
-    return tuple(frame[k].to_numpy(dtype=np.float64) for k in frame.columns)

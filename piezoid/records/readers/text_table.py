@@ -8,14 +8,13 @@ import io
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import BinaryIO
 
 import numpy as np
 
 from piezoid.records.readers.named_arrays import complex_statement
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import (
-    FREE_SIZE,
     Source,
     check_growth,
     encoding_of,
@@ -118,7 +117,7 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     which they hold only text.
     """
     with source.path.open("rb") as raw:
-        packed: Any = gzip.GzipFile(fileobj=raw) if source.is_gzip else raw
+        packed = io.BufferedReader(_BoundedGzip(source, raw)) if source.is_gzip else raw
         # ``text_of`` decodes in the same way, except for errors behind the file's beginning.
         stream = io.TextIOWrapper(packed, encoding=encoding_of(source.head), errors="replace")
         lines: list[str] = []
@@ -132,7 +131,7 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         for _ in range(start.row):
             stream.readline()
         textual: frozenset[int] | None = None
-        line = start.row + 1
+        line, first_row = start.row + 1, 0
         for text in _line_chunks(stream, rows, source):
             block, segment_starts, statements = parse_rows(text, start, source.name, line)
             if block.stamped:
@@ -142,19 +141,25 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
                     needed="times in seconds, if a file is read in chunks",
                     remedy="Write the time as seconds, or state sampling_rate_Hz for the file in "
                     "lab.toml and name its other columns there.",
+                    line=line,
                 )
             if textual is None:
                 start = with_headings_beside_row_numbers(start, block.columns[0])
                 textual = block.textual
                 statements = (*statements, *_statements_of_file(start, block))
-            columns = (
-                np.full_like(values, np.nan) if k in block.textual else values
-                for k, values in enumerate(block.columns)
+            block = replace(
+                block,
+                textual=textual,
+                columns=tuple(
+                    np.full_like(values, np.nan) if k in block.textual else values
+                    for k, values in enumerate(block.columns)
+                ),
             )
-            block = replace(block, textual=textual, columns=tuple(columns))
             table = _table(start, text, line, block, segment_starts)
-            yield replace(table, statements=(*statements, *block.statements))
-            line += text.count("\n")
+            statements = (*statements, *block.statements)
+            yield replace(table, first_row=first_row, statements=statements)
+            line += text.rstrip("\n").count("\n")
+            first_row += len(block.columns[0]) - 1
 
 
 def table_under(
@@ -254,10 +259,26 @@ def metadata_of(lines: Sequence[str]) -> dict[str, str]:
     return metadata
 
 
-def _line_chunks(stream: "io.TextIOWrapper[Any]", rows: int, source: Source) -> Iterator[str]:
-    """Yield whole lines of about ``rows`` rows; a short remainder belongs to the last chunk."""
+class _BoundedGzip(gzip.GzipFile):
+    """A gzip stream that is refused if its compression ratio is implausible."""
+
+    def __init__(self, source: Source, packed: BinaryIO) -> None:
+        super().__init__(fileobj=packed)
+        self._source = source
+
+    def read(self, size: int | None = -1) -> bytes:
+        content = super().read(size)
+        check_growth(self._source, self.tell(), in_memory=False)
+        return content
+
+
+def _line_chunks(stream: io.TextIOWrapper, rows: int, source: Source) -> Iterator[str]:
+    """Yield whole lines of about ``rows`` rows; each begins with the last line of the previous.
+
+    A short remainder belongs to the last chunk.
+    """
     text = stream.readline(MAX_LINE)
-    characters = min(rows * len(text), FREE_SIZE)
+    characters = max(rows, 2) * len(text)
     text += _whole_lines(stream, characters, source)
     while text:
         next_text = _whole_lines(stream, characters, source)
@@ -265,12 +286,12 @@ def _line_chunks(stream: "io.TextIOWrapper[Any]", rows: int, source: Source) -> 
             yield text + next_text
             return
         yield text
-        text = next_text
+        lines = text.rstrip("\n")
+        text = lines[lines.rfind("\n") + 1 :] + "\n" + next_text
 
 
-def _whole_lines(stream: "io.TextIOWrapper[Any]", characters: int, source: Source) -> str:
+def _whole_lines(stream: io.TextIOWrapper, characters: int, source: Source) -> str:
     text, end_of_line = stream.read(characters), ""
-    check_growth(source, stream.buffer.tell())
     if text and not text.endswith("\n"):
         end_of_line = stream.readline(MAX_LINE)
     if "\x00" in text:
@@ -280,6 +301,7 @@ def _whole_lines(stream: "io.TextIOWrapper[Any]", characters: int, source: Sourc
             source.name,
             "it holds a line of more than a million characters",
             needed="a text table to its end",
+            remedy="Export the recording as CSV.",
         )
     return with_hyphens(text + end_of_line)
 
