@@ -1,6 +1,7 @@
 """`piezoid diagnose`: today against last month, a diagnosis that stumbles, and no drive at all."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -118,14 +119,14 @@ def stumbling(view: View) -> str:
     return "it was not looked for"
 
 
-@pytest.fixture(scope="module")
-def crashed_run(sweeps: Path) -> Result:
+@pytest.fixture
+def crashed_run(sweeps: Path) -> Iterator[Result]:
     """What a fit says whose catalogue holds that effect, all of it in this process."""
     known = effects.effect_named("outliers")
     added = replace(known, name="stumbling", untestable=stumbling)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(effects, "EFFECTS", (*effects.EFFECTS, added))
-        return ran("fit", sweeps, "x.csv", "y.csv", "--processes=1", out="stage")
+        yield ran("fit", sweeps, "x.csv", "y.csv", "--processes=1", out="stage")
 
 
 def test_a_fault_of_ours_in_a_diagnosis_leaves_model_and_report_and_ends_with_status_1(
