@@ -34,6 +34,7 @@ from piezoid.operators.play import play_blocks, play_columns
 ROWS = 6000  # of a recording, which suffice for a start
 MIN_INVERSE_SLOPE = 0.02  # of Psi'
 GRID = 39  # plays of the fine grid
+PULL = 1e4  # of a w_0 below its limit, over the norm of the rows
 AT_BOUND = 1e-7  # of the sum of the sizes of a constraint's terms
 
 
@@ -130,7 +131,7 @@ def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Array:
 
     The unknowns are slopes of Psi' instead of weights, so that their limits are bounds; w_0
     follows from the normalisation: w_0 = 1 - sum_(i>0) (1 - r_i) w_i in scaled units, r_0 = 0. Its
-    limit is not one of the bounds: a w_0 below it, which the search raises anyway, is set to it.
+    limit is not one of the bounds: a w_0 below it is pulled to it by a further row.
     """
     plays, count = len(threshold), len(zones)
     zero = int(np.flatnonzero(zones == 0.0)[0])
@@ -141,11 +142,15 @@ def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Array:
             free[plays + zone, plays + zone + (1 if zone < zero else -1)] = -1.0
     lower = np.full(len(free) - 1, -np.inf)
     lower[: plays - 1], lower[plays - 1 : plays - 1 + count] = 0.0, MIN_INVERSE_SLOPE
-    step = bounded_step(
-        triangle @ free[:, 1:], -triangle[:, 0], lower, np.full(len(lower), np.inf)
-    )
+    rows, target = triangle @ free[:, 1:], -triangle[:, 0]
+    upper = np.full(len(lower), np.inf)
+    step = bounded_step(rows, target, lower, upper)
+    if 1.0 + free[0, 1:] @ step < MIN_SLOPE:
+        pull = PULL * float(np.linalg.norm(triangle))
+        rows = np.vstack([rows, pull * free[0, 1:]])
+        step = bounded_step(rows, np.append(target, pull * (MIN_SLOPE - 1.0)), lower, upper)
     x = free[:, 1:] @ step
-    x[0] = max(x[0] + 1.0, MIN_SLOPE)
+    x[0] += 1.0
     return np.asarray(x)
 
 
