@@ -6,7 +6,6 @@ toolboxes interpret ``p`` as descending powers of z, which is the same for a pro
 """
 
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +21,10 @@ _MIN_RATIO = 1e-13
 
 def product(*factors: ArrayLike) -> Array:
     """Return the product of polynomials; 1 for none."""
-    return reduce(np.convolve, [np.asarray(f, dtype=np.float64) for f in factors], np.ones(1))
+    result = np.ones(1)
+    for factor in factors:
+        result = np.convolve(result, np.asarray(factor, dtype=np.float64))
+    return result
 
 
 def total(*terms: ArrayLike) -> Array:
@@ -160,8 +162,12 @@ def unit_circle(frequency_Hz: ArrayLike, sampling_rate_Hz: float) -> Response:
 
 def polynomial_response(polynomial: ArrayLike, delay_operator: Response) -> Response:
     """Return p(q^-1) on given values of q^-1."""
-    coefficients = np.asarray(polynomial, dtype=np.float64)
-    return np.asarray(np.polyval(coefficients[::-1], delay_operator))
+    coefficients = np.asarray(polynomial, dtype=np.float64).tolist()
+    value = np.full(delay_operator.shape, coefficients[-1], dtype=np.complex128)
+    for coefficient in coefficients[-2::-1]:
+        value *= delay_operator
+        value += coefficient
+    return value
 
 
 def response(B: ArrayLike, A: ArrayLike, frequency_Hz: ArrayLike, rate_Hz: float) -> Response:

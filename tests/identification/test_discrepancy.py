@@ -17,7 +17,7 @@ from piezoid_datasets.virtual_lab.truths import ZOO
 from tests.laws import triangles, write
 from tests.reports.known_stage import QUALITY, axis_model, recording
 
-pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
+pytestmark = pytest.mark.usefixtures("plays_alone")
 
 LAWS = ("preisach_lorentzian", "takacs", "wall_pinning", "duhem", "maxwell_slip")
 CYCLED = np.array([1.0, -1.0, 1.0, -1.0])

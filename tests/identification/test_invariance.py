@@ -19,7 +19,6 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 from tests.identification.hysteresis.stages import RATE_Hz, decaying, recording, wandering
 from tests.identification.hysteresis.test_estimate import stage
-from tests.plays_alone import fit_one_order
 
 ROUNDING = 1e-9  # of the stroke: some thousand times the rounding of one simulation
 PROBE_V = decaying(8)
@@ -31,16 +30,9 @@ def measured() -> tuple[Array, Array]:
     return drive, stage(drive, np.random.default_rng(5))
 
 
-def fit_of_one_order(made: Recording) -> ActuatorModel:
-    """Return the whole fit with one number of plays: invariance does not depend on it."""
-    with pytest.MonkeyPatch.context() as patch:
-        fit_one_order(patch)
-        return fit([made])
-
-
 @cache
 def stage_model() -> ActuatorModel:
-    return fit_of_one_order(recording(*measured()))
+    return fit([recording(*measured())])
 
 
 def fitted() -> AxisModel:
@@ -55,7 +47,7 @@ def shape_of(model: AxisModel, probe_V: Array = PROBE_V) -> Array:
 
 def test_powers_of_two_as_units_change_no_bit() -> None:
     drive, response = measured()
-    other = fit_of_one_order(recording(drive * 2.0**10, response * 2.0**-20))["x"]
+    other = fit([recording(drive * 2.0**10, response * 2.0**-20)])["x"]
     plays = fitted().hysteresis.plays
     np.testing.assert_array_equal(other.hysteresis.plays.threshold, plays.threshold * 2.0**10)
     np.testing.assert_array_equal(other.hysteresis.plays.weight, plays.weight * 2.0**-30)
@@ -66,7 +58,7 @@ def test_powers_of_two_as_units_change_no_bit() -> None:
 def test_kilovolts_picometres_signs_and_zeros_change_no_more_than_rounding() -> None:
     drive, response = measured()
     kilovolt, picometre, bias = 1e-3, 1e12, 64.0
-    other = fit_of_one_order(recording(bias - drive * kilovolt, response * -picometre - 3e5))["x"]
+    other = fit([recording(bias - drive * kilovolt, response * -picometre - 3e5)])["x"]
     assert other.polarity == fitted().polarity == 1  # both have turned round
     shape = shape_of(other, bias - PROBE_V * kilovolt) / -picometre
     np.testing.assert_allclose(
@@ -113,7 +105,7 @@ def test_the_order_of_the_recordings_does_not_matter() -> None:
 
 def test_half_the_samples_give_the_same_stage_within_what_either_is_sure_of() -> None:
     drive, response = measured()
-    thinned = fit_of_one_order(recording(drive[::2], response[::2], rate_Hz=RATE_Hz / 2))["x"]
+    thinned = fit([recording(drive[::2], response[::2], rate_Hz=RATE_Hz / 2)])["x"]
     coarse = thinned.simulate(PROBE_V[::2], RATE_Hz / 2, thinned.virgin_memory_V)
     apart = (coarse - coarse[0]) - shape_of(fitted())[::2]
     sure_m = np.hypot(thinned.quality.held_out_rms_m, fitted().quality.held_out_rms_m)

@@ -22,7 +22,7 @@ from tests.identification.hysteresis.stages import (
     wandering,
 )
 
-pytestmark = pytest.mark.usefixtures("plays_alone", "few_orders")
+pytestmark = pytest.mark.usefixtures("plays_alone")
 
 THRESHOLD = np.array([0.0, 0.7, 1.5, 2.6, 3.9])
 WEIGHT = np.array([2.0, 0.5, 0.3, 0.2, 0.2]) * 1e-6
@@ -124,7 +124,7 @@ def test_a_transient_from_before_the_record_is_left_out_and_said() -> None:
 
 
 def test_slow_motion_of_the_zero_does_not_bend_the_loop() -> None:
-    u = np.tile(decaying(2, per_unit=20)[:-1], 24)
+    u = np.tile(decaying(2, per_unit=40)[:-1], 24)
     drift = 2e-7 * np.linspace(0, 1, len(u)) ** 0.5
     still, moving = (
         fit([recording(u, stage(u, np.random.default_rng(1)) + part)])["x"]
