@@ -82,7 +82,7 @@ class ActuatorModel(Summarised):
             quality, grade = axis.quality, grade_of(axis).value
             modes_Hz = () if axis.dynamics is None else axis.dynamics.mode_frequency_Hz
             low_V, high_V = axis.voltage_V
-            plays = len(axis.hysteresis.plays.weight)
+            plays = sum(width_V > 0.0 for width_V in axis.hysteresis.plays.threshold)
             zones = len(axis.hysteresis.dead_zones.weight) - 1
             row = (
                 axis.axis,
