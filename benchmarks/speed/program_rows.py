@@ -69,7 +69,10 @@ def program_row(watch: Stopwatch, samples: int) -> Row:
 def shape_row(watch: Stopwatch, samples: int) -> Row:
     """Return Gauss-Newton on all numbers of a shape, searched again by scipy's trust region."""
     theta, task = solvers.begun(piece_of(samples), shape_of(PLAYS))
-    own, own_s = minimise(theta, task), watch.cpu_s(lambda: minimise(theta, task))
+    own, own_s = (
+        minimise(theta, task, iterations=30),
+        watch.cpu_s(lambda: minimise(theta, task, iterations=30)),
+    )
     again = solvers.by_least_squares(theta, task)
     if not own.rms < AS_GOOD * again:
         raise AssertionError(f"ours leaves {own.rms:.4g}, scipy {again:.4g}")
@@ -105,4 +108,4 @@ def _program(samples: int, plays: int) -> Callable[[], object]:
 
 def _shape(samples: int, plays: int) -> Callable[[], object]:
     theta, task = solvers.begun(piece_of(samples), shape_of(plays))
-    return lambda: minimise(theta, task)
+    return lambda: minimise(theta, task, iterations=30)

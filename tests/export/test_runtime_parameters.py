@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.varied_chains import Chain, plant_from_chain
 from piezoid.design.certificate import Certificate
 from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import disturbance_model, linear_controller
-from piezoid.design.plant import Chain, PlantFamily, plant_from_chain
+from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import margins
 from piezoid.errors import ParameterFileError
 from piezoid.export.export_stage import lateral_axis, observer_values, rst_values, tunnelling_axis

@@ -122,7 +122,7 @@ def test_boxes_get_their_files_and_the_terminal_says_what_they_lose(folder):
     assert done.exit_code == 0, done.output
     said = " ".join(done.output.split())
     assert "and no notch, a spiral of 10 Hz errs by" in said
-    assert "axis x: the waveform errs by" in said
+    assert "axis x: the expected error of the waveform is" in said
     assert {path.name for path in (folder / "pid").iterdir()} == {
         "README.md",
         "sections.csv",
