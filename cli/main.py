@@ -61,6 +61,20 @@ class Verbs(TyperGroup):
                 raise
             raise _UsageError(printable(str(error)), ctx) from error
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the verb of a name, or list all verbs if it does not exist."""
+        from difflib import get_close_matches
+
+        if args and not args[0].startswith("-") and args[0] not in self.commands:
+            matches = get_close_matches(args[0], self.commands, n=1)
+            remedy = f"Did you mean {matches[0]}?" if matches else "See piezoid --help."
+            raise _UsageError(
+                f"there is no command {args[0]!r}. Needed: one of {', '.join(self.commands)}. "
+                f"{remedy}",
+                ctx,
+            )
+        return super().resolve_command(ctx, args)
+
 
 app = typer.Typer(
     name="piezoid",

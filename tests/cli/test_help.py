@@ -64,10 +64,13 @@ def test_no_number_of_threads_from_outside_is_kept() -> None:
     assert done.stdout == "1\n"
 
 
-def test_a_misspelt_verb_is_answered_with_the_one_that_is_meant() -> None:
+def test_a_verb_that_is_not_there_is_answered_with_those_that_are() -> None:
     shown = CliRunner(env={"COLUMNS": "300"}).invoke(app, ["fitt"])
     assert shown.exit_code == 2
-    assert "No such command 'fitt'. Did you mean 'fit'" in shown.output
+    assert "there is no command 'fitt'. Needed: one of inspect, init, fit" in shown.output
+    assert "Did you mean fit?" in shown.output
+    unlike = CliRunner(env={"COLUMNS": "300"}).invoke(app, ["qqq"])
+    assert "See piezoid --help." in unlike.output
 
 
 def test_no_table_of_lab_toml_is_lost_to_the_markup_and_every_status_is_named() -> None:
