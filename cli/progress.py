@@ -1,6 +1,7 @@
 """Progress display: an animated line on a terminal, or lines at intervals in a log."""
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -62,7 +63,7 @@ class Log:
     @contextmanager
     def at_intervals(self, interval_s: float) -> Iterator[Callable[[str], None]]:
         """Yield a function that sets the current step, which is written once per interval."""
-        ended, steps = Event(), [""]
+        ended, steps = Event(), deque([""], maxlen=1)
 
         def write() -> None:
             while not ended.wait(interval_s):

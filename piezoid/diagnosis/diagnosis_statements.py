@@ -72,9 +72,9 @@ def _nothing_found(diagnosis: Diagnosis) -> Statement:
     """State why no effect is named, and what to record if the error exceeds the noise."""
     n_tested = sum(absence.upper_bound_m is not None for absence in diagnosis.not_detected)
     if not n_tested:
-        reason, *others = {absence.reason for absence in diagnosis.not_detected} or {""}
+        reason, *further_reasons = {absence.reason for absence in diagnosis.not_detected} or {""}
         reason = reason.removeprefix("not tested, because ").rstrip(".")
-        why = f" because {reason}" if reason and not others else ""
+        why = f" because {reason}" if reason and not further_reasons else ""
         text = f"No effect was tested{why}."
         return _statement(diagnosis, Kind.LIMIT, Level.WARNING, "no_effect_tested", text)
     residual_m, noise_m = diagnosis.envelope_rms_m, diagnosis.noise_floor_rms_m

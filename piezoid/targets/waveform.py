@@ -22,6 +22,7 @@ from piezoid.formatting import with_unit
 from piezoid.identification.extensions.extension import Where
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.fixed_point import damped_iteration
 from piezoid.numerics.polynomial import polynomial_response, unit_circle
 from piezoid.targets.target_inputs import (
     SEED,
@@ -39,8 +40,7 @@ _PERIODS = 3  # of which the last is used: the loops of the plays are closed aft
 # Rounds of correction. After eight, the identified plants of the bundled stage had errors of 0.21
 # and 0.18 nm, after twenty of 0.21 and 0.16 nm; a plant with a mode at 630 Hz converged to 5 %.
 _ROUNDS = 8
-# Share of the error in a round: below 1, because slopes may exceed the middle slope. It is halved
-# if the error increases.
+# Share of the error in the first round: below 1, because slopes may exceed the middle slope.
 _SHARE = 0.8
 _MIN_POINTS = 32  # of a period: adjacent points are up to a tenth of the scan apart
 # Points of the shortest harmonic that is corrected. With 2 the corrections of a Bouc-Wen stage
@@ -184,22 +184,19 @@ def waveform_of(inputs: TargetInputs, axis: AxisParameters) -> Waveform:
     response = polynomial_response(nominal.B_position, q) / polynomial_response(nominal.A, q)
     response[np.abs(response) < _BAND * abs(response[0])] = np.inf
     noiseless, model = replace(plant, noise_rms=0.0, hums=()), inputs.models[axis.axis]
-    voltage_V, share, best = inverse_V(plant, wanted_m, model), _SHARE, None
-    for _ in range(_ROUNDS):
+
+    def evaluate(voltage_V: Array) -> tuple[Array, Array]:
         error_m = wanted_m - last_period(noiseless, voltage_V, hold, model)
-        power = float(np.mean(error_m**2))
-        if best is None or power < best[0]:
-            error = np.fft.rfft(error_m)
-            error[max(points // _CORRECTED, _MIN_POINTS // 2) :] = 0.0
-            best = power, voltage_V, np.fft.irfft(error / response, points)
-        else:
-            share *= 0.5
-        _, best_V, change_V = best
-        voltage_V = best_V + share * change_V
+        error = np.fft.rfft(error_m)
+        error[max(points // _CORRECTED, _MIN_POINTS // 2) :] = 0.0
+        return error_m, np.fft.irfft(error / response, points)
+
+    first_V = inverse_V(plant, wanted_m, model)
+    voltage_V = damped_iteration(first_V, evaluate, share=_SHARE, iterations=_ROUNDS)
     limits_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
     range_V = hardware.range_V or inputs.converter_V
     waveform = Waveform(
-        axis=axis.axis, rate_Hz=rate_Hz, hold=hold, wanted_m=wanted_m, voltage_V=best_V
+        axis=axis.axis, rate_Hz=rate_Hz, hold=hold, wanted_m=wanted_m, voltage_V=voltage_V
     )
     if range_V is not None:
         waveform = quantise(waveform, range_V, hardware.bits)

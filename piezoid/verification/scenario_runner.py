@@ -78,8 +78,8 @@ class ScenarioRunner:
 
     def methods(self) -> tuple[str, ...]:
         """Return the methods that every lateral axis has, the shipped method first."""
-        first, *others = [self.file.axis(name).methods for name in self.lateral]
-        return tuple(m for m in first if all(m in methods for methods in others))
+        first, *remaining = [self.file.axis(name).methods for name in self.lateral]
+        return tuple(m for m in first if all(m in methods for methods in remaining))
 
     def histories(self) -> list[dict[str, AxisPlant]]:
         """Return all plants by axis with each possible history of the drive."""

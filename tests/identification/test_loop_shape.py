@@ -142,6 +142,15 @@ def test_the_inverse_leads_the_law_along_a_reference_that_was_never_recorded(
     assert errors_m[1] < 5.0 * NOISE_M
 
 
+def test_the_inverse_stays_near_that_of_plays_beyond_the_recorded_range() -> None:
+    _, plain, axis = fitted("bouc_wen", 1.0)
+    reach_m = 1.05e-5  # of a range of 10 um about the zero
+    reference_m = axis.zero_m + reach_m * np.sin(np.linspace(-0.5, 7.5, 1000) * np.pi)
+    memory_V = plain.memory_after(5.0 * np.array([1.0, -1.0, 1.0, -1.0]))
+    plain_V, voltage_V = (model.inverse(reference_m, memory_V) for model in (plain, axis))
+    assert 5.0 < np.abs(voltage_V).max() < 1.05 * np.abs(plain_V).max()
+
+
 def test_loops_of_three_sizes_predict_a_fourth() -> None:
     def loops(size: float) -> Array:
         return path_through(np.tile([-1.0, 2.0 * size - 1.0], 4))
