@@ -115,8 +115,10 @@ def _clock_line(inspection: "Inspection") -> str:
 
     line = (
         f"  axis {inspection.axis}, {inspection.sampling_rate_Hz:.9g} Hz for "
-        f"{inspection.duration_s:.6g} s, {inspection.breaks} breaks"
+        f"{inspection.duration_s:.6g} s"
     )
+    if inspection.breaks:
+        line += f", {inspection.breaks} gap" + "s" * (inspection.breaks > 1)
     if inspection.reversals is not None:
         line += f", {inspection.reversals} reversals of the drive"
     if inspection.levels_V:

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from piezoid.identification.loop_shape import FitWithoutShape
 from piezoid.identification.loop_shape_blocks import (
-    UNPENALISED,
     Errors,
     errors_of,
     errors_without_shape,
@@ -50,7 +49,6 @@ from piezoid.identification.loop_shape_regression import (
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import BLOCKS, IN_SAMPLE, FitQuality, with_noise_bound
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.family_ridge import Moments
 from piezoid.operators.wide_hysteresis import coefficients
 from piezoid.records.recording import Recording
 
@@ -354,8 +352,10 @@ def _converged(
             candidates.append(_damped(estimate, class_only, pieces, columns, regression))
         complete = []
         for candidate in candidates:
-            updated = _updated_regression(candidate, pieces, columns, regression, has_class=False)
-            complete.append(_solved_histories(candidate, columns, updated))
+            histories = _updated_regression(
+                candidate, pieces, columns, regression, has_class=False
+            )
+            complete.append(_solved_histories(candidate, columns, histories))
         solution = min(complete, key=_mean_square)
         if best is not None and _mean_square(solution) >= _mean_square(best):
             break
@@ -369,27 +369,19 @@ def _mean_square(estimate: Estimate) -> float:
 
 
 def _solved_histories(estimate: Estimate, columns: Columns, regression: Regression) -> Estimate:
-    """Solve a regression for weights of histories, zeros and step with the estimate's class.
+    """Solve a regression without class for the weights of histories, the zeros and the step.
 
     The response is linear in these, so that the residual is the error of the simulation.
     """
     total = total_of(regression.moments())
-    ridge = ridge_of(estimate, regression, total)
-    is_solved = np.isin(regression.family, ("initial state", *UNPENALISED))
-    of_class = estimate.wide * columns.scale
-    target = regression.target - regression.design[:, ~is_solved] @ of_class
-    z, y = regression.design[regression.use][:, is_solved], target[regression.use]
-    sums = Moments(gram=z.T @ z, moment=z.T @ y, square=float(y @ y), count=len(y))
-    coefficient = np.zeros(len(is_solved))
-    coefficient[~is_solved] = of_class
-    coefficient[is_solved] = replace(ridge, family=ridge.family[is_solved]).mean(sums)
+    solved = ridge_of(estimate, regression, total).mean(total)
     scale_m = half_range_m(estimate.model)
     return replace(
         estimate,
-        weights=_split(coefficient[regression.members("initial state")], estimate.weights),
-        zeros=_split(scale_m * coefficient[regression.members("zero")], estimate.zeros),
-        coefficient=coefficient,
-        residual_m=scale_m * (regression.target - regression.design @ coefficient),
+        weights=_split(solved[regression.members("initial state")], estimate.weights),
+        zeros=_split(scale_m * solved[regression.members("zero")], estimate.zeros),
+        coefficient=np.concatenate([estimate.wide * columns.scale, solved]),
+        residual_m=scale_m * (regression.target - regression.design @ solved),
     )
 
 

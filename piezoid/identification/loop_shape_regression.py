@@ -303,14 +303,13 @@ def regression_of(
 
     The target is the error of the estimate plus the contribution of its linear coefficients.
 
-    has_numbers  whether lag and extensions may change
-    has_class    whether the class may change together with the weights of histories: its columns
-                 then contain the weighted histories
+    has_numbers  whether lag and extensions may change; if not, the columns of the class contain
+                 the weighted histories
+    has_class    whether the class may change
     """
-    axis, is_first = estimate.model, not estimate.variance
-    scale_m, has_histories = half_range_m(axis), has_class and not (is_first or has_numbers)
+    axis, is_first, scale_m = estimate.model, not estimate.variance, half_range_m(estimate.model)
     tables = [
-        _tables_of_piece(estimate, k, piece, columns, has_numbers, has_histories)
+        _tables_of_piece(estimate, k, piece, columns, has_numbers, has_class)
         for k, piece in enumerate(pieces)
     ]
     class_tables, histories, zeros, number_tables, errors_m, slopes = zip(*tables, strict=True)
@@ -324,18 +323,19 @@ def regression_of(
     linear = np.hstack([slope * block for block in blocks])
     weights = () if is_first else estimate.weights
     zero = np.concatenate(estimate.zeros) / scale_m
-    present = np.concatenate([estimate.wide * columns.scale, *weights, zero])
+    wide = estimate.wide * columns.scale if has_class else np.zeros(0)
+    present = np.concatenate([wide, *weights, zero])
     error_m = np.concatenate(errors_m)
     counts = (blocks[1].shape[1], blocks[2].shape[1], len(step))
     names = np.repeat(["initial state", "zero", "number"], counts).tolist()
     count = linear.shape[1] + len(step)
     change = np.eye(count)
-    change[: len(columns.scale), : len(columns.scale)] = columns.change
+    change[: len(wide), : len(wide)] = columns.change[: len(wide), : len(wide)]
     return Regression(
         design=np.hstack([linear, by_numbers / size]),
         target=error_m / scale_m + linear @ present,
         error_m=error_m,
-        family=(*columns.family, *names),
+        family=(*columns.family[: len(wide)], *names),
         change=change,
         use=estimate.use,
         fold=np.concatenate([piece.fold for piece in pieces]),
@@ -354,7 +354,7 @@ def _tables_of_piece(
     piece: PieceRows,
     columns: Columns,
     has_numbers: bool,
-    has_histories: bool,
+    has_class: bool,
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Return the columns of one piece, its error and the slope of its sensor.
 
@@ -366,12 +366,14 @@ def _tables_of_piece(
     static_m, history_m, changes_m = static_response_of(estimate, k, piece, columns)
     reading_m = reading_of(axis, piece, start, static_m)
     first = sum(estimate.rows[:k])
-    of_class, histories = columns.values[first : first + rows], np.zeros((rows, 0))
+    of_class, histories = np.zeros((rows, 0)), np.zeros((rows, 0))
+    if has_class:
+        of_class = columns.values[first : first + rows]
     if estimate.variance:  # not in the first regression
         histories = path.filtered(changes_m, axis, piece) / abs(scale_m)
-    if has_histories:
-        change = path.column_changes(estimate.weights[k], columns.plays, abs(scale_m))
-        of_class = of_class + path.filtered(change, axis, piece) / columns.scale
+        if has_class and not has_numbers:
+            change = path.column_changes(estimate.weights[k], columns.plays, abs(scale_m))
+            of_class = of_class + path.filtered(change, axis, piece) / columns.scale
     hats = [replace(start, zero_m=knot) for knot in np.eye(len(start.zero_m))]
     zeros = [zero_of(hat, piece.where.samples)[piece.rows] for hat in hats]
     by_numbers = np.zeros((rows, 0))
