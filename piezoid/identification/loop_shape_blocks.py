@@ -30,6 +30,7 @@ FULL_SPAN = 0.99  # of the range of a drive: above the noise of a measured drive
 # stage had a residual of 18 times the noise there.
 VARIANCE_DIVISORS = tuple(10.0 ** (k / 2) for k in range(11))
 SIMILAR = 1.03  # error over the minimum
+TOO_LARGE = 1.5  # error over the minimum, above which no larger divisor is tried
 UNPENALISED = ("zero", "number", "step")
 
 
@@ -65,7 +66,7 @@ def errors_without_shape(axis: AxisModel, regression: Regression) -> Errors:
         step=regression.step[:0],
         prior=None,
     )
-    folds = zeros.moments()
+    folds = zeros.moments
     total = total_of(folds)
     labels = zeros.labels
     ridge = FamilyRidge(
@@ -89,7 +90,7 @@ def errors_of(estimate: Estimate, regression: Regression) -> tuple[Errors, float
     If the class is misspecified, smaller variances than those of maximum marginal likelihood
     predict better.
     """
-    folds = regression.moments()
+    folds = regression.moments
     total = total_of(folds)
     coefficient = regression.change @ ridge_of(estimate, regression, total).mean(total)
     residual = (regression.target - regression.design @ coefficient)[regression.use]
@@ -97,10 +98,12 @@ def errors_of(estimate: Estimate, regression: Regression) -> tuple[Errors, float
     explained = float(np.sqrt(np.sum(residual**2) / free))
     if not estimate.model.quality.is_tested:
         return Errors(explained=explained, held_out=explained), 1.0
-    errors = {}
+    errors: dict[float, float] = {}
     for divisor in VARIANCE_DIVISORS:
         ridge = ridge_of(with_smaller_variance(estimate, divisor), regression, total)
         errors[divisor] = _held_out_error(regression, folds, total, ridge)
+        if errors[divisor] > TOO_LARGE * min(errors.values()):
+            break
     limit = SIMILAR * min(errors.values())
     divisor = max(divisor for divisor, error in errors.items() if error <= limit)
     return Errors(explained=explained, held_out=errors[divisor]), divisor
@@ -151,7 +154,7 @@ def with_best_step(
     then a step represents an initial state. On two stages it was at the first maximum of the
     drive, and the model without it had errors of 24 and 36 nm instead of 17.
     """
-    total = total_of(regression.moments())
+    total = total_of(regression.moments)
     ridge = ridge_of(estimate, regression, total)
     scale = np.sqrt(np.minimum(ridge.variance, 1e4 * total.square / total.count))[ridge.family]
     inverse = np.linalg.inv(

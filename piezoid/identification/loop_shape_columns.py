@@ -191,10 +191,15 @@ def piece_rows(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[PieceR
     return tuple(piece for piece in pieces if len(piece.rows))
 
 
-def columns_of(axis: AxisModel, pieces: Sequence[PieceRows]) -> Columns:
-    """Compute the columns of the wide class along all pieces, behind lag and extensions."""
+def columns_of(
+    axis: AxisModel, pieces: Sequence[PieceRows], reference: tuple[Array, Array]
+) -> Columns:
+    """Compute the columns of the wide class along all pieces, behind lag and extensions.
+
+    reference  of ``reference_columns``, which does not depend on lag and extensions
+    """
     shape, forward = zero_loop_shape(axis), axis.forward
-    reference, plays = reference_columns(axis)
+    reference_x, plays = reference
     tables, paths = [], []
     count = min(len(histories(0.0)), max(3, MAX_HISTORIES // len(pieces)))
     for piece in pieces:
@@ -229,7 +234,7 @@ def columns_of(axis: AxisModel, pieces: Sequence[PieceRows]) -> Columns:
         )
     family = tuple(name for name, x in tables[0].items() for _ in range(x.shape[1]))
     x = np.concatenate([np.hstack(list(table.values())) for table in tables])
-    scale, change = _orthogonalised([x, reference], np.array(family))
+    scale, change = _orthogonalised([x, reference_x], np.array(family))
     return Columns(
         values=x / scale,
         scale=scale,

@@ -33,6 +33,7 @@ from piezoid.identification.loop_shape_columns import (
     PieceRows,
     columns_of,
     piece_rows,
+    reference_columns,
     zero_loop_shape,
 )
 from piezoid.identification.loop_shape_regression import (
@@ -148,7 +149,8 @@ def _compared(axis: AxisModel, recordings: Sequence[Recording]) -> _Comparison |
     pieces = piece_rows(axis, recordings)
     if sum(len(piece.rows) for piece in pieces) < MIN_ROWS:
         return None
-    columns = columns_of(axis, pieces)
+    reference = reference_columns(axis)
+    columns = columns_of(axis, pieces, reference)
     estimate = first_estimate(axis, pieces, columns)
     regression = regression_of(estimate, pieces, columns)
     errors_before = errors_without_shape(axis, regression)
@@ -170,7 +172,7 @@ def _compared(axis: AxisModel, recordings: Sequence[Recording]) -> _Comparison |
                 replace(piece, drive_V=forward.driven_V(piece.voltage_V, piece.where.rate_Hz))
                 for piece in pieces
             )
-            columns = columns_of(damped.model, pieces)
+            columns = columns_of(damped.model, pieces, reference)
             estimate = with_sensor_numbers(damped, pieces, columns)
         else:
             estimate = consistent
@@ -207,7 +209,7 @@ def _solved(
     steps  of the fixed point of the variances
     """
     axis, scale_m = estimate.model, half_range_m(estimate.model)
-    total = total_of(regression.moments())
+    total = total_of(regression.moments)
     ridge = ridge_of(estimate, regression, total)
     # Numbers at a bound that would move beyond it stay there.
     numbers, violates = regression.members("number"), np.zeros(len(regression.family), dtype=bool)
@@ -217,7 +219,7 @@ def _solved(
     )
     if violates.any():
         regression = regression.without(violates)
-        total = total_of(regression.moments())
+        total = total_of(regression.moments)
     is_history = np.array([name == "initial state" for name in regression.labels])
     ceiling = np.where(is_history, 1.0, np.inf)
     ridge, orthogonal, parameters = ridge.maximised(total, ceiling=ceiling, steps=steps)
@@ -373,7 +375,7 @@ def _solved_histories(estimate: Estimate, columns: Columns, regression: Regressi
 
     The response is linear in these, so that the residual is the error of the simulation.
     """
-    total = total_of(regression.moments())
+    total = total_of(regression.moments)
     solved = ridge_of(estimate, regression, total).mean(total)
     scale_m = half_range_m(estimate.model)
     return replace(

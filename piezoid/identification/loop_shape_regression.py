@@ -8,6 +8,7 @@ and next coefficients, and t_j the changes of the numbers p_j of lag and extensi
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -270,8 +271,9 @@ class Regression:
         """Return the regression with some columns set to 0."""
         return replace(self, design=np.where(columns, 0.0, self.design))
 
+    @cached_property
     def moments(self) -> tuple[Moments, ...]:
-        """Return the moments of every fold, and last of the rows that are never left out."""
+        """Moments of every fold, and last of the rows that are never left out."""
         sums = []
         for number in (*range(FOLDS), NEVER_OUT):
             rows = (self.fold == number) & self.use

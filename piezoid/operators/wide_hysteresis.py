@@ -277,11 +277,10 @@ def mixed_columns(drive: Array, states: Sequence[States], weight: Array) -> dict
     states  (histories,)  along the drive
     weight  (histories,)
     """
-    tables = [smooth_columns(drive, of_history) for of_history in states]
-    smooth = {
-        name: sum(w * table[name] for w, table in zip(weight, tables, strict=True))
-        for name in tables[0]
-    }
+    smooth: dict[str, Array] = {}
+    for w, of_history in zip(weight, states, strict=True):
+        for name, x in smooth_columns(drive, of_history).items():
+            smooth[name] = smooth[name] + w * x if name in smooth else w * x
     reversible, count = weight.sum() * cells(drive), len(EDGES) - 1
     density = np.empty((len(drive), len(WIDTHS) * count))
     for j in range(len(WIDTHS)):
