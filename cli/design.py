@@ -69,6 +69,9 @@ def design(
         loops = loops_table(Page(model=model, design=result))
         Console().print(report_table(loops, "controllers, worst case over each plant family"))
         show_statements(design_statements(result, model), Level.WARNING)
+        for axis in result.axes:
+            if rate is not None and axis.sampling_rate_Hz != rate:
+                say(f"axis {axis.axis}: {axis.sampling_rate_Hz:g} Hz, the rate of its recordings")
         show_unshipped(result.refused)
         say(f"design: {stage / 'design.json'}, {stage / 'design.html'}")
         say(f"params.json and bundle/ contain the earlier design until: piezoid export {stage}")

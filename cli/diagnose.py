@@ -1,4 +1,4 @@
-"""`piezoid diagnose`: find the effects that a simulation with hysteresis alone lacks."""
+"""`piezoid diagnose`: find the effects that the base model lacks."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -37,7 +37,7 @@ def diagnose(
     quiet: Quiet = False,
     json: JsonFile = False,
 ) -> None:
-    """Find the effects that hysteresis alone does not explain: write diagnosis.json and .html.
+    """Find the effects beyond hysteresis and lag: write diagnosis.json and .html.
 
     If the first file is the model.json of an earlier fit, that model is refitted, and its changes
     are reported as well.

@@ -95,6 +95,8 @@ def export(
         if file is not None:
             folders = dict.fromkeys(("bundle", *targets))
             say(f"exported: {', '.join(str(stage / name) for name in ('params.json', *folders))}")
+            if (stage / "report.html").exists():
+                say(f"report.html shows the earlier controllers until: piezoid report {stage}")
         elif targets:
             say("no target was written, because no controller ships")
         for note in notes:

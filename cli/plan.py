@@ -108,8 +108,8 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
     if not axis.has_dynamics:
         text = (
             f"No resonance or pole of axis {axis.axis} was fitted. For a controller, record a "
-            "small chirp first, at the sampling rate of the controller. The plan concerns the "
-            "effects of the diagnosis."
+            "small chirp first, sampled at three times the resonance or faster. The plan concerns "
+            "the effects of the diagnosis."
         )
         console.print(rich_text(text, style="bold"))
     for sentence in sentences(planned):
@@ -128,7 +128,7 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
             (
                 rich_text(name, style="bold" if name == planned.drive.name else ""),
                 f"{candidate.duration_s:.0f} s",
-                *(() if is_single else (f"{estimate.separability:.2g}",)),
+                *(() if is_single else (f"{100.0 * estimate.separability:.2g} %",)),
                 f"{100 * error:.2g} %" if error < 10.0 else "not shown",
             )
         )

@@ -102,7 +102,7 @@ def content_of(path: Path) -> bytes:
         raise ParameterFileError(
             f"{path} has {size} bytes",
             needed=f"at most {_MAX_bytes}; piezoid does not write larger files",
-            remedy="Use the original, or write it again from the recordings.",
+            remedy="Use the original, or run the command that wrote it again.",
         )
     with path.open("rb") as stream:
         return stream.read(size)

@@ -56,12 +56,12 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]", legend: str = "") -> list[str
             for part in visible_parts(diagnosis)
         )
         total = with_unit(diagnosis.baseline.rms_m, "m")
-        baseline = total if diagnosis.model is None else f"{total} with hysteresis alone"
-        line = f"error budget {diagnosis.axis}: {baseline} = {terms}"
+        name = "simulation" if diagnosis.model is None else "base model"
+        line = f"error budget {diagnosis.axis}: {name} {total}; of this {terms}"
         lines.append(in_counts(line, diagnosis.counted))
     if any("*" in line for line in lines):
         lines.append(
-            "(rms, squares add up; * removed by the model, the others are its held-out error"
+            "(rms, squares add up; * removed by the final model, the others are its held-out error"
             f"{legend})"
         )
     return lines

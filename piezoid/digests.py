@@ -90,7 +90,7 @@ def unseal(content: bytes, schema: str, file: str) -> dict[str, Any]:
             f"{file}: the digest of the content is {expected[:12]}..., but the file states "
             f"{match.group(1).decode()[:12]}...",
             needed="the file, byte for byte as piezoid wrote it",
-            remedy="Use the original, or write it again from the recordings.",
+            remedy="Use the original, or run the command that wrote it again.",
         )
     try:
         record = json.loads(content, parse_int=_integer)

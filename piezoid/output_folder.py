@@ -146,14 +146,15 @@ def write_file(
         if mode is not None and not stat.S_ISREG(mode):
             raise refusal(f"{path} is not a regular file")
         is_ours = False
-        if mode is not None and force:
+        if mode is not None:
             with path.open("rb") as stream:
                 is_ours = stream.read(len(opening)) == opening
-        if mode is not None and not is_ours:
+        if mode is not None and not (is_ours and force):
+            replaced = "or replace it with --force" if is_ours else "--force does not replace it"
             raise OutputFolderError(
                 f"{path} already exists",
                 needed="the name of a new file",
-                remedy="Name another file; --force replaces only files that this command wrote.",
+                remedy=f"Name another file; {replaced}.",
             )
         if only_check:
             return

@@ -189,7 +189,7 @@ def certify(
             f"the linear plant is one of the {len(members)} members",
             f"the reference moves at most {with_unit(slew_m_per_s, 'm/s')}",
             "the command stays inside the converter's limits",
-            "sensor noise comes on top, as its own line",
+            "sensor noise comes on top and is stated separately",
         ),
         speed_bounds=tuple(bound for bound, *_ in by_member),
     )

@@ -35,8 +35,6 @@ _Task = tuple[
 The increase is as far as damping of a mode allows; none for a tip.
 """
 
-_NO_POLE = ", and no pole of it is declared (bandwidth_Hz of [amplifier] or [sensor]) or fitted"
-
 
 @dataclass(frozen=True, kw_only=True)
 class SpecificationText:
@@ -240,8 +238,8 @@ def _lateral_task(
             remedy="Read in the report why it does not apply, and record again.",
         )
     if rate_Hz is None and model.controller_rate_Hz is None:
-        pole_note = "" if has_pole(loop_model(axis, _FASTEST_Hz), _FASTEST_Hz) else _NO_POLE
-        raise _unknown_rate(model, pole_note)
+        is_limited = has_pole(loop_model(axis, _FASTEST_Hz), _FASTEST_Hz)
+        raise _unknown_rate(model, lab, needs_pole=not is_limited)
     task = lateral_task(axis, controller_rate_Hz(model, rate_Hz), forms=forms)
     recommended = next(form for form in FORMS if form in task.families)
 
@@ -310,7 +308,7 @@ def controller_rate_Hz(model: ActuatorModel, requested_Hz: float | None) -> floa
     """
     rate_Hz = model.controller_rate_Hz if requested_Hz is None else requested_Hz
     if rate_Hz is None:
-        raise _unknown_rate(model)
+        raise _unknown_rate(model, Lab())
     if not _SLOWEST_Hz <= rate_Hz <= _FASTEST_Hz:
         raise DesignError(
             f"stage {model.stage}: the controller is to run at {rate_Hz:g} Hz",
@@ -320,10 +318,26 @@ def controller_rate_Hz(model: ActuatorModel, requested_Hz: float | None) -> floa
     return rate_Hz
 
 
-def _unknown_rate(model: ActuatorModel, note: str = "") -> DesignError:
-    return DesignError(
-        f"stage {model.stage}: the sampling rate of the controller is not known{note}",
-        needed="the rate at which the controller will run",
-        remedy="Write sampling_rate_Hz under [acquisition] in lab.toml and fit again, or run "
-        "`piezoid design FOLDER --rate HZ`.",
-    )
+def _unknown_rate(model: ActuatorModel, lab: Lab, *, needs_pole: bool = False) -> DesignError:
+    """Return the error for a model that was fitted without the rate of the controller.
+
+    needs_pole  whether the model has no pole either, which a rate alone does not mend
+    """
+    found = f"stage {model.stage}: the fit knew no sampling rate of the controller"
+    needed = "the rate at which the controller will run"
+    rate_Hz = lab.acquisition.sampling_rate_Hz
+    if rate_Hz is not None:
+        found += f", which {lab.place} now states as {rate_Hz:g} Hz"
+        remedy = f"Fit again with {lab.place}"
+    else:
+        remedy = "Write sampling_rate_Hz under [acquisition] in lab.toml and fit again"
+    if needs_pole:
+        found += ", and no pole of the stage"
+        needed += ", and a pole that limits the speed of the stage"
+        remedy += (
+            ", with bandwidth_Hz of [amplifier] or [sensor] or with a recording that excites the "
+            "dynamics (a small chirp)."
+        )
+    else:
+        remedy += ", or run `piezoid design FOLDER --rate HZ`."
+    return DesignError(found, needed=needed, remedy=remedy)

@@ -220,11 +220,11 @@ class Violation:
     @property
     def sentence(self) -> str:
         """The violation as a sentence."""
-        at, limit = with_unit(self.frequency_Hz, "Hz"), significant(self.limit, 4)
+        unit = "" if self.unit == "1" else f" {self.unit}"
         return (
-            f"{self.template} of the member '{self.member}' is {significant(self.found, 4)} "
-            f"{self.unit} at {at} where {limit} {self.unit} is the limit, missed by "
-            f"{self.excess_dB:.2f} dB"
+            f"{self.template} of the member '{self.member}' is {significant(self.found, 4)}{unit} "
+            f"at {with_unit(self.frequency_Hz, 'Hz')}; the limit, {significant(self.limit, 4)}"
+            f"{unit}, is missed by {self.excess_dB:.2f} dB"
         )
 
 

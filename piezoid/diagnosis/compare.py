@@ -133,7 +133,10 @@ class ModelComparison:
             )
         as_good = self.refitted_error_m > (1.0 - MIN_GAIN) * self.unchanged_error_m
         if self.holds and (as_good or self.unchanged_error_m <= self.fitted_error_m):
-            return f"the model still holds; error {error}, {fitted} at the fit{noise}"
+            return (
+                f"the model still holds; error without loop shape {error}, {fitted} at the "
+                f"fit{noise}"
+            )
         verdict = "holds less well" if self.holds else "does not hold"
         rescaled = with_unit(self.rescaled_error_m, "m")
         return (

@@ -242,7 +242,7 @@ class Diagnosis(Summarised):
                 )
             )
         notes = (
-            f"held-out error: {with_unit(self.baseline.rms_m, 'm')} rms with hysteresis alone, "
+            f"held-out error: {with_unit(self.baseline.rms_m, 'm')} rms of the base model, "
             f"{with_unit(self.final.rms_m, 'm')} with all findings; "
             f"sensor noise {with_unit(self.noise_floor_rms_m, 'm')}",
             f"effects not detected: {len(self.not_detected)}",

@@ -88,7 +88,7 @@ def _nothing_found(diagnosis: Diagnosis) -> Statement:
     structure = diagnosis.unexplained
     if structure is not None and structure.gain >= MIN_GAIN:
         coordinate, percent = coordinate_words(structure.coordinate), 100 * structure.p_value
-        usual = f", as in {percent:.0f} % of healthy stages"
+        usual = f"; {percent:.0f} % of healthy stages show as much"
         text += f" {100 * structure.gain:.2g} % of its power depends on {coordinate}"
         text += f"{'' if structure.p_value <= USUAL_P else usual}."
     exceeds = not at_rest and residual_m > NEAR_NOISE * noise_m > 0.0

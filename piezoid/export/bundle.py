@@ -39,7 +39,7 @@ _README = """\
 `piezoid_runtime.h` and `.c` are the controller in C99, as it was verified; `piezo_params.h` has
 the parameters; `example_main.c` tests your build with {samples} samples per axis.
 
-| axis | index | method | calls per second | preview | reference | output, V | step, V | codes |
+| axis | index | method | rate, Hz | preview | reference | output, V | LSB, V | codes |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- |
 {axes}
 {unshipped}
@@ -55,15 +55,14 @@ Memory: about 14 kB of code (Cortex-M4, float). Each axis of this table needs
     ./example < golden.csv
 
 must end with `0 differ`; add `-DPZ_REAL_FLOAT` for single precision. On a target without standard
-input, compile rows of `golden.csv` into your test: call `pz_start` with 0 V and the first
-`measured` of the axis, then `pz_step` with each row, and compare voltage and status. (This first
-reading does not belong to 0 V; `pz_start` treats the difference as a shift of the sensor's zero.)
+input, compile rows of `golden.csv` into your test (`nan` is `NAN` in C): call `pz_start` with 0 V
+and the first `measured` of the axis, then `pz_step` with each row, and compare voltage and status.
+(This first reading does not belong to 0 V; `pz_start` treats the difference as a shift of the
+sensor's zero.)
 Not covered: approach, retract, stuck sensor, latch, `pz_reset`, feedforward.
 
-A build that contracts products and sums (FMA) rounds differently and exits with 1. In float, with
-a `step` in the table above, it passes if each printed row is one step off with the expected
-status (3 of 3000 rows with gcc). With a step of 0 most rows differ, by about 1e-5 of the output
-range: test with `-ffp-contract=off`.
+A build that contracts products and sums (FMA) rounds differently and exits with 1: rows then
+differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `-ffp-contract=off`.
 
 ## 2. Call order and timing
 
@@ -84,14 +83,18 @@ range: test with `-ffp-contract=off`.
   until it is inside, then call `pz_start`. From outside, the first output jumps, on some stages
   by half the range; only `reference_step_m`, which is large, limits a jump. Z: the reference is
   always the set point.
-- `pz_start` needs the voltage that the DAC puts out at that moment. It accepts NaN and values out
-  of range; the first output is then 0 V or the nearest limit: check before. Call it again, with
-  the interrupt stopped, after a pause and after you have moved the DAC yourself. To park, ramp the
-  reference to the position and stop the interrupt; the DAC keeps its last voltage.
-- Read, step and write in the same call. `report.html`, beside the folder `bundle/`, states the
-  delay that the design includes (Dynamics) and the delay margin of the loop that ships, `method`
-  above (Controllers). More delay costs accuracy, and beyond the margin stability. Another rate or
-  missed calls are not detected.
+- `pz_start` needs the present output voltage of the DAC. NaN counts as 0 V and a voltage out of
+  range as the nearest limit, and the first output starts from there: check it first. The reading
+  may be NaN: the model's position is then used. Call `pz_start` again, with the interrupt
+  stopped, after a pause and after you have moved the DAC yourself. To park, ramp the reference
+  to the position and stop the interrupt; the DAC keeps its last voltage.
+- Read, step and write in the same call. The design includes the delay that the recordings show.
+  `report.html`, beside the folder `bundle/`, states how much more delay the exported loop,
+  `method` above, tolerates (Controllers: delay margin). Each sample of it costs accuracy.
+  Another rate or missed calls are not detected.
+- A reference that another thread writes must be read at once: on a 32-bit core, stop the interrupt
+  for the copy of a double. Axes that share an interrupt can be stepped in any order; to restart
+  one of them, skip its `pz_step` until its `pz_start` has returned.
 - `reference` is the position wanted `preview` samples ahead. If you do not know the future, give
   the present one: the motion is then late by so many samples, otherwise the same.
 
@@ -100,10 +103,10 @@ range: test with `-ffp-contract=off`.
 {voltage_note}
 - X, Y: reading and reference in m, with the scale, zero and sign of the recordings. Do not zero
   the sensor at power-up: a small shift is taken for hysteresis and costs accuracy.
-- Z: both in A, positive at the bias in use; change the sign of the reading where it is negative.
-- `output / step`, rounded, is the code of a two's-complement DAC, within the column `codes`; an
+- Z: both in A. If your bias makes the current negative, negate every reading.
+- `output / LSB`, rounded, is the code of a two's-complement DAC, within the column `codes`; an
   offset-binary DAC of n bits adds 2^(n-1). Clamp the code; masking wraps a code above full scale
-  to the opposite end. A step of 0: lab.toml declares no `dac_bits`, outputs are not rounded, and
+  to the opposite end. An LSB of 0: lab.toml declares no `dac_bits`, outputs are not rounded, and
   your firmware converts volts to codes with the scale of its DAC.
 - A coarser DAC rounds once more; keep `lsb_V`. A smaller range: narrow the voltages (section 6).
 
@@ -116,35 +119,38 @@ range: test with `-ffp-contract=off`.
 - Pass `NAN` for a reading that you do not trust (timeout, checksum, out of range).
 - X, Y: unusable are NaN, infinity, and a value that does not change for `stuck_samples` although
   the voltage moves by `stuck_voltage_V`. The model then continues alone, with the last estimate of
-  the disturbance. After `blind_samples` unusable readings the output latches until `pz_reset`.
-- X, Y: a reading at the end of the sensor's range is used, and moves the output to the end of its
-  range; a reading beyond the displacement limits counts as the limit. If it is constant, it is
-  detected as stuck, and the output latches at that end. A noisy reading beyond the limits, a
-  reversed sensor and a broken cable are not detected: your firmware must do that.
+  the disturbance. After `blind_samples` unusable readings the output latches: it holds its last
+  value until `pz_reset`, which counts anew; if the reading is still unusable, it latches again.
+- X, Y: a saturated sensor reading is used, and drives the output to its limit; a reading beyond
+  the displacement limits counts as the limit. If it is constant, it is detected as stuck, and the
+  output latches at that end. A noisy reading beyond the limits, a reversed sensor and a broken
+  cable are not detected: your firmware must do that.
 - X, Y: at a voltage limit the output is clipped, with the bit `VOLTAGE_LIMITED`. The observer uses
   the clipped voltage, so the loop does not wind up.
 - Z retracts from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or at the ceiling,
   the end of its range (`MEASUREMENT_LIMITED`), and after `bad_samples` from one that is reversed
   (`WRONG_SIGN`) or NaN. It latches at `retract_voltage_V` after `trip_limit` retracts in a row or
-  at the end of the drive. Keep the set point well below the ceiling. The ADC must show noise: the
-  same number for `stuck_samples`, above `stuck_current_A` (-1: even 0 A), stops every approach.
+  at the end of the drive. Keep the set point well below the ceiling. The ADC must show noise:
+  `stuck_samples` equal readings above `stuck_current_A` (-1: even 0 A) stop every approach.
 
 ## 5. Status
 
 `state.status` is 0, or bits `PZ_STATUS_...` (header) of what was limited, replaced or faulty in
-this sample. `status_ever` collects them; start-up sets some, and only `pz_start` clears them. A
-guaranteed error of `report.html` holds while `status` is 0 and the transient after a bit is over.
+this sample. `status_ever` collects them; the first samples may set some, and only `pz_start`
+clears them. Of a latch on X or Y, the cause is the bit of the samples before it:
+`BAD_MEASUREMENT` or `STUCK_SENSOR`. After `RESTARTED` the loop goes on by itself. A guaranteed
+error of `report.html` holds while `status` is 0 and the transient after a bit is over.
 
 ## 6. Changing parameters
 
-Fit or design and export again after a change of the recordings or of lab.toml. In firmware: copy
-the structure, change it, set `copy.checksum = pz_checksum(&copy)`, stop the interrupt, call
-`pz_start` with the copy, and pass the same copy to every later `pz_step`; it must stay in RAM.
-You may narrow `voltage_minimum_V`, `voltage_maximum_V` (Z: `retract_voltage_V` within them),
-`reference_minimum_m` and `reference_maximum_m`, and reduce `voltage_step_V` and `reference_step_m`
-(0: any) without a new design: the margins remain valid while no limit acts. Any other change voids
-margins, bounds and proofs. Do not edit gains: state the bandwidth or the modulus margin in
-design.toml, then run `piezoid design --spec` and `piezoid export`.
+After new recordings or a change of lab.toml: `piezoid fit`. In firmware: copy the structure,
+change it, set `copy.checksum = pz_checksum(&copy)`, stop the interrupt, call `pz_start` with the
+copy, and pass the same copy to every later `pz_step`; it must stay in RAM. You may narrow
+`voltage_minimum_V`, `voltage_maximum_V` (Z: `retract_voltage_V` within them),
+`reference_minimum_m` and `reference_maximum_m`, and reduce `voltage_step_V` and
+`reference_step_m`, but not to 0, which is unlimited. The margins remain valid while no limit
+acts. Any other change voids margins, bounds and proofs. Do not edit gains: state the bandwidth
+or the modulus margin in design.toml, then run `piezoid design --spec` and `piezoid export`.
 {decoupled}
 ## 7. Provenance
 
@@ -207,7 +213,8 @@ def bundle(file: ParameterFile) -> Mapping[str, bytes]:
             first=file.axes[0].axis.upper(),
             voltage_note=fill(voltage_note, 98, subsequent_indent="  "),
             unshipped="".join(
-                f"\nAxis {plain_ascii(axis)} is not included: {plain_ascii(reason, length=600)}\n"
+                f"\nAxis {plain_ascii(axis)} is not included, so indices may have changed: "
+                f"{plain_ascii(reason, length=600)}\n"
                 for axis, reason in file.unshipped.items()
             ),
             decoupled=decoupled,

@@ -32,7 +32,7 @@ _TOP = """\
 #include "piezoid_runtime.h"
 
 #if PZ_SCHEMA_VERSION != {version}
-#error "these parameters were written for schema version {version} of the piezoid runtime"
+#error "piezo_params.h has schema version {version}: take piezoid_runtime.h from its bundle"
 #endif
 
 #define PIEZO_PARAMS_DIGEST "{digest}"

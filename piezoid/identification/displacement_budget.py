@@ -119,7 +119,7 @@ def _from_data(axis: AxisModel) -> list[Contribution]:
         gain_m_per_V = float(uncertainty.loading_m[-1]) / reach_V if reach_V > 0.0 else 0.0
         speed_m_per_s = axis.certificate.slew_V_per_s * gain_m_per_V
         lag = Contribution(
-            name="lag, at the fastest drive of the data",
+            name="lag, at the fastest drive of the fitted samples",
             kind="A",
             standard=speed_m_per_s * uncertainty.standard_error("lag_s"),
             freedom=freedom,

@@ -103,6 +103,18 @@ def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
         statements.append(
             _limit(axis, Level.NOTE, ZERO_DRIFT, text, drift_m, "m", start.recording)
         )
+    for start in axis.starts:
+        if start.first > 0:
+            text = (
+                f"The first {start.first} of {start.last} samples of {start.recording} were "
+                "excluded: no initial state of the hysteresis explains them. Record again after "
+                "several full cycles of the drive."
+            )
+            statements.append(
+                _limit(
+                    axis, Level.WARNING, "excluded", text, float(start.first), "", start.recording
+                )
+            )
     for remark in axis.verdict.remarks:
         quantity = DYNAMICS if remark in axis.dynamics_remarks else "fit"
         is_verdict = axis.bandwidth is not None and remark == axis.bandwidth.text

@@ -221,7 +221,7 @@ class Certificate:
     found_m       largest difference of two models in an adversarial search over drives, 95 %
                   quantile over the same refits; compare with plays_m + dead_zones_m
     reach_V       valid for |u - u_off| <= reach_V
-    slew_V_per_s  fastest drive in the data, up to which the bound is valid
+    slew_V_per_s  fastest drive in the fitted rows, up to which the bound is valid
     """
 
     plays_m: float

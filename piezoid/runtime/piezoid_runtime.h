@@ -124,12 +124,12 @@ typedef struct {
     pz_real displacement_offset_m;  /* centre: y = polarity (displacement - offset) */
     pz_real voltage_minimum_V;      /* lowest output */
     pz_real voltage_maximum_V;      /* highest output */
-    pz_real voltage_step_V;         /* largest change in a sample; 0: any */
+    pz_real voltage_step_V;         /* largest change in a sample; 0: unlimited */
     pz_real lsb_V;                  /* converter step; outputs are multiples; 0: no rounding */
     pz_real reference_minimum_m;    /* references below are raised to this */
     pz_real reference_maximum_m;    /* references above are lowered to this */
-    pz_real reference_step_m;       /* largest change of the reference in a sample; 0: any */
-    pz_real certified_step_m;       /* the same with an error bound; 0: no bound */
+    pz_real reference_step_m;       /* largest change of the reference in a sample; 0: unlimited */
+    pz_real certified_step_m;       /* fastest with a guaranteed error; 0: none */
     pz_real displacement_minimum_m; /* measurements below are raised to this */
     pz_real displacement_maximum_m; /* measurements above are lowered to this */
     pz_real stuck_voltage_V;        /* voltage change that a working sensor shows */

@@ -138,13 +138,15 @@ _SIGNALS = (
     _real("gain_m_per_V", "m/V", 0, 1e3, "static gain of the affine model"),
     _real("voltage_offset_V", *_V, "centre of the model, voltage"),
     _real("displacement_offset_m", *_m, "centre of the model, position"),
-    _real("voltage_minimum_V", *_V, "converter, lower end"),
-    _real("voltage_maximum_V", *_V, "converter, upper end"),
-    _real("voltage_step_V", *_VOLTAGE_STEP, "largest change of the voltage in a sample; 0: any"),
+    _real("voltage_minimum_V", *_V, "lowest output"),
+    _real("voltage_maximum_V", *_V, "highest output"),
+    _real(
+        "voltage_step_V", *_VOLTAGE_STEP, "largest change of the voltage in a sample; 0: unlimited"
+    ),
     _real("lsb_V", "V", 0, 1e3, "converter step; 0: no rounding"),
     _real("reference_minimum_m", *_m, "lowest reference followed"),
     _real("reference_maximum_m", *_m, "highest reference followed"),
-    _real("reference_step_m", *_STEP, "largest change of the reference in a sample; 0: any"),
+    _real("reference_step_m", *_STEP, "largest change of the reference in a sample; 0: unlimited"),
     _real(
         "certified_step_m", *_STEP, "largest change of the reference with an error bound; 0: none"
     ),

@@ -16,7 +16,7 @@ from piezoid.toml_files import read_toml
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.tracking import Tracking
 
-SHAPE_ERROR = "shape error of the shipped controller"
+SHAPE_ERROR = "shape error of the controller"
 HOLD_TIME = "time without sensor until the output is held"
 SHAPE_RATIO = "shape error, ratio to no compensation"
 _Positive = Annotated[float, msgspec.Meta(gt=0.0, le=sys.float_info.max)]
@@ -28,7 +28,7 @@ _AFTERWARDS = 0.25  # share of a record, at its end, in which a fault must have 
 class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Acceptance limits; every number may be replaced for an application.
 
-    aligned_percent     of the diameter, shape error of the shipped controller, up to judged_Hz
+    aligned_percent     of the diameter, shape error of the controller, up to judged_Hz
     judged_Hz           frequency above which spirals are compared with no compensation only
     settling_s          after the largest step, to 2 % of it
     overshoot_percent   of the largest step
@@ -95,7 +95,9 @@ def describe_failure(verdict: Verdict) -> str:
     def formatted(number: float) -> str:
         if verdict.unit in ("s", "m"):
             return with_unit(number, verdict.unit)
-        return f"{significant(number)}{'' if verdict.unit == '1' else ' ' + verdict.unit}"
+        if verdict.unit == "1":
+            return f"{number:.0f}" if number.is_integer() else significant(number)
+        return f"{significant(number)} {verdict.unit}"
 
     value, limit = formatted(verdict.value), formatted(verdict.limit)
     return f"{verdict.name} ({verdict.scenario}): {value}, allowed {limit}"

@@ -1,4 +1,4 @@
-"""Error budget: held-out error of a simulation with hysteresis alone, split into its causes."""
+"""Error budget: held-out error of the base model, split into its causes."""
 
 from math import sqrt
 
@@ -22,9 +22,7 @@ def render(page: Page) -> Section | None:
             continue
         parts, total_m = visible_parts(diagnosis), diagnosis.baseline.rms_m
         total = number(total_m, "m")
-        bars = [
-            Bar(name="hysteresis alone", start_m=0.0, end_m=total_m, value=total, role="total")
-        ]
+        bars = [Bar(name="base model", start_m=0.0, end_m=total_m, value=total, role="total")]
         remaining_m2 = total_m**2
         for part in parts:
             end_m, is_noise = sqrt(remaining_m2), part.part == NOISE
@@ -54,8 +52,8 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="error-budget",
         title="Error budget",
-        lead="Held-out error of a simulation with hysteresis alone, split into its causes. The "
-        "squares of the parts add up.",
+        lead="Held-out error of the base model (hysteresis operator and lag), split into its "
+        "causes. The squares of the parts add up, so a bar is shorter than its number.",
         parts=tuple(waterfalls),
     )
 

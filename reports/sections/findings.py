@@ -1,5 +1,6 @@
 """Detected effects with figures and advice, and limits of the effects not detected."""
 
+import math
 from collections.abc import Sequence
 
 from piezoid.diagnosis.coordinate_descriptions import CONTROL_ADVICE
@@ -14,6 +15,7 @@ from piezoid_reports.page import Page
 from piezoid_reports.parts import Heading, Part, Prose, Section, Table, with_rows
 from piezoid_reports.quantities import number, percent, size_of
 
+MAX_BOUND = 0.1  # of the range: a larger bound of an effect is not useful
 MIN_GAIN = 1e-3  # of the held-out error: refitting alone changes it by as much
 NO_FIGURES = "No figures: they need a model of these recordings. Run `piezoid fit`."
 NO_FIGURE = "No figure: the model fits these recordings equally well without the effect."
@@ -46,7 +48,7 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="findings",
         title="Findings",
-        lead="Effects that a simulation with hysteresis alone lacks. Look-alike: the residual "
+        lead="Effects that the base model lacks. Look-alike: the residual "
         "of a stage with this effect alone, at the estimated size.",
         parts=(*parts, *_not_detected_tables(page)),
     )
@@ -130,7 +132,11 @@ def _not_detected_tables(page: Page) -> list[Part]:
                 elif absence is not None and absence.detection_limit_m is not None:
                     cell = number(absence.detection_limit_m, "m")
                     if name in effects and absence.upper_bound_m is not None:
-                        cell = f"{number(absence.upper_bound_m, 'm')}, {cell}"
+                        fitted = page.model.axes.get(axis)
+                        max_m = math.inf if fitted is None else MAX_BOUND * fitted.quality.range_m
+                        bound = number(absence.upper_bound_m, "m")
+                        is_useful = absence.upper_bound_m <= max_m
+                        cell = f"{bound if is_useful else 'no useful bound'}, {cell}"
                 if name == thermal_drift.EFFECT.name and axis in drifting:
                     cell += ", in addition to the drift in the fit"
                 cells.append(cell)

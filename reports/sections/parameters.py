@@ -93,6 +93,11 @@ def _bow(axis: AxisModel) -> Figure:
 
 def _loop_width(axis: AxisModel) -> str:
     width_m, half_m = axis.uncertainty.loop_width_m
+    if axis.quality.is_lag_ambiguous and axis.lag.kind != "none":
+        return (
+            f"{number(width_m, 'm')} beside a lag of {number(axis.lag.time_s, 's')}, which loops "
+            "at a single speed do not separate from it"
+        )
     if has_usable_intervals(axis):
         return with_half_width(width_m, half_m, "m")
     return f"{number(width_m, 'm')} (no usable interval)"
@@ -116,7 +121,7 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
         column = {
             "held-out error, rms": held_out,
             f"{SPIRAL_Hz:g} Hz spiral with feedback, simulated, rms": tracked,
-            "95 % of positions": positions,
+            "95 % of positions at the end of the range": positions,
             f"largest of {expected.positions} positions": largest,
             "bound of the hysteresis model alone, 95 %": bound,
             "guaranteed error with feedback": guarantee(page, axis),

@@ -93,7 +93,7 @@ def test_the_lag_counts_at_the_fastest_drive_of_the_data() -> None:
     held = {one.name: one for one in displacement_budget(axis).budget.contributions}
     known = axis.uncertainty
     speed_m_per_s = 40.0 * known.loading_m[-1] / known.reach_V[-1]
-    lag = held["lag, at the fastest drive of the data"]
+    lag = held["lag, at the fastest drive of the fitted samples"]
     assert lag.standard == pytest.approx(1e-6 * speed_m_per_s)
 
 

@@ -91,5 +91,5 @@ def test_intervals_that_the_held_out_error_contradicts_are_not_printed() -> None
     page = page_of(wild)
     values = {row[0]: row[1] for row in rows(page) if len(row) == 2}
     assert values["width of the full loop"] == "5.10 µm (no usable interval)"
-    assert values["95 % of positions"] == "no usable interval"
+    assert values["95 % of positions at the end of the range"] == "no usable interval"
     assert "± 7.2" not in page

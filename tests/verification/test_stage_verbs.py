@@ -184,7 +184,7 @@ def test_a_failed_verdict_is_exit_status_1_and_still_written(folder, designed):
     (folder / "params.json").write_bytes(to_json(bare))
     done = called("verify", folder)
     assert done.exit_code == 1
-    assert "failed: shape error of the shipped controller" in done.output
+    assert "failed: shape error of the controller" in done.output
     assert not verification_from_json((folder / "verification.json").read_bytes()).passed
 
 

@@ -55,17 +55,35 @@ void step() {
     worst_us = taken > worst_us ? taken : worst_us;
 }
 
+// Raise the drive from 0 V until the reading lies within the references: a controller that starts
+// outside would jump there. Returns the voltage.
+static float rise() {
+    const pz_parameters &p = piezo_params[AXIS];
+    float voltage_V = 0.0f;
+    for (int code = 0; code <= DRIVE_MAX_CODE; ++code) {
+        voltage_V = (float)code * DRIVE_V_PER_CODE;
+        analogWrite(PA4, code);
+        delay(1);
+        const float measured_m = analogRead(A0) * SENSOR_m_PER_CODE;
+        if (voltage_V >= p.voltage_maximum_V ||
+            (measured_m >= p.reference_minimum_m && measured_m <= p.reference_maximum_m)) {
+            break;
+        }
+    }
+    return voltage_V;
+}
+
 void setup() {
     Serial.begin(115200);
     analogReadResolution(12);
     analogWriteResolution(12);
-    analogWrite(PA4, 0);
+    const float voltage_V = rise();
     const float measured_m = analogRead(A0) * SENSOR_m_PER_CODE; // waits for the conversion
-    if (pz_start(&state, &piezo_params[AXIS], 0.0f, measured_m) != PZ_OK) {
+    if (pz_start(&state, &piezo_params[AXIS], voltage_V, measured_m) != PZ_OK) {
         Serial.println("pz_check refuses these parameters");
         return;
     }
-    reference_m = state.reference_m; // no step if the reading at 0 V lies within the references
+    reference_m = state.reference_m;
     wanted_m = reference_m;
     timer.setOverflow(20000, HERTZ_FORMAT);
     timer.attachInterrupt(step);

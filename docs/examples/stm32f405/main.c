@@ -35,6 +35,7 @@
 #define RATE_Hz 20000u
 #define POINTS 400u        /* of a period: lines of 50 Hz */
 #define RAMP_SAMPLES 2000u /* for the whole range, before the first line */
+#define RISE_WAIT 10000u   /* turns of an empty loop for each DAC code: some 0.3 ms */
 
 #define REGISTER(address) (*(volatile uint32_t *)(address))
 #define RCC(offset) REGISTER(0x40023800u + (offset))
@@ -117,6 +118,25 @@ static pz_real triangle_m(uint32_t point) {
     return p->reference_minimum_m + share * (p->reference_maximum_m - p->reference_minimum_m);
 }
 
+/* Raise the drive from 0 V until the reading lies within the references: a controller that starts
+ * outside would jump there. Returns the voltage. */
+static pz_real rise(void) {
+    const pz_parameters *p = &piezo_params[AXIS];
+    pz_real voltage_V = PZ_REAL(0);
+    for (uint32_t code = 0; code < DRIVE_MAX_CODE; ++code) {
+        const pz_real measured_m = read_sensor_m();
+        voltage_V = (pz_real)code * DRIVE_V_PER_CODE;
+        write_drive(voltage_V);
+        if (voltage_V >= p->voltage_maximum_V ||
+            (measured_m >= p->reference_minimum_m && measured_m <= p->reference_maximum_m)) {
+            break;
+        }
+        for (volatile uint32_t wait = 0; wait < RISE_WAIT; ++wait) {
+        }
+    }
+    return voltage_V;
+}
+
 /* Move the reference slowly from the first reading to the triangle. Returns 1 on the way. */
 static int ramps_to(pz_real goal_m) {
     const pz_parameters *p = &piezo_params[AXIS];
@@ -133,12 +153,13 @@ static int ramps_to(pz_real goal_m) {
 void on_timer(void) {
     static uint32_t point;
     static int is_on_triangle;
+    const uint32_t ahead = (uint32_t)piezo_params[AXIS].preview_samples % POINTS;
     const uint32_t begun = SYSTICK_VALUE;
     pz_real table_V = PZ_REAL(0);
     TIM2(0x10) = 0; /* clears the flag of this interrupt */
-    if (is_on_triangle || !ramps_to(triangle_m(0))) {
+    if (is_on_triangle || !ramps_to(triangle_m(ahead))) {
         is_on_triangle = 1;
-        reference_m = triangle_m(point);
+        reference_m = triangle_m((point + ahead) % POINTS);
         table_V = feedforward_V[point];
         point = point + 1u < POINTS ? point + 1u : 0u;
     }
@@ -214,11 +235,11 @@ int main(void) {
     (void)start_clock;
 #endif
     start_converters();
-    const pz_real voltage_V = PZ_REAL(0); /* output of the DAC after a reset */
+    const pz_real voltage_V = rise();
     if (pz_start(&state, &piezo_params[AXIS], voltage_V, read_sensor_m()) != PZ_OK) {
         stop(); /* parameters that pz_check refuses */
     }
-    reference_m = state.reference_m; /* no step if the reading at 0 V lies within the references */
+    reference_m = state.reference_m;
     start_timer();                   /* the interrupt begins after pz_start */
     watch();
     return 0;

@@ -101,7 +101,7 @@ def extend(_: EffectEstimate, setting: SearchScaling) -> tuple[Extension, ...]:
 EFFECT = Effect(
     name=NAME,
     explanation=__doc__ or "",
-    unit="% of the stroke, rms where most",
+    unit="% of the stroke, largest rms",
     experiment="Hold this axis, drive the other one over its range in decaying loops, and "
     "record both drives and this displacement.",
     control="Feed the drive of the other axis forward; otherwise the loop must reject its "

@@ -203,7 +203,7 @@ def inject(recording: Recording, share: float) -> Recording:
 EFFECT = Effect(
     name="mains_interference",
     explanation=__doc__ or "",
-    unit="% of the stroke, rms where most",
+    unit="% of the stroke, largest rms",
     experiment="Record one minute with the drive at rest at 1 kHz or more, then once more "
     "with the amplifier unplugged: a hum that remains comes from the sensor.",
     control="A controller with gain at this frequency makes the stage follow the hum. Repair "

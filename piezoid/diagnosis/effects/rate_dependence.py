@@ -127,7 +127,7 @@ def extend(estimate: EffectEstimate, setting: SearchScaling) -> tuple[Extension,
 EFFECT = Effect(
     name="rate_dependence",
     explanation=__doc__ or "",
-    unit="% of the stroke, rms where most",
+    unit="% of the stroke, largest rms",
     experiment="Record full and tenth-size loops at four rates over two decades: rate dependence "
     "opens the large ones only, a delay or a lag opens both.",
     control="The inverse is right at one speed only: identify the stage at the speed that you "

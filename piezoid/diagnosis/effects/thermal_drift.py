@@ -60,7 +60,7 @@ def inject(recording: Recording, share: float) -> Recording:
 EFFECT = Effect(
     name="thermal_drift",
     explanation=__doc__ or "",
-    unit="% of the stroke, rms where most",
+    unit="% of the stroke, largest rms",
     experiment="Record ten minutes with the drive at rest, with the room's temperature; then a "
     "staircase and its mirror image, whose half sum is drift.",
     control="Feedforward cannot compensate drift; feedback from a sensor can. Without it, "

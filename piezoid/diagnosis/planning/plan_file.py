@@ -111,7 +111,7 @@ def sentences(plan: Plan) -> tuple[str, ...]:
     """Return reason, drive, expectation and remaining questions of a plan."""
     question, limits = plan.question, plan.limits
     drive = (
-        f"{plan.drive.name}, {plan.duration_s:.0f} s at {plan.drive.sampling_rate_Hz:g} Hz "
+        f"{plan.drive.name}, {plan.duration_s:.0f} s, {plan.drive.sampling_rate_Hz:g} samples/s "
         f"between {limits.voltage_min_V:.4g} and {limits.voltage_max_V:.4g} V"
     )
     if question.kind == "detect" and not is_open(question):

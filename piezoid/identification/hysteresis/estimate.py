@@ -101,7 +101,7 @@ def estimate_axis(
     pieces, outliers = without_outliers(fit)
     if outliers:
         fit = search(pieces, FIRST_SHAPE, coarse)
-    pieces, transients = without_transients(fit)
+    pieces = without_transients(fit)
     coarse = replace(coarse, lag_s=fit.operator.lag_s)
     loop_reason = reason_in_loops(pieces)
     if loop_reason:  # one small fit is enough to show how wrong the class is
@@ -137,7 +137,7 @@ def estimate_axis(
     )
     noise = quality.noise_rms_m / stroke_m
     trends = [text for c in cycles for text in trends_over_cycles(c, stroke_m, noise)]
-    remarks = (*outliers, *trends, *transients, *remarks_on(fit, choice.kind, rig))
+    remarks = (*outliers, *trends, *remarks_on(fit, choice.kind, rig))
     verdict = Verdict(applies=not rejection, reason=rejection, remarks=remarks)
     model = _axis_model(ordered, axis, rig, scales, fit, choice.best.residual, verdict, quality)
     names = [recording.name for recording in recordings]
@@ -199,9 +199,13 @@ def _axis_model(
         for index, piece in enumerate(fit.task.pieces)
     )
     drives = [recording.voltage_V(axis) for recording in recordings]
+    fitted_V = [
+        drives[piece.recording][piece.begin + piece.first : piece.begin + piece.last]
+        for piece in fit.task.pieces
+    ]
     slew_V_per_s = max(
-        float(np.abs(np.diff(u)).max()) * r.sampling_rate_Hz
-        for u, r in zip(drives, recordings, strict=True)
+        float(np.abs(np.diff(u)).max()) * piece.sampling_rate_Hz
+        for u, piece in zip(fitted_V, fit.task.pieces, strict=True)
     )
     zero_m = float(np.mean([start.zero_m.mean() for start in starts]))
     residual_m = held_out * abs(scales.displacement_m)

@@ -57,7 +57,7 @@ def without_outliers(fit: HysteresisFit) -> tuple[tuple[Piece, ...], tuple[str, 
             piece = replace(piece, response=response, invalid=invalid.astype(np.intp))
         if count:
             remarks.append(
-                f"{piece.name}: single readings were left out ({count}, "
+                f"{piece.name}: single readings were excluded ({count}, "
                 f"{100 * count / piece.rows:.2g} %): they deviate far from their neighbours and "
                 "from the fit."
             )
@@ -65,13 +65,13 @@ def without_outliers(fit: HysteresisFit) -> tuple[tuple[Piece, ...], tuple[str, 
     return tuple(pieces), tuple(remarks)
 
 
-def without_transients(fit: HysteresisFit) -> tuple[tuple[Piece, ...], tuple[str, ...]]:
-    """Return the pieces without transients that no admissible memory explains, and remarks.
+def without_transients(fit: HysteresisFit) -> tuple[Piece, ...]:
+    """Return the pieces without transients that no admissible memory explains.
 
-    The first rows end where every play has forgotten its initial state. They are left out if their
+    The first rows end where every play has forgotten its initial state. They are excluded if their
     rms residual exceeds ``TRANSIENT`` times that of the later rows.
     """
-    pieces, remarks, thresholds = [], [], fit.operator.threshold
+    pieces, thresholds = [], fit.operator.threshold
     for index, piece in enumerate(fit.task.pieces):
         rows = int(forgetting_sample(piece.fitted_drive, thresholds).max(initial=0))
         if rows >= 2 and piece.rows - rows >= max(MINIMUM_SAMPLES, piece.rows // 3):
@@ -79,15 +79,10 @@ def without_transients(fit: HysteresisFit) -> tuple[tuple[Piece, ...], tuple[str
             error[piece.invalid] = 0.0
             error = error[piece.first : piece.last]
             early, later = (float(np.sqrt(np.mean(e**2))) for e in (error[:rows], error[rows:]))
-            misfit = early / max(later, 1e-300)
-            if misfit > TRANSIENT:
-                remarks.append(
-                    f"{piece.name}: the first {rows} samples were left out; no initial memory "
-                    f"explains them ({misfit:.1f} times the later error)."
-                )
+            if early > TRANSIENT * later:
                 piece = replace(piece, first=piece.first + rows)
         pieces.append(piece)
-    return tuple(pieces), tuple(remarks)
+    return tuple(pieces)
 
 
 def outlying_samples(error: Array, drive: Array, response: Array) -> Samples:

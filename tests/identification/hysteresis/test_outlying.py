@@ -39,4 +39,4 @@ def test_sparks_of_a_hundredth_of_the_range_are_left_out(law: str, tmp_path: Pat
     reading_um = clean_um(law)
     reading_um[57::113] += 0.8  # in the middle of branches, and three samples behind a turn
     reading_um[803] -= 0.8
-    assert "single readings were left out (12, " in said_of(tmp_path, reading_um)
+    assert "single readings were excluded (12, " in said_of(tmp_path, reading_um)
