@@ -36,8 +36,9 @@ from piezoid.operators.wide_hysteresis import (
     HysteresisStates,
     States,
     class_columns,
+    class_families,
     mixed_columns,
-    smooth_count,
+    smooth_families,
 )
 from piezoid.records.recording import Recording
 
@@ -106,7 +107,7 @@ class _HistoryPath:
         histories = np.flatnonzero(np.abs(weight) > MIN_WEIGHT)
         mixture = np.concatenate([[-weight[histories].sum()], weight[histories]])
         states = [self.states[k] for k in (0, *(histories + 1))]
-        of_class = np.hstack(list(mixed_columns(self.drive, states, mixture).values()))
+        of_class = mixed_columns(self.drive, states, mixture)
         plays_m = (self.plays_m[:, 1:] - self.plays_m[:, :1]) @ weight
         remainder = plays_m / half_range_m - of_class @ plays[:-1]
         return np.column_stack([of_class, remainder])
@@ -224,16 +225,15 @@ def columns_of(
             sample = piece.rows.astype(float)
             samples = np.arange(int(piece.rows[-1]) + 1)
             static = class_columns(*_states_at(shape.scaled(piece.drive_V), samples, history))
-            table = {name: _at_sensor(axis, piece, x) for name, x in static.items()}
+            table = _at_sensor(axis, piece, static)
             drive_V, row_index = _drive_at_rows(piece.drive_V, piece.rows, 0.0)
-        of_class = np.hstack(list(table.values())) @ plays[:-1]
-        table[PLAYS] = (plays_m / (0.5 * axis.quality.range_m) - of_class)[:, None]
-        tables.append({name: x * gain_at_rows(axis, piece) for name, x in table.items()})
+        remainder = plays_m / (0.5 * axis.quality.range_m) - table @ plays[:-1]
+        tables.append(np.column_stack([table, remainder]) * gain_at_rows(axis, piece))
         paths.append(
             _history_path(axis, memory_V, drive_V, row_index, sample, count, is_pure_delay)
         )
-    family = tuple(name for name, x in tables[0].items() for _ in range(x.shape[1]))
-    x = np.concatenate([np.hstack(list(table.values())) for table in tables])
+    family = (*class_families(), PLAYS)
+    x = np.concatenate(tables)
     scale, change = _orthogonalised([x, reference_x], np.array(family))
     return Columns(
         values=x / scale,
@@ -278,9 +278,8 @@ def _reference() -> tuple[Array, NDArray[np.str_], Array, Array, Array]:
     turns = np.random.default_rng(0).uniform(-1.0, 1.0, TURNS)
     runs = [np.arange(a, b, np.copysign(STEP, b - a)) for a, b in pairwise(turns)]
     drive = np.concatenate(runs)
-    table = class_columns(drive, HysteresisStates((float(drive[0]),)).follow(drive))
-    family = np.repeat(list(table), [block.shape[1] for block in table.values()])
-    x = np.hstack(list(table.values()))
+    x = class_columns(drive, HysteresisStates((float(drive[0]),)).follow(drive))
+    family = np.array(class_families())
     return drive, family, x, *_orthogonalised([x], family)
 
 
@@ -304,7 +303,7 @@ def zero_loop_shape(axis: AxisModel) -> LoopShape:
         centre_V=0.5 * (low_V + high_V),
         reach_V=0.5 * (high_V - low_V),
         density_m=np.zeros((len(WIDTHS), len(EDGES) - 1)),
-        smooth_m=np.zeros(smooth_count()),
+        smooth_m=np.zeros(len(smooth_families())),
         plays_weight=1.0,
         plain=FitWithoutShape(
             lag_s=axis.lag.time_s,
@@ -349,7 +348,7 @@ def _states_at(
 
 def _delayed_columns(
     drive: Array, rows: NDArray[np.intp], delay: float, history: Sequence[float]
-) -> dict[str, Array]:
+) -> Array:
     """Return the columns ``delay`` samples before rows, linear between samples."""
     whole_samples = int(np.floor(delay))
     newer = np.maximum(rows - whole_samples, 0)
@@ -357,12 +356,11 @@ def _delayed_columns(
     samples = np.union1d(newer, older)
     level, (plays, friction, bouc_wen) = _states_at(*thinned_drive(drive, samples), history)
     share = delay - whole_samples
-    table: dict[str, Array] = {}
-    for weight, neighbour in ((1.0 - share, newer), (share, older)):
+    columns = []
+    for neighbour in (newer, older):
         k = np.searchsorted(samples, neighbour)
-        for name, x in class_columns(level[k], (plays[k], friction[k], bouc_wen[k])).items():
-            table[name] = weight * x + table.get(name, np.zeros(1))
-    return table
+        columns.append(class_columns(level[k], (plays[k], friction[k], bouc_wen[k])))
+    return np.asarray((1.0 - share) * columns[0] + share * columns[1])
 
 
 def _history_path(

@@ -204,7 +204,8 @@ def _states_along(drive: Array, start: _End) -> tuple[States, _End]:
 
 def cells(position: Array) -> Array:
     """Return the part of every cell below a position, (samples, cells)."""
-    return np.asarray(np.clip(position[:, None], EDGES[:-1], EDGES[1:]) - EDGES[:-1])
+    lower, upper = EDGES[:-1, None], EDGES[1:, None]
+    return np.asarray((np.clip(position, lower, upper) - lower).T)
 
 
 def _state_groups(drive: Array, states: States) -> dict[str, Array]:
@@ -219,14 +220,40 @@ def _state_groups(drive: Array, states: States) -> dict[str, Array]:
     }
 
 
-def smooth_columns(drive: Array, states: States) -> dict[str, Array]:
-    """Return the columns of all families except the density, {family: (rows, columns)}."""
+@cache
+def smooth_families() -> tuple[str, ...]:
+    """Return the family of every column of ``smooth_columns``."""
+    groups = _state_groups(np.zeros(1), HysteresisStates(()).follow(np.zeros(1)))
+    counts = {name: group.shape[1] for name, group in groups.items()} | {"pairs": len(PAIRS[0])}
+    names = ["polynomial"] * POLYNOMIAL
+    for name, (group, exponents) in FAMILIES.items():
+        names += [name] * (len(exponents) * counts[group])
+    return tuple(names)
+
+
+@cache
+def class_families() -> tuple[str, ...]:
+    """Return the family of every column of ``class_columns``."""
+    smooth = smooth_families()
+    densities = [f"density {k}" for k, (_, _, count) in enumerate(SCALES) for _ in range(count)]
+    return (*smooth[:POLYNOMIAL], *densities, *smooth[POLYNOMIAL:])
+
+
+def smooth_columns(drive: Array, states: States) -> Array:
+    """Return the columns of all families except the density, (rows, columns)."""
     groups, u = _state_groups(drive, states), drive[:, None]
     lag, (first, second) = groups["lag"].T, PAIRS
     groups["pairs"] = (lag[first] * lag[second]).T
-    columns = {"polynomial": np.asarray(legvander(drive, POLYNOMIAL)[:, 1:], dtype=np.float64)}
-    for name, (group, exponents) in FAMILIES.items():
-        columns[name] = np.hstack([u**n * groups[group] ** m for n, m in exponents])
+    columns = np.empty((len(drive), len(smooth_families())), order="F")
+    columns[:, :POLYNOMIAL] = legvander(drive, POLYNOMIAL)[:, 1:]
+    stop = POLYNOMIAL
+    for group, exponents in FAMILIES.values():
+        z = groups[group]
+        powers = {1: z, 2: z * z}  # ``z**3`` takes ten times as long as two products
+        powers[3] = powers[2] * z
+        for n, m in exponents:
+            first_column, stop = stop, stop + z.shape[1]
+            np.multiply(u**n, powers[m], out=columns[:, first_column:stop])
     return columns
 
 
@@ -235,7 +262,7 @@ def smooth_response(drive: Array, states: States, coefficient: Array) -> Array:
 
     >>> drive = np.array([0.0, 0.5])
     >>> states = HysteresisStates((-0.5, 0.0)).follow(drive)
-    >>> smooth_response(drive, states, np.eye(smooth_count())[0]).tolist()
+    >>> smooth_response(drive, states, np.eye(len(smooth_families()))[0]).tolist()
     [0.0, 0.5]
     """
     groups, first = _state_groups(drive, states), POLYNOMIAL
@@ -265,33 +292,31 @@ def smooth_response(drive: Array, states: States, coefficient: Array) -> Array:
     return total
 
 
-def class_columns(drive: Array, states: States) -> dict[str, Array]:
-    """Return the columns of all families, {family: (rows, columns)}."""
+def class_columns(drive: Array, states: States) -> Array:
+    """Return the columns of all families, (rows, columns)."""
     return mixed_columns(drive, (states,), np.ones(1))
 
 
-def mixed_columns(drive: Array, states: Sequence[States], weight: Array) -> dict[str, Array]:
-    """Return the weighted sum of the columns after several histories, {family: (rows, columns)}.
+def mixed_columns(drive: Array, states: Sequence[States], weight: Array) -> Array:
+    """Return the weighted sum of the columns after several histories, (rows, columns).
 
     drive   (samples,)    the same after all histories
     states  (histories,)  along the drive
     weight  (histories,)
     """
-    smooth: dict[str, Array] = {}
+    components = np.hstack([density_components(scale) for scale in range(len(SCALES))])
+    behind_density, count = POLYNOMIAL + components.shape[1], len(EDGES) - 1
+    columns = np.zeros((len(drive), len(class_families())), order="F")
+    density = np.tile(-weight.sum() * cells(drive).T, (len(WIDTHS), 1)).T
     for w, of_history in zip(weight, states, strict=True):
-        for name, x in smooth_columns(drive, of_history).items():
-            smooth[name] = smooth[name] + w * x if name in smooth else w * x
-    reversible, count = weight.sum() * cells(drive), len(EDGES) - 1
-    density = np.empty((len(drive), len(WIDTHS) * count))
-    for j in range(len(WIDTHS)):
-        below = sum(
-            w * cells(plays[:, j]) for w, (plays, _, _) in zip(weight, states, strict=True)
-        )
-        density[:, j * count : (j + 1) * count] = below - reversible
-    components = {
-        f"density {scale}": density @ density_components(scale) for scale in range(len(SCALES))
-    }
-    return {"polynomial": smooth.pop("polynomial"), **components, **smooth}
+        smooth = smooth_columns(drive, of_history)
+        smooth *= w
+        columns[:, :POLYNOMIAL] += smooth[:, :POLYNOMIAL]
+        columns[:, behind_density:] += smooth[:, POLYNOMIAL:]
+        for j, play in enumerate(of_history[0].T):
+            density[:, j * count : (j + 1) * count] += w * cells(play)
+    columns[:, POLYNOMIAL:behind_density] = density @ components
+    return columns
 
 
 def coefficients(weights: Array) -> tuple[Array, Array]:
@@ -300,13 +325,6 @@ def coefficients(weights: Array) -> tuple[Array, Array]:
     density = sum(density_components(k) @ part for k, part in enumerate(parts[:-1]))
     smooth = np.concatenate([weights[:POLYNOMIAL], parts[-1]])
     return np.reshape(density, (len(WIDTHS), len(EDGES) - 1)), smooth
-
-
-def smooth_count() -> int:
-    """Return the number of columns of all families except the density."""
-    drive = np.zeros(1)
-    states = HysteresisStates(()).follow(drive)
-    return sum(x.shape[1] for x in smooth_columns(drive, states).values())
 
 
 def sum_of_polynomials(

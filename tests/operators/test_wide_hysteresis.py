@@ -26,20 +26,17 @@ def test_a_drive_in_chunks_leaves_the_same_states() -> None:
 
 def test_columns_do_not_depend_on_speed() -> None:
     slow = np.interp(np.arange(0, 399.01, 0.25), np.arange(400), DRIVE)
-    quick, often = (
-        np.hstack(list(class_columns(u, HysteresisStates(()).follow(u)).values()))
-        for u in (DRIVE, slow)
-    )
+    quick, often = (class_columns(u, HysteresisStates(()).follow(u)) for u in (DRIVE, slow))
     assert often[::4] == pytest.approx(quick, abs=2e-4)
 
 
 def test_coefficients_of_all_columns_become_a_density_and_the_others() -> None:
     states = HysteresisStates(()).follow(DRIVE)
-    columns = np.hstack(list(class_columns(DRIVE, states).values()))
+    columns = class_columns(DRIVE, states)
     weights = np.random.default_rng(0).standard_normal(columns.shape[1])
     density, smooth = coefficients(weights)
     assert density.shape == (len(WIDTHS), len(EDGES) - 1)
-    rest = np.hstack(list(smooth_columns(DRIVE, states).values())) @ smooth
+    rest = smooth_columns(DRIVE, states) @ smooth
     cells = np.clip(states[0][:, :, None], EDGES[:-1], EDGES[1:])
     cells = cells - np.clip(DRIVE[:, None, None], EDGES[:-1], EDGES[1:])
     made = np.einsum("kwc,wc->k", cells, density) + rest
@@ -48,6 +45,6 @@ def test_coefficients_of_all_columns_become_a_density_and_the_others() -> None:
 
 def test_the_response_is_the_sum_of_the_columns() -> None:
     states = HysteresisStates((-1.0, 0.5)).follow(DRIVE)
-    columns = np.hstack(list(smooth_columns(DRIVE, states).values()))
+    columns = smooth_columns(DRIVE, states)
     weights = np.random.default_rng(1).standard_normal(columns.shape[1])
     assert smooth_response(DRIVE, states, weights) == pytest.approx(columns @ weights, abs=1e-12)
