@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.errors import IdentificationError, NotInvertibleError, RecordingError
+from piezoid.formatting import significant, with_unit, words
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.identification.dynamics.modal import JointFit, LinearDynamics, ResponseFit
 from piezoid.identification.extensions.extension import Extension, Where
@@ -24,6 +25,7 @@ from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
 from piezoid.operators.preisach_plays import PreisachPlays
+from piezoid.summary import Summarised, Summary
 
 SCHEMA = "piezoid.model/1"
 
@@ -75,8 +77,8 @@ class Discrepancy:
         return np.asarray(sum(states**n @ weight_m for n, weight_m in powers))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class AxisModel:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class AxisModel(Summarised):
     """The identified model of one axis.
 
     axis         name of the axis
@@ -126,6 +128,35 @@ class AxisModel:
     discrepancy: Discrepancy | None = None
     dynamics_remarks: tuple[str, ...] = ()
     counted: tuple[str, ...] = ()
+
+    def summary(self) -> Summary:
+        """Return a table of the error, the range and the parts of the model.
+
+        >>> print(model["x"].summary())
+        Axis x
+        held-out error ...
+        """
+        quality, (low_V, high_V) = self.quality, self.voltage_V
+        plays = sum(width_V > 0.0 for width_V in self.hysteresis.plays.threshold)
+        zones = len(self.hysteresis.dead_zones.weight) - 1
+        parts = [f"{plays} plays, {zones} dead zones"]
+        parts += ["loop shape"] if self.loop_shape is not None else []
+        parts += [words(extension.kind) for extension in self.extensions]
+        lag = self.lag
+        delay = (
+            "none" if lag.kind == "none" else f"{words(lag.kind)}, {with_unit(lag.time_s, 's')}"
+        )
+        error = (
+            f"{with_unit(quality.held_out_rms_m, 'm')} rms, {quality.held_out_rms_percent:.2f} %"
+        )
+        rows = (
+            ("held-out error", error),
+            ("sensor noise", f"{quality.noise_bound}{with_unit(quality.noise_rms_m, 'm')} rms"),
+            ("drive", f"{significant(low_V)} to {significant(high_V)} V"),
+            ("parts", ", ".join(parts)),
+            ("lag", delay),
+        )
+        return Summary(title=f"Axis {self.axis}", rows=rows, counted=self.counted)
 
     @property
     def operator(self) -> ModifiedPrandtlIshlinskii | PreisachPlays:
