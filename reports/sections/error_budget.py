@@ -38,11 +38,13 @@ def render(page: Page) -> Section | None:
             )
         modelled = [label_of(part.part) for part in parts if part.is_explained]
         removed = f"{', '.join(modelled)} (red)" if modelled else "none"
+        outside = [label_of(p.part) for p in diagnosis.budget if p.is_explained and p.rms_m == 0.0]
+        note = f" Found, but not part of this error: {', '.join(outside)}." if outside else ""
         waterfalls.append(
             Waterfall(
                 title=f"Axis {diagnosis.axis}: error budget",
                 caption=f"Removed by the model: {removed}; held-out error of the model: "
-                f"{number(diagnosis.final.rms_m, 'm')}.",
+                f"{number(diagnosis.final.rms_m, 'm')}.{note}",
                 axis=axis_from_zero("error, rms", total_m, "m"),
                 bars=tuple(bars),
             )
