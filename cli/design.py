@@ -11,7 +11,9 @@ from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, re
 
 def design(
     stage: Annotated[Path, typer.Argument(help="Folder that `piezoid fit` wrote.")],
-    spec: Annotated[Path | None, typer.Option(help="design.toml: specification.")] = None,
+    spec: Annotated[
+        Path | None, typer.Option(help="design.toml, such as: [x] bandwidth_Hz = 120.")
+    ] = None,
     rate: Annotated[
         float | None,
         typer.Option(help="Sampling rate of the controller in Hz; default: lab.toml.", min=0.0),
@@ -25,6 +27,7 @@ def design(
 
     Exit status 4 means that no controller meets the specification; the message states what is
     achievable. If this applies to some axes only, the others are written and the status is 1.
+    Each design starts from the defaults: pass --spec again to keep its limits.
 
     [bold]Examples[/bold]
 

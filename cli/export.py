@@ -96,7 +96,7 @@ def export(
             folders = dict.fromkeys(("bundle", *targets))
             say(f"exported: {', '.join(str(stage / name) for name in ('params.json', *folders))}")
             if (stage / "report.html").exists():
-                say(f"report.html shows the earlier controllers until: piezoid report {stage}")
+                say(f"to update report.html: piezoid report {stage} RECORDINGS, those of the fit")
         elif targets:
             say("no target was written, because no controller ships")
         for note in notes:

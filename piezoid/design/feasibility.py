@@ -9,7 +9,13 @@ from numpy.typing import ArrayLike
 
 from piezoid.design.certificate import impulse_response
 from piezoid.design.plant import Fraction
-from piezoid.design.sensitivity import Violation, closed_loop_polynomial, margins, violations
+from piezoid.design.sensitivity import (
+    ATTENUATION,
+    Violation,
+    closed_loop_polynomial,
+    margins,
+    violations,
+)
 from piezoid.design.specification import Specification
 from piezoid.errors import TemplateError
 from piezoid.numerics.polynomial import decibel, product
@@ -71,14 +77,17 @@ def refuse(
     """
     worst, nearest_Hz = violations[0], nearest_feasible_Hz(specification, violations, attempt)
     relaxation_dB = {v.template: v.excess_dB for v in reversed(violations)}
-    relaxed = "relax " + " and ".join(
+    relaxed = " and ".join(
         f"'{name}' by {np.ceil(excess_dB * 100.0) / 100.0:.2f} dB"
         for name, excess_dB in sorted(relaxation_dB.items(), key=lambda item: -item[1])
+        if name != ATTENUATION  # follows from the bandwidth
     )
     if nearest_Hz is None:
-        remedy = f"No bandwidth helps: {relaxed}, or describe the plant family more narrowly."
+        relaxed = f"relax {relaxed}, or " if relaxed else ""
+        remedy = f"No bandwidth helps: {relaxed}describe the plant family more narrowly."
     else:
-        remedy = f"Ask for bandwidth_Hz = {nearest_Hz:g}, which meets every limit, or {relaxed}."
+        relaxed = f", or relax {relaxed}" if relaxed else ""
+        remedy = f"Ask for bandwidth_Hz = {nearest_Hz:g}, which meets every limit{relaxed}."
     raise TemplateError(
         f"axis {axis}, bandwidth {specification.bandwidth_Hz:.6g} Hz: {worst.sentence}"
         f"{'. ' if because else ''}{because}",

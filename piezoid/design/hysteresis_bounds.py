@@ -147,7 +147,7 @@ def affine_bounds(
         conditions=(
             describe_command_range(centre_V - reach_V, centre_V + reach_V),
             "the stage started de-poled, or has passed an extreme larger than the scan",
-            f"the hysteresis model errs by at most {with_unit(remainder_m, 'm')}",
+            f"the error of the hysteresis model is at most {with_unit(remainder_m, 'm')}",
         ),
     )
 

@@ -25,6 +25,7 @@ from piezoid.numerics.polynomial import (
     unit_circle,
 )
 
+ATTENUATION = "attenuation"  # name of the template of the bandwidth
 FUNCTIONS = ("Syp", "Sup", "Syb", "Syv")
 _LOWEST_Hz = 1e-3
 _GRID = 4000
@@ -231,7 +232,7 @@ class Violation:
 def attenuation(bandwidth_Hz: float, level_dB: float) -> Template:
     """Return the template of an integrating loop: |Syp| rises by 20 dB/decade up to a level."""
     return Template(
-        name="attenuation",
+        name=ATTENUATION,
         function="Syp",
         frequency_Hz=np.array([bandwidth_Hz / 1000.0, bandwidth_Hz]),
         upper_dB=np.array([level_dB - 60.0, level_dB]),

@@ -90,7 +90,7 @@ differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `
   to the position and stop the interrupt; the DAC keeps its last voltage.
 - Read, step and write in the same call. The design includes the delay that the recordings show.
   `report.html`, beside the folder `bundle/`, states how much more delay the exported loop,
-  `method` above, tolerates (Controllers: delay margin). Each sample of it costs accuracy.
+  `method` above, tolerates (Controllers: delay margin). Each extra sample costs accuracy.
   Another rate or missed calls are not detected.
 - A reference that another thread writes must be read at once: on a 32-bit core, stop the interrupt
   for the copy of a double. Axes that share an interrupt can be stepped in any order; to restart
@@ -108,7 +108,7 @@ differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `
   offset-binary DAC of n bits adds 2^(n-1). Clamp the code; masking wraps a code above full scale
   to the opposite end. An LSB of 0: lab.toml declares no `dac_bits`, outputs are not rounded, and
   your firmware converts volts to codes with the scale of its DAC.
-- A coarser DAC rounds once more; keep `lsb_V`. A smaller range: narrow the voltages (section 6).
+- Another DAC rounds once more; keep `lsb_V`. A smaller range: narrow the voltages (section 6).
 
 ## 4. Bad readings and limits
 
@@ -119,27 +119,30 @@ differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `
 - Pass `NAN` for a reading that you do not trust (timeout, checksum, out of range).
 - X, Y: unusable are NaN, infinity, and a value that does not change for `stuck_samples` although
   the voltage moves by `stuck_voltage_V`. The model then continues alone, with the last estimate of
-  the disturbance. After `blind_samples` unusable readings the output latches: it holds its last
-  value until `pz_reset`, which counts anew; if the reading is still unusable, it latches again.
+  the disturbance. After `blind_samples` unusable readings in a row the output latches: it holds
+  its last value until `pz_reset`, which counts anew; if the reading is still unusable, it latches
+  again. If it lies outside `reference`, ramp the DAC and call `pz_start` as in section 2.
 - X, Y: a saturated sensor reading is used, and drives the output to its limit; a reading beyond
   the displacement limits counts as the limit. If it is constant, it is detected as stuck, and the
   output latches at that end. A noisy reading beyond the limits, a reversed sensor and a broken
   cable are not detected: your firmware must do that.
 - X, Y: at a voltage limit the output is clipped, with the bit `VOLTAGE_LIMITED`. The observer uses
   the clipped voltage, so the loop does not wind up.
-- Z retracts from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or at the ceiling,
-  the end of its range (`MEASUREMENT_LIMITED`), and after `bad_samples` from one that is reversed
-  (`WRONG_SIGN`) or NaN. It latches at `retract_voltage_V` after `trip_limit` retracts in a row or
-  at the end of the drive. Keep the set point well below the ceiling. The ADC must show noise:
-  `stuck_samples` equal readings above `stuck_current_A` (-1: even 0 A) stop every approach.
+- Z retracts at once from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or at
+  the ceiling, the end of its range (`MEASUREMENT_LIMITED`); after `bad_samples` from one that is
+  reversed (`WRONG_SIGN`) or NaN. It latches at `retract_voltage_V` after `trip_limit` retracts
+  in a row or at the end of the drive. Keep the set point well below the ceiling. The ADC must
+  show noise: `stuck_samples` equal readings above `stuck_current_A` (-1: even 0 A) stop every
+  approach.
 
 ## 5. Status
 
 `state.status` is 0, or bits `PZ_STATUS_...` (header) of what was limited, replaced or faulty in
 this sample. `status_ever` collects them; the first samples may set some, and only `pz_start`
-clears them. Of a latch on X or Y, the cause is the bit of the samples before it:
-`BAD_MEASUREMENT` or `STUCK_SENSOR`. After `RESTARTED` the loop goes on by itself. A guaranteed
-error of `report.html` holds while `status` is 0 and the transient after a bit is over.
+clears them. X, Y: the bit set before a latch, `BAD_MEASUREMENT` or `STUCK_SENSOR`, is its cause.
+After `RESTARTED` the loop goes on by itself. `UNCERTIFIED` is no fault: the reference moves faster
+than the guaranteed error covers, as fast scans do. A guaranteed error of `report.html` holds while
+`status` is 0 and the transient after a bit is over.
 
 ## 6. Changing parameters
 
@@ -147,10 +150,11 @@ After new recordings or a change of lab.toml: `piezoid fit`. In firmware: copy t
 change it, set `copy.checksum = pz_checksum(&copy)`, stop the interrupt, call `pz_start` with the
 copy, and pass the same copy to every later `pz_step`; it must stay in RAM. You may narrow
 `voltage_minimum_V`, `voltage_maximum_V` (Z: `retract_voltage_V` within them),
-`reference_minimum_m` and `reference_maximum_m`, and reduce `voltage_step_V` and
-`reference_step_m`, but not to 0, which is unlimited. The margins remain valid while no limit
-acts. Any other change voids margins, bounds and proofs. Do not edit gains: state the bandwidth
-or the modulus margin in design.toml, then run `piezoid design --spec` and `piezoid export`.
+`reference_minimum_m` and `reference_maximum_m`, and limit `voltage_step_V` and
+`reference_step_m` further (0 is unlimited). The margins remain valid while no limit
+acts. Any other change voids margins, bounds and proofs. Do not edit gains: state limits
+in design.toml (`[x]`, then `bandwidth_Hz = 120` or `modulus_margin = 0.6`), then run
+`piezoid design --spec design.toml` and `piezoid export`.
 {decoupled}
 ## 7. Provenance
 

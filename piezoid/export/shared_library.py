@@ -91,8 +91,8 @@ _README = """\
 | `piezoid_reset(handle)`, `piezoid_close(handle)` | continue after a latch; close the handle |
 | `piezoid_axes()`, `piezoid_rate_Hz(axis)` | number of axes; rate at which each is called |
 
-Arrays hold 8-byte reals, `status` 4-byte unsigned integers; the reference is
-`piezoid_controller.h`. The README of `bundle/` states timing, units and the handling of bad
+Arrays hold doubles of 8 bytes, `status` unsigned integers of 4 bytes; `piezoid_controller.h`
+documents the calls. The README of `bundle/` states timing, units and the handling of bad
 readings. `python3 example.py` plays `golden.csv` and must end with `0 differ`. To build it:
 
     cc -std=c99 -O2 -ffp-contract=off -shared -fPIC -fvisibility=hidden piezoid_controller.c \\

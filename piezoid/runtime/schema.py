@@ -201,7 +201,7 @@ _TUNNELLING = (
     _real("retract_step_V", *_VOLTAGE_STEP, "length of a retract; 0: to retract_voltage_V"),
     _real("approach_step_V", *_VOLTAGE_STEP, "extension in a sample while there is no current"),
     _real("approach_log_step", *_LOG, "rise of the log of the reference per sample after contact"),
-    _real("contact_log", *_LOG, "contact: log of the current less than this below the set point"),
+    _real("contact_log", *_LOG, "contact if ln(current) > ln(set point) - this"),
     _real("stuck_current_A", "A", -1, 1, "currents up to this are never stuck"),
     _real(
         "search_voltage_V", *_VOLTAGE_STEP, "search range beyond the last contact; 0: to the end"

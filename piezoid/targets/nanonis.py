@@ -144,8 +144,8 @@ def nanonis_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str,
         errors_m = line_errors_m(inputs, axis, table)
         worst = worst_errors(errors_m)
         loss = (
-            f"a table of {len(table.x_m)} points errs by {worst['table']} rms on forward lines, "
-            f"the sensitivity alone by {worst['straight']}, the exported controller by "
+            f"error on forward lines with a table of {len(table.x_m)} points {worst['table']} "
+            f"rms, with the sensitivity alone {worst['straight']}, with the exported controller "
             f"{worst['exported']}; worst of {len(errors_m)} plants"
         )
         notes.append(f"axis {axis.axis}: {loss}")

@@ -41,7 +41,7 @@ integral stops. Gains are volts of the command per metre of displacement: scale 
 sensitivities of your amplifier and sensor. `settings.csv` holds them. `sections.csv` holds the
 same controller as second-order sections at {update}, the first in V/m,
 
-    y = b0 x + b1 x' + b2 x'' - a1 y' - a2 y''      with dashes for previous samples
+    y[k] = b0 x[k] + b1 x[k-1] + b2 x[k-2] - a1 y[k-1] - a2 y[k-2]
 
 {axes}
 Tested: these settings, computed as above in double precision at the controller's rate, on the

@@ -71,7 +71,7 @@ _README = """\
 
 {converters}
 
-Put the points out again and again at {rate}. Start where `AXIS.csv` does, with the stage at rest:
+Output the points cyclically at {rate}. Start where `AXIS.csv` does, with the stage at rest:
 the first period settles the hysteresis, and later ones repeat. There is no feedback: the middle
 drifts with creep and temperature, and what the recordings did not show is not compensated.
 

@@ -188,7 +188,7 @@ def test_no_first_mode_is_assumed_above_a_resonance_that_recordings_show() -> No
         (stage_model(rigged()), r"sampling_rate_Hz under \[acquisition\]"),
         (
             stage_model(axis_model()),
-            r"stage bench: .*rate of the controller is not known, and no pole.*piezoid design",
+            r"the fit knew no sampling rate of the controller, and no pole.*bandwidth_Hz",
         ),
         (stage(axes={}), "the model holds no axis"),
         (

@@ -16,6 +16,7 @@ const float SENSOR_m_PER_CODE = 1e-8f;
 // the 0 to 3.3 V of the pin.
 const float DRIVE_V_PER_CODE = 2.44140625e-3f;
 const int DRIVE_MAX_CODE = 4095;
+const int RATE_Hz = 20000;
 
 pz_state state;
 const int RAMP_SAMPLES = 2000; // for the whole range of the reference
@@ -77,6 +78,10 @@ void setup() {
     Serial.begin(115200);
     analogReadResolution(12);
     analogWriteResolution(12);
+    if (piezo_params[AXIS].sampling_rate_Hz != RATE_Hz) {
+        Serial.println("the bundle is for another rate");
+        return;
+    }
     const float voltage_V = rise();
     const float measured_m = analogRead(A0) * SENSOR_m_PER_CODE; // waits for the conversion
     if (pz_start(&state, &piezo_params[AXIS], voltage_V, measured_m) != PZ_OK) {
@@ -85,7 +90,7 @@ void setup() {
     }
     reference_m = state.reference_m;
     wanted_m = reference_m;
-    timer.setOverflow(20000, HERTZ_FORMAT);
+    timer.setOverflow(RATE_Hz, HERTZ_FORMAT);
     timer.attachInterrupt(step);
     timer.resume();
 }

@@ -235,6 +235,9 @@ int main(void) {
     (void)start_clock;
 #endif
     start_converters();
+    if (piezo_params[AXIS].sampling_rate_Hz != (pz_real)RATE_Hz) {
+        stop(); /* the bundle is for another rate */
+    }
     const pz_real voltage_V = rise();
     if (pz_start(&state, &piezo_params[AXIS], voltage_V, read_sensor_m()) != PZ_OK) {
         stop(); /* parameters that pz_check refuses */
