@@ -89,12 +89,15 @@ class WorkerPool:
             self._report(" | ".join(self._texts[k] for k in sorted(self._texts) if self._texts[k]))
 
     def close(self) -> None:
-        """Kill the workers."""
-        with suppress(Exception):
-            self._executor.shutdown(wait=False, cancel_futures=True)
+        """Kill the workers and wait for the executor's thread.
+
+        A thread that still ran at the end of Python printed a traceback in one of thirty refusals:
+        only the first call of ``shutdown`` can wait for it.
+        """
         for process in active_children():
             process.kill()
-        self._executor.shutdown(wait=True)
+        with suppress(Exception):
+            self._executor.shutdown(wait=True, cancel_futures=True)
         self._writer.close()
 
     def _forward(self) -> None:

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -180,3 +181,11 @@ def test_ctrl_c_in_a_terminal_does_not_reach_the_workers_of_a_batch() -> None:
         assert signal.SIGINT not in _blocked_signals()
         (blocked,) = client.run(_blocked_signals).values()
     assert signal.SIGINT in blocked
+
+
+def test_no_thread_of_a_pool_outlives_it():
+    # A thread that closed its pipe while Python ended printed a traceback below a refusal.
+    with pytest.raises(ZeroDivisionError), worker_pool(1, load):
+        raise ZeroDivisionError
+    kinds = {type(thread).__name__ for thread in threading.enumerate()}
+    assert "_ExecutorManagerThread" not in kinds
