@@ -122,7 +122,7 @@ def _clock_line(inspection: "Inspection") -> str:
     if inspection.reversals is not None:
         line += f", {inspection.reversals} reversals of the drive"
     if inspection.levels_V:
-        levels = " at " + ", ".join(f"{level:.4g} V" for level in inspection.levels_V)
+        levels = " at " + ", ".join(dict.fromkeys(f"{u:.4g} V" for u in inspection.levels_V))
         line += in_counts(levels, inspection.counted)
     if not inspection.axis_is_named:
         line += f"; no axis named in the file, {inspection.axis} assumed"

@@ -107,7 +107,7 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
     console = Console()
     if not axis.has_dynamics:
         text = (
-            f"No resonance or pole of axis {axis.axis} was fitted. For a controller, record a "
+            f"No resonance or pole of axis {axis.axis} was fitted: for a fast controller record a "
             "small chirp first, sampled at three times the resonance or faster. The plan concerns "
             "the effects of the diagnosis."
         )
@@ -137,7 +137,7 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
     if question.kind == "detect":
         title += f", if it has {with_unit(question.suspects[0].rms_m, 'm')} rms"
     source = "with the recordings" if planned.recorded is not None else "without the recordings"
-    last_heading = f"standard error over size, {source}"
+    last_heading = f"expected standard error, % of the size, {source}"
     console.print(table(title, (*headings, last_heading), rows, n_words=1))
     console.print(rich_text("The shortest of the drives nearly as good as the best is chosen."))
     console.print(rich_text(f"drive: {drive}"))

@@ -82,6 +82,8 @@ def stage_statements(
         quantity = "recordings" if fact is None else fact.quantity
         statements.append(_limit(Level.ACTION, quantity, text))
     statements += [_limit(fact.level, fact.quantity, text) for text, fact in of_recordings.items()]
+    # Models of single axes mean nothing if several drives move each displacement.
+    statements.sort(key=lambda statement: statement.quantity != "coupled_drives")
     return tuple(dict.fromkeys(statements))
 
 

@@ -295,8 +295,8 @@ def _between_converters(name: str, default: Specification, lab: Lab) -> Specific
 def nothing_to_design(model: ActuatorModel) -> DesignError:
     """Return the error for a model without any axis."""
     return DesignError(
-        f"stage {model.stage}: the model holds no axis",
-        needed="an axis with drive and displacement, or a tunnelling loop",
+        f"stage {model.stage}: the model contains no single axis",
+        needed="an axis with a slow sweep of its own drive, or a tunnelling loop",
         remedy=" ".join(model.remarks) or "Fit recordings of the stage first.",
     )
 
@@ -323,7 +323,7 @@ def _unknown_rate(model: ActuatorModel, lab: Lab, *, needs_pole: bool = False) -
 
     needs_pole  whether the model has no pole either, which a rate alone does not mend
     """
-    found = f"stage {model.stage}: the fit knew no sampling rate of the controller"
+    found = f"stage {model.stage}: the fit had no sampling rate of the controller"
     needed = "the rate at which the controller will run"
     rate_Hz = lab.acquisition.sampling_rate_Hz
     if rate_Hz is not None:

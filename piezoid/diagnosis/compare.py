@@ -154,7 +154,7 @@ class ModelComparison:
 
     def _share(self, error_m: float) -> str:
         share = 100.0 * error_m / self.motion_m
-        return f"{with_unit(error_m, 'm')} ({significant(share, 2)} % of the motion)"
+        return f"{with_unit(error_m, 'm')} ({significant(share, 2)} % of the motion's rms)"
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of ``since_model`` in diagnosis.json."""

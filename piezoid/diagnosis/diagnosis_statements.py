@@ -13,7 +13,7 @@ from piezoid.statement import Kind, Level, Statement
 
 USUAL_P = 0.05  # p-value from which structure is usual for healthy stages
 MIN_GAIN = 0.01  # of the power: less has no coordinate
-NEAR_NOISE = 1.2  # residual over noise; below it the excess is hidden by the noise
+NEAR_NOISE = 1.3  # residual over noise; below it the excess is hidden by the noise
 
 SHAPE_EXPERIMENT = (
     "Record reversals of many sizes at several biases, each reached from above and from below."
@@ -73,7 +73,7 @@ def _nothing_found(diagnosis: Diagnosis) -> Statement:
     n_tested = sum(absence.upper_bound_m is not None for absence in diagnosis.not_detected)
     if not n_tested:
         reason, *further_reasons = {absence.reason for absence in diagnosis.not_detected} or {""}
-        reason = reason.removeprefix("not tested, because ").rstrip(".")
+        reason = reason.rstrip(".")
         why = f" because {reason}" if reason and not further_reasons else ""
         text = f"No effect was tested{why}."
         return _statement(diagnosis, Kind.LIMIT, Level.WARNING, "no_effect_tested", text)

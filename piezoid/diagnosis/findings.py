@@ -199,7 +199,7 @@ def _explanation(cause: Candidate, share: float, structural: Sequence[Effect]) -
 def not_detected(effect: Effect, outcome: Outcome) -> NotDetected:
     """Return the upper bound and the detection limit of an effect that was not selected."""
     if outcome.rejection:
-        reason = f"not tested, because the model class does not apply: {outcome.rejection}"
+        reason = f"the model class does not apply: {outcome.rejection}"
         return _untested(effect, reason, effect.experiment)
     untestable = effect.untestable(outcome.final)
     if untestable:

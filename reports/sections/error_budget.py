@@ -10,7 +10,7 @@ from piezoid_reports.parts import Bar, Section, Waterfall
 from piezoid_reports.quantities import number
 
 NOISE = "noise"
-LABELS = {NOISE: "sensor noise", "extrapolation": "held-out minus in-sample"}
+LABELS = {NOISE: "sensor noise", "extrapolation": "excess on held-out data"}
 NEGLIGIBLE = 1e-3  # of the power of the final error: no bar
 
 
@@ -55,7 +55,7 @@ def render(page: Page) -> Section | None:
         anchor="error-budget",
         title="Error budget",
         lead="Held-out error of the base model (hysteresis operator and lag), split into its "
-        "causes. The squares of the parts add up, so a bar is shorter than its number.",
+        "causes. The squares of the parts add up, so bars show the steps of the total.",
         parts=tuple(waterfalls),
     )
 

@@ -37,6 +37,8 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
     labels = {Level.ACTION: "Next", Level.WARNING: "Limits"}
     word, accuracy = "Tip", []
     verdict = "No axis with drive and displacement was recorded, only a tunnelling junction"
+    if page.model.coupled is not None:
+        word, verdict = "Coupled", "The linear coupling of the axes was fitted, no hysteresis"
     if page.axes:
         fitted = [axis.axis for axis in page.axes if axis.verdict.applies]
         rejected = [axis.axis for axis in page.axes if not axis.verdict.applies]
@@ -46,7 +48,9 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
         else:
             verdict = f"The hysteresis model applies to {_names(fitted)}"
         grade = max((grade_of(axis) for axis in page.axes), key=list(Grade).index)
-        word = {Grade.REJECTED: "Bad", Grade.LIMITED: "Care"}.get(grade, words(grade).capitalize())
+        word = {Grade.REJECTED: "Rejected", Grade.LIMITED: "Usable"}.get(
+            grade, words(grade).capitalize()
+        )
         if has_failed_controller(page) and grade is not Grade.REJECTED:
             word, verdict = "Fails", f"{verdict} (model {grade})"
         worst = max(page.axes, key=lambda axis: axis.quality.held_out_rms_percent)

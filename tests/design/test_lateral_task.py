@@ -188,9 +188,9 @@ def test_no_first_mode_is_assumed_above_a_resonance_that_recordings_show() -> No
         (stage_model(rigged()), r"sampling_rate_Hz under \[acquisition\]"),
         (
             stage_model(axis_model()),
-            r"the fit knew no sampling rate of the controller, and no pole.*bandwidth_Hz",
+            r"the fit had no sampling rate of the controller, and no pole.*bandwidth_Hz",
         ),
-        (stage(axes={}), "the model holds no axis"),
+        (stage(axes={}), "the model contains no single axis"),
         (
             replace(
                 stage_model(axis_model(reason="it opens the wrong way")), controller_rate_Hz=1e4

@@ -108,6 +108,6 @@ def test_coupled_axes_without_a_drive_of_all_are_refused_with_what_to_record(
     written(tmp_path / "x.csv", sweep((0,), 1), 3)
     (tmp_path / "lab.toml").write_text(NO_RATE)
     held = piezoid.read(tmp_path / "x.csv", lab=tmp_path / "lab.toml")
-    with pytest.raises(ExcitationError, match="the axes x, y, z are coupled, and in no recording"):
+    with pytest.raises(ExcitationError, match="the axes x, y, z are coupled, and no recording"):
         piezoid.fit(held, lab=tmp_path / "lab.toml")
     assert held[0].axes == AXES

@@ -55,7 +55,7 @@ def test_the_error_is_that_of_the_worst_axis() -> None:
 
 def test_a_class_that_does_not_apply_is_bad_in_word_and_colour(page_of_wrong_class: str) -> None:
     top = sentences(page_of_wrong_class)
-    assert "Bad" in top
+    assert "Rejected" in top
     assert REASON in top["Next"]
     assert tone(page_of_wrong_class) == "bad"
     anatomy = Anatomy(page_of_wrong_class)
@@ -65,11 +65,11 @@ def test_a_class_that_does_not_apply_is_bad_in_word_and_colour(page_of_wrong_cla
 
 def test_one_axis_that_fails_does_not_hide_behind_one_that_does_not() -> None:
     page = page_of(axis_model("x"), axis_model("y", ("up.csv",), reason=REASON))
-    assert "does not apply to axis y, but it does to axis x" in sentences(page)["Bad"]
+    assert "does not apply to axis y, but it does to axis x" in sentences(page)["Rejected"]
     assert [e.text for e in Anatomy(page).all("span", "word")] == ["good", "model does not apply"]
 
 
-@pytest.mark.parametrize(("score", "word"), [(20, "Poor"), (50, "Care"), (85, "Care")])
+@pytest.mark.parametrize(("score", "word"), [(20, "Poor"), (50, "Usable"), (85, "Usable")])
 def test_nothing_is_called_good_if_its_recordings_leave_the_loop_open(
     score: int, word: str
 ) -> None:

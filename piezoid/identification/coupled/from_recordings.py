@@ -53,13 +53,14 @@ def identify_coupled(
     axes = ", ".join(lab.coupled.axes)
     if not periodic:
         raise ExcitationError(
-            f"{lab.place} says that the axes {axes} are coupled, and in no recording do their "
-            f"drives repeat together, {lab.coupled.settling_periods + FEWEST} periods or more",
+            f"{lab.place} says that the axes {axes} are coupled, and no recording has "
+            f"{lab.coupled.settling_periods + FEWEST} periods of their drives together "
+            f"({lab.coupled.settling_periods} to settle and {FEWEST} steady)",
             needed="all these drives and displacements in one file, driven at once by a "
             "periodic multisine of random phases, more realisations than axes at each level",
-            remedy="Record that (piezoid plan does not), or remove the table [coupled]: each "
-            "axis is then fitted with its own drive alone. If all periods are steady, write "
-            "settling_periods = 0.",
+            remedy="If all recorded periods are steady, write settling_periods = 0. Else record "
+            "more periods, or remove the table [coupled]: each axis is then fitted with its own "
+            "drive alone.",
         )
     progress(f"fitting the coupled axes {axes}")
     stage = fit_coupled(_levels_of(periodic, lab.coupled))

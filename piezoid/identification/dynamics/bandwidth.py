@@ -34,8 +34,8 @@ MEANING = {
     "undecided": UNDECIDED,
 }
 ADVICE = (
-    "Declare amplifier and sensor, and record a small chirp through that frequency, at the rate "
-    "of the controller or faster."
+    "Declare amplifier and sensor, and record a small chirp through that frequency, sampled at "
+    "three times that frequency or faster."
 )
 
 
@@ -183,7 +183,7 @@ def unfitted(
     text = (
         f"{recording} shows {feature} {location}{size}. Its frequency response could not be fitted"
         f": {reason}. The model {model}. Record a small chirp {chirp}, about 2 % of the range of "
-        "the drive, at the rate of the controller or faster."
+        "the drive, sampled at three times its highest frequency or faster."
     )
     return replace(verdict, text=declared + text)
 
@@ -211,9 +211,10 @@ def _declared_and_remedy(stated_Hz: float | None) -> tuple[str, str]:
     """Return a sentence with the declared bandwidth ('' without), and the recording to make."""
     if stated_Hz is None:
         return "", (
-            "Record a small chirp until the gain has fallen, at the rate of the controller."
+            "Record a small chirp until the gain has fallen, sampled at three times its highest "
+            "frequency or faster."
         )
     return f"lab.toml states a bandwidth of {stated_Hz:g} Hz. ", (
-        "Record a small chirp through that frequency, sampled at the rate of the controller or "
-        "faster, at least at three times that frequency."
+        "Record a small chirp through that frequency, sampled at three times that frequency or "
+        "faster."
     )
