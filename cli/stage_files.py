@@ -130,6 +130,12 @@ def _missing(path: Path) -> ParameterFileError:
             remedy=f"Read the failed checks in {folder / 'refused' / 'verification.json'}, "
             "record the effects that the model lacks, and fit again.",
         )
+    if path.name == "params.json" and not (folder / "design.json").exists():
+        return ParameterFileError(
+            f"{folder} contains no controller: the fit designed none",
+            needed="a design of the stage",
+            remedy=f"Run `piezoid design {folder}`, which states what is missing.",
+        )
     return ParameterFileError(
         f"{folder} contains no {path.name}",
         needed=f"the folder of a stage with {path.name}",
