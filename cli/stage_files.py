@@ -130,7 +130,8 @@ def _missing(path: Path) -> ParameterFileError:
             remedy=f"Read the failed checks in {folder / 'refused' / 'verification.json'}, "
             "record the effects that the model lacks, and fit again.",
         )
-    if path.name == "params.json" and not (folder / "design.json").exists():
+    is_fitted, is_designed = ((folder / name).exists() for name in ("model.json", "design.json"))
+    if path.name == "params.json" and is_fitted and not is_designed:
         return ParameterFileError(
             f"{folder} contains no controller: the fit designed none",
             needed="a design of the stage",

@@ -62,6 +62,14 @@ def test_what_is_missing_is_named_with_the_verb_that_writes_it(
     assert f"Run `{verb} {tmp_path}` first." in str(found.value)
 
 
+def test_a_fitted_stage_without_a_design_is_sent_to_design_and_not_to_export(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "model.json").write_text("{}")
+    with pytest.raises(ParameterFileError, match=f"Run `piezoid design {tmp_path}`"):
+        content_of(tmp_path / "params.json")
+
+
 def test_a_stage_whose_controllers_failed_is_not_sent_back_to_export(tmp_path: Path) -> None:
     (tmp_path / "refused").mkdir()
     with pytest.raises(ParameterFileError, match="failed its verification") as found:
