@@ -70,7 +70,6 @@ class TextFormat:
 class Source:
     """An opened file of unknown format.
 
-    path          of the file
     suffix        of the name in lower case, without ``.gz``
     digest        of the file's bytes
     head          the first bytes of the content, decompressed
