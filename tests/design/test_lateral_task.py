@@ -22,6 +22,7 @@ from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.polynomial import response, roots_of
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.records.lab import Acquisition, Lab
+from tests.identification.dynamics.stage import truth
 from tests.reports.known_stage import axis_model, stage_model
 
 RATE_Hz = 20e3
@@ -99,27 +100,18 @@ def test_identified_dynamics_put_their_mode_and_their_phase_into_the_plant() -> 
 
 def one_mode(*, frequency_Hz: float, damping: float, delay_s: float) -> LinearDynamics:
     least, greatest = axis_model().hysteresis.slope_sector_m_per_V
-    return LinearDynamics(
-        axis="x",
+    return replace(
+        truth(),
         mode_frequency_Hz=np.array([frequency_Hz]),
         mode_damping=np.array([damping]),
         mode_gain_m_per_V=np.array([0.5 * (least + greatest)]),
-        lag_frequency_Hz=np.zeros(0),
-        lag_gain_m_per_V=np.zeros(0),
-        direct_gain_m_per_V=0.0,
         delay_s=delay_s,
         declared=(
             Filter(name="amplifier", frequency_Hz=4e3),
             Filter(name="sensor", frequency_Hz=8.5e3),
         ),
         shape_covariance=np.diag([1e-4, 1e-4, 1e-12]),
-        static_gain_std_m_per_V=0.0,
-        hold="zero_order",
-        sampling_rate_Hz=RATE_Hz,
         band_Hz=(5.0, 1000.0),
-        drive_rms_V=1.0,
-        cost=1.0,
-        expected_cost=1.0,
     )
 
 
