@@ -19,7 +19,7 @@ from tests.identification.hysteresis.stages import (
 )
 from tests.laws import LAWS, recorded
 
-pytestmark = pytest.mark.usefixtures("plays_alone", "few_orders")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 
 def noisy(values: np.ndarray, seed: int = 1) -> np.ndarray:  # type: ignore[type-arg]

@@ -1,39 +1,16 @@
-"""A fit without each block of its data, from the normal equations of the blocks."""
+"""What a fit says of its own search."""
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from piezoid.identification.hysteresis.estimate import remarks_on
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.hysteresis.search import Settings, search
-from piezoid.identification.hysteresis.uncertainty import leave_blocks_out
 from piezoid.identification.quality import OTHER_RECORDINGS
-from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.test_order import SHAPE, pieces
 
 DECLARED = Rig(amplifier_bandwidth_Hz=4000.0)
-
-
-def blocks_of(count: int) -> tuple[Array, Array]:
-    """J'J and J'e of every block; of the first number the whole fit is the least error."""
-    rng = np.random.default_rng(3)
-    rows, error = rng.normal(size=(count, 20, 3)), rng.normal(size=(count, 20))
-    error -= (rows[..., 0] * error).sum() / (rows[..., 0] ** 2).sum() * rows[..., 0]
-    return np.einsum("bri,brj->bij", rows, rows), np.einsum("bri,br->bi", rows, error)
-
-
-def test_free_numbers_become_what_the_other_blocks_say_and_those_on_a_bound_stay() -> None:
-    """One number that is free, one held from below, one held from above."""
-    bounds = np.array([-10.0, 0.0, 0.0]), np.array([10.0, 2.0, 1.0])
-    normals, gradients = blocks_of(12)
-    found = leave_blocks_out(np.array([0.5, 0.0, 1.0]), bounds, normals, gradients)
-    assert found.is_free.tolist() == [True, False, False]
-    assert (found.replicates[:, 1:] == [0.0, 1.0]).all()
-    # Products of the others add up to what the block's own take away.
-    others = normals[:, 0, 0].sum() - normals[:, 0, 0]
-    np.testing.assert_allclose(found.replicates[:, 0], 0.5 + gradients[:, 0] / others)
 
 
 @pytest.mark.parametrize(("iterations", "gap"), [(30, 0.0), (1, 1.0)])
