@@ -323,7 +323,7 @@ def test_loop_shape_comes_back_from_a_file_to_the_last_bit() -> None:
     assert read.quality == axis.quality
 
 
-def test_without_loop_shape_the_axis_is_what_it_was() -> None:
+def test_loop_shape_is_fitted_once_and_without_it_the_axis_is_what_it_was() -> None:
     recordings, plain, axis = fitted("dahl", 1.0)
     before = axis.without_loop_shape()
     assert before.loop_shape is None
@@ -331,6 +331,8 @@ def test_without_loop_shape_the_axis_is_what_it_was() -> None:
     np.testing.assert_array_equal(
         simulate_recording(before, recordings[1]), simulate_recording(plain, recordings[1])
     )
+    with pytest.raises(ValueError, match="has loop shape already"):
+        with_loop_shape(axis, recordings)
 
 
 def test_a_model_of_an_earlier_version_counts_its_plays_in_full() -> None:

@@ -22,14 +22,26 @@ WRONG: dict[str, Any] = {"a text": "x", "a list": [1], "a table": {"x": 1}, "tru
 KINDS = {
     "stage": ("a list", "a table", "truth"),
     "sources": ("a text", "a list", "truth"),
+    "remarks": ("a text", "a table", "truth"),
     "controller_rate_Hz": tuple(WRONG),
+    "axes x axis": ("a list", "a table", "truth"),
     "axes x polarity": tuple(WRONG),
+    "axes x hysteresis voltage_offset_V": tuple(WRONG),
     "axes x lag": ("a text", "a list", "truth"),
+    "axes x lag time_s": tuple(WRONG),
     "axes x rig amplifier_bandwidth_Hz": tuple(WRONG),
     "axes x verdict applies": ("a text", "a list", "a table"),
     "axes x verdict remarks": ("a text", "a table", "truth"),
     "axes x valid_range voltage_V": tuple(WRONG),
+    "axes x quality rms_m": tuple(WRONG),
+    "axes x quality range_m": tuple(WRONG),
+    "axes x quality orders": tuple(WRONG),
+    "axes x quality held_out_kind": ("a list", "a table", "truth"),
+    "axes x uncertainty blocks": tuple(WRONG),
+    "axes x uncertainty names": ("a text", "a table", "truth"),
     "axes x uncertainty upper_limit": ("a text", "a list", "truth"),
+    "axes x uncertainty loop_width_m": tuple(WRONG),
+    "axes x certificate plays_m": tuple(WRONG),
 }
 
 
@@ -79,8 +91,11 @@ def test_counts_and_magnitudes_beyond_their_bounds_are_refused_with_number_and_b
     [
         ("axes x polarity", 0),
         ("axes x polarity", 2),
+        ("axes x quality rms_m", -1e-9),
         ("axes x quality held_out_rms_m", -1e-30),
         ("axes x quality range_m", -1e-6),
+        ("axes x quality noise_rms_m", -1e-9),
+        ("axes x uncertainty values", []),
         ("axes x uncertainty names", []),
     ],
 )

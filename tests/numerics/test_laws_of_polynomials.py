@@ -116,19 +116,6 @@ def test_a_common_root_is_never_divided_by(poles: Array, zeros: Array, common: A
     assert np.abs(np.concatenate([poles, common]) - pole).min() < 1e-3
 
 
-def test_leading_zeros_are_a_delay_and_no_roots() -> None:
-    assert roots_of([0.0, 0.0, 1.0, -0.5]) == pytest.approx([0.5])
-    assert spectral_radius([3.0]) == 0.0
-
-
-def test_a_target_of_high_degree_makes_s_longer_and_not_r() -> None:
-    a, b = np.array([1.0, -1.5, 0.56]), np.array([0.0, 1.0, 0.5])
-    p = from_roots(np.full(7, 0.3))
-    solution = solve_bezout(a, b, p)
-    assert (len(solution.S), len(solution.R)) == (6, 2)
-    assert solution.residual <= 1e-12
-
-
 def test_a_plant_without_numerator_is_a_programmers_error() -> None:
     with pytest.raises(ValueError, match="non-zero B"):
         solve_bezout([1.0, -0.5], [0.0], [1.0])

@@ -284,24 +284,6 @@ def test_a_damped_step_is_the_least_squares_of_its_rows(rng: np.random.Generator
             np.testing.assert_allclose(model.step(-far, far, damping), [*free, 0.0], rtol=1e-5)
 
 
-def test_the_gradient_is_the_steepest_cosine_that_no_bound_holds(rng: np.random.Generator) -> None:
-    J, r = rng.normal(size=(9, 3)) * [1e-3, 1.0, 1e3], rng.normal(size=9)
-    cosine = J.T @ r / np.linalg.norm(J, axis=0) / np.linalg.norm(r)
-    order = np.argsort(-np.abs(cosine))
-    far = np.full(3, np.inf)
-    for model in both_forms(J, r):
-        assert model.gradient(-far, far) == pytest.approx(np.abs(cosine).max())
-        lower, upper = -far, far.copy()
-        for held, steepest in zip(order, [*np.abs(cosine[order[1:]]), 0.0], strict=True):
-            # A bound on the side to which the cost falls holds a number, one behind it does not.
-            ahead, behind = (lower, upper) if cosine[held] > 0.0 else (upper, lower)
-            behind[held] = 0.0
-            assert model.gradient(lower, upper) == pytest.approx(abs(cosine[held]))
-            behind[held] = -np.inf if behind is lower else np.inf
-            ahead[held] = 0.0
-            assert model.gradient(lower, upper) == pytest.approx(steepest)
-
-
 def test_columns_that_are_nearly_dependent_are_solved_for(rng: np.random.Generator) -> None:
     columns = rng.normal(size=(30, 2))
     columns = np.column_stack([columns, columns[:, 0] + 1e-10 * rng.normal(size=30)])

@@ -53,41 +53,6 @@ def test_nonnegative_weights_agree_with_nnls_on_all_rows(
     np.testing.assert_allclose(bounded_step(factor, right, zero, none), reference, atol=1e-11)
 
 
-def test_the_gap_of_what_is_no_optimum_is_the_gradient_that_nothing_balances(
-    rng: np.random.Generator,
-) -> None:
-    factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
-    best = np.linalg.lstsq(factor, right)[0]
-    free = np.full(4, -np.inf), np.full(4, np.inf)
-    assert stationarity(factor, best, right, np.eye(4), free) < 1e-14
-    norms = np.linalg.norm(factor, axis=0)
-    gradient = factor.T @ (factor @ (best + 0.1) - right) / norms
-    gap = float(np.linalg.norm(gradient) / np.linalg.norm(factor.T @ right / norms))
-    assert stationarity(factor, best + 0.1, right, np.eye(4), free) == pytest.approx(gap)
-    # A target of nothing has no size to be beside.
-    nothing = stationarity(factor, best, 0.0 * right, np.eye(4), free)
-    assert nothing == pytest.approx(np.linalg.norm(factor.T @ (factor @ best) / norms))
-    # A bound that holds a number back balances its part, in the direction it pushes and no other.
-    pushed = np.where(np.arange(4) == 2, 0.1, 0.0)
-    for sign, balanced in ((1.0, False), (-1.0, True)):
-        x = best + sign * pushed
-        upper = np.where(np.arange(4) == 2, x[2], np.inf)
-        others = stationarity(factor, x, right, np.eye(4), (free[0], upper))
-        alone = stationarity(factor, x, right, np.eye(4), free)
-        assert (others < alone) is balanced
-
-
-def test_a_bound_at_zero_holds_what_is_zero() -> None:
-    none, zero = np.full(2, np.inf), np.zeros(2)
-    upwards, below, above = np.array([2.0, 1.0]), (-none, zero), (zero, none)
-    for target, held, let_go in ((upwards, below, above), (-upwards, above, below)):
-        gaps = [
-            stationarity(np.eye(2), zero, target, np.eye(2), limits)
-            for limits in (held, let_go, (-none, none))
-        ]
-        assert gaps == pytest.approx([0.0, 1.0, 1.0])
-
-
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
 def test_the_gap_is_the_same_in_other_units(rng: np.random.Generator, unit: float) -> None:
     factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))

@@ -54,7 +54,7 @@ def codes(operator, y, memory, *, limit_V, lsb_V):
 def test_the_shipped_inverse_and_the_operators_put_out_the_same_codes(has_envelope, negative, rng):
     """Two implementations that share nothing, through the same converter."""
     lsb_V = 2.0**-8
-    for _ in range(10):
+    for _ in range(4):
         model = random_model(rng, plays=16, knots_each_side=4, negative=negative)
         front = random_model(rng, plays=2, knots_each_side=4)
         envelope = {

@@ -64,6 +64,15 @@ def test_loops_that_open_the_wrong_way_in_one_of_three_recordings_are_its_own_fa
     assert ("wrong way" in model.verdict.reason) is is_refused
 
 
+def test_a_loop_is_as_wide_as_its_branches_are_apart() -> None:
+    drive = through([-1.0, 1.0] * 3, 100)
+    plays = play_sum(drive, np.array([0.0, 0.3]), np.array([1.0, 0.5]), np.full(2, drive[0]))
+    for loop in loops_of(drive, plays, 0.01)[1:]:
+        middle = np.abs(loop.drive) < 0.3
+        np.testing.assert_allclose(loop.opening[middle], 0.5 * 2 * 0.3, atol=0.01)
+        assert loop.span == pytest.approx(2.0, abs=0.02)
+
+
 def test_levels_held_one_after_another_are_no_loop() -> None:
     """Between two levels nothing was read: straight lines there cross where no branch does."""
     levels = 5.0 * np.array([0.0, 1, -0.55, -0.34, 1, 0, 0.6])
