@@ -150,6 +150,8 @@ def test_equal_bounds_hold_a_number_and_the_start_is_brought_within_the_others()
         lambda x: x - 9.0, (-7.0,), bounds=(np.zeros(1), np.ones(1)), rule=Rule(iterations=0)
     )
     np.testing.assert_array_equal(asked.x, [0.0])
+    highest = searched(lambda x: x - 9.0, (0.5,), bounds=(np.zeros(1), np.ones(1)))
+    assert (float(highest.x[0]), highest.gradient) == (1.0, 0.0)
 
 
 def test_eliminated_coefficients_are_those_of_least_squares_and_say_how_they_move(

@@ -53,6 +53,19 @@ def test_nonnegative_weights_agree_with_nnls_on_all_rows(
     np.testing.assert_allclose(bounded_step(factor, right, zero, none), reference, atol=1e-11)
 
 
+def test_the_gap_without_bounds_is_the_gradient_beside_that_at_nothing(
+    rng: np.random.Generator,
+) -> None:
+    factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
+    best = np.linalg.lstsq(factor, right)[0]
+    free = np.full(4, -np.inf), np.full(4, np.inf)
+    assert stationarity(factor, best, right, np.eye(4), free) < 1e-14
+    norms = np.linalg.norm(factor, axis=0)
+    gradient = factor.T @ (factor @ (best + 0.1) - right) / norms
+    gap = float(np.linalg.norm(gradient) / np.linalg.norm(factor.T @ right / norms))
+    assert stationarity(factor, best + 0.1, right, np.eye(4), free) == pytest.approx(gap)
+
+
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
 def test_the_gap_is_the_same_in_other_units(rng: np.random.Generator, unit: float) -> None:
     factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
