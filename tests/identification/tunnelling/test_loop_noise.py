@@ -139,3 +139,9 @@ def test_a_record_too_short_for_mains_lines_has_no_budget() -> None:
         },
     )
     assert measure_loop_noise(short, plant, RIG) is None
+
+
+def test_the_power_density_integrates_to_the_variance(rng: np.random.Generator) -> None:
+    signal = rng.standard_normal(40000)
+    frequency_Hz, density = power_density(signal, 1000.0)
+    assert np.sum(density) * frequency_Hz[1] == pytest.approx(np.var(signal), rel=0.03)

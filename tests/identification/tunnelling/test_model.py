@@ -76,6 +76,13 @@ def test_one_record_spreads_by_its_own_uncertainty(fits: list[ClosedLoopFit]) ->
     assert half_gain_spread(spread_family(fits[:1])) == pytest.approx(expected, rel=1e-3)
 
 
+def test_equal_junctions_have_no_spread_beyond_their_uncertainty() -> None:
+    equal = Junction()
+    same = [identified(r, equal) for r in loop_records([equal] * 4, periods=11, seed=37)]
+    uncertainty = np.sqrt(np.mean([fit.covariance[0, 0] for fit in same]))
+    assert half_gain_spread(spread_family(same)) < 4.0 * uncertainty
+
+
 def test_the_model_comes_back_number_for_number_also_where_an_interval_has_no_end(
     rng: np.random.Generator, fits: list[ClosedLoopFit]
 ) -> None:
