@@ -31,11 +31,6 @@ def levels_of(design: Design, axis: AxisModel) -> dict[str, Level]:
     return {fact.quantity: fact.level for fact in design_statements(design, of(axis))}
 
 
-@pytest.fixture
-def known() -> Design:
-    return known_design()
-
-
 @pytest.fixture(scope="module")
 def unshown() -> Design:
     axis = replace(fitted()["x"], bandwidth=UNKNOWN)
@@ -70,14 +65,14 @@ def test_the_limit_of_the_bandwidth_names_what_is_known_of_the_resonance(
         assert words in text
 
 
-def test_a_resonance_beyond_the_converter_limits_no_bandwidth(known: Design) -> None:
-    assert bandwidth_limit_Hz(known.axis("x"), fitted()["x"]) is None
-    assert "bandwidth" not in levels_of(known, fitted()["x"])
+def test_a_resonance_beyond_the_converter_limits_no_bandwidth() -> None:
+    assert bandwidth_limit_Hz(known_design().axis("x"), fitted()["x"]) is None
+    assert "bandwidth" not in levels_of(known_design(), fitted()["x"])
 
 
-def test_a_bound_above_a_tenth_of_the_range_is_of_no_use(known: Design) -> None:
+def test_a_bound_above_a_tenth_of_the_range_is_of_no_use() -> None:
     axis = fitted()["x"]
-    certificate = known.axis("x").recommended.certificate
+    certificate = known_design().axis("x").recommended.certificate
     assert certificate is not None
     assert sum(error_parts_m(certificate).values()) == pytest.approx(
         certificate.guaranteed_error_m
@@ -87,5 +82,5 @@ def test_a_bound_above_a_tenth_of_the_range_is_of_no_use(known: Design) -> None:
     assert useful_bound_m(certificate, replace(axis, quality=narrow)) is None
     assert useful_bound_m(certificate, replace(axis, quality=wide)) is not None
     assert useful_bound_m(None, axis) is None
-    of_narrow = levels_of(known, replace(axis, quality=narrow))
+    of_narrow = levels_of(known_design(), replace(axis, quality=narrow))
     assert of_narrow["guaranteed_error"] is Level.WARNING

@@ -7,21 +7,8 @@ from benchmarks.varied_chains import plant_from_chain
 from piezoid.design.observer import disturbance_model, extended, placement
 from piezoid.design.tuning import kalman_gain
 from piezoid.errors import DesignError
-from piezoid.numerics.polynomial import from_roots
 from tests.design.placed import plant_from_fraction
 from tests.design.rig import RATE_Hz, lateral_chain
-
-
-def test_state_feedback_places_random_and_repeated_poles(rng):
-    for _ in range(30):
-        order = int(rng.integers(1, 7))
-        A, B = rng.normal(size=(order, order)), rng.normal(size=order)
-        repeated = np.full(order, 0.5)
-        distinct = rng.uniform(-0.8, 0.8, order)
-        for wanted in (repeated, distinct):
-            K = placement(A, B)(wanted)
-            placed = np.poly(A - np.outer(B, K)).real
-            np.testing.assert_allclose(placed, from_roots(wanted), atol=1e-7)
 
 
 @pytest.mark.parametrize(("link", "input_size"), [(0.0, 1.0), (1e-13, 1.0), (1e-7, 1e6)])

@@ -11,12 +11,12 @@ from piezoid.design.junction_task import reading_noise_A, vertical_task
 from piezoid.design.specification import converters_of
 from piezoid.errors import DesignError, LabFileError
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.tunnelling.barrier_fit import GapLaw
-from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.barrier_fit import fit_barrier
 from piezoid.identification.tunnelling.junction import TunnellingModel
 from piezoid.records.lab import Acquisition, Amplifier, Lab, Tunnelling
 from tests.design.junction_lab import LAB, loop_plant
 from tests.design.rig import RATE_Hz
+from tests.identification.tunnelling.sweeps import sweep
 
 LOOP = TunnellingModel(gap_law=None, loop_plant=loop_plant())
 
@@ -91,21 +91,8 @@ def test_a_converter_and_an_amplifier_without_a_common_voltage_are_refused() -> 
         vertical_task(LOOP, replace(LAB, amplifier=apart))
 
 
-def test_a_gap_law_alone_is_not_enough_to_design_a_loop() -> None:
-    law = GapLaw(
-        polarity=1.0,
-        decay_per_m=1e10,
-        decay_interval_per_m=(0.9e10, 1.1e10),
-        barrier_eV=1.0,
-        barrier_interval_eV=(0.9, 1.1),
-        current_at_zero_height_A=1e-9,
-        offset_A=0.0,
-        floor_A=1e-13,
-        gap_jitter_m=1e-12,
-        sweep_decay_per_m=(1e10,),
-        confidence=Confidence.HIGH,
-        reasons=(),
-    )
+def test_a_gap_law_alone_is_not_enough_to_design_a_loop(rng: np.random.Generator) -> None:
+    law = fit_barrier([sweep(rng)]).law
     with pytest.raises(DesignError, match="dither"):
         vertical_task(TunnellingModel(gap_law=law, loop_plant=None), LAB)
 

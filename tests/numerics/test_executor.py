@@ -40,14 +40,11 @@ def test_threads_report_one_at_a_time() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_an_error_of_one_thread_reaches_the_caller(count) -> None:
+def test_an_error_of_one_thread_reaches_the_caller_and_no_thread_is_refused(count) -> None:
     with pytest.raises(ZeroDivisionError):
         Executor(threads=count).map(lambda n: 1 / n, [1, 0, 2])
     with pytest.raises(ZeroDivisionError):
         Executor(threads=count).run_both(lambda: 1, lambda: 1 // 0)
-
-
-def test_no_thread_is_refused() -> None:
     with pytest.raises(ValueError, match="0 threads"):
         Executor(threads=0)
 

@@ -18,7 +18,6 @@ from piezoid.numerics.polynomial import (
     solve_bezout,
     spectral_radius,
     total,
-    trim,
     unit_circle,
 )
 
@@ -48,17 +47,6 @@ def stable_roots(draw: st.DrawFn, most: int = 6) -> Array:
 POINTS = st.floats(0.5, 2.0).flatmap(
     lambda size: st.floats(0.0, 3.1).map(lambda turn: complex(size * np.exp(1j * turn)))
 )
-
-
-@given(coefficients(), coefficients(), coefficients())
-def test_polynomials_are_a_ring(a: Array, b: Array, c: Array) -> None:
-    np.testing.assert_array_equal(product(a, b), product(b, a))
-    np.testing.assert_array_equal(product(product(a, b), c), product(a, b, c))
-    np.testing.assert_array_equal(
-        trim(product(a, total(b, c))), trim(total(product(a, b), product(a, c)))
-    )
-    np.testing.assert_array_equal(trim(total(a, -a)), [0.0])
-    np.testing.assert_array_equal(product(a), a)
 
 
 def value_at(polynomial: Array, z: complex) -> complex:
@@ -121,29 +109,11 @@ def test_bezout_places_what_it_is_told_for_gains_of_every_size(
 def test_a_common_root_is_never_divided_by(poles: Array, zeros: Array, common: Array) -> None:
     A = from_roots(np.concatenate([poles, common]))
     B = delayed(from_roots(np.concatenate([zeros, common])), 1)
-    with pytest.raises(DesignError, match="nearly cancel"):
+    with pytest.raises(DesignError, match="nearly cancel") as refusal:
         solve_bezout(A, B, [1.0])
-
-
-def test_leading_zeros_are_a_delay_and_no_roots() -> None:
-    assert roots_of([0.0, 0.0, 1.0, -0.5]) == pytest.approx([0.5])
-    assert spectral_radius([3.0]) == 0.0
-
-
-def test_a_target_of_high_degree_makes_s_longer_and_not_r() -> None:
-    a, b = np.array([1.0, -1.5, 0.56]), np.array([0.0, 1.0, 0.5])
-    p = from_roots(np.full(7, 0.3))
-    solution = solve_bezout(a, b, p)
-    assert (len(solution.S), len(solution.R)) == (6, 2)
-    assert solution.residual <= 1e-12
-
-
-def test_a_common_root_is_refused_by_its_value() -> None:
-    a, b = from_roots([0.5, 0.25]), np.convolve([0.0, 1.0], [1.0, -0.5])
-    told = r"pole z = 0\.5.*zero z = 0\.5.*in the ratio (0\.0e\+00|\d\.\de-(1[4-9]|[2-9]\d))"
-    with pytest.raises(DesignError, match=told) as refusal:
-        solve_bezout(a, b, [1.0])
-    assert refusal.value.numbers["pole"] == pytest.approx(0.5)
+    pole, zero = refusal.value.numbers["pole"], refusal.value.numbers["zero"]
+    assert abs(pole - zero) < 1e-3
+    assert np.abs(np.concatenate([poles, common]) - pole).min() < 1e-3
 
 
 def test_a_plant_without_numerator_is_a_programmers_error() -> None:

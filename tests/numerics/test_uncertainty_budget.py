@@ -1,6 +1,7 @@
 """An uncertainty budget against closed forms and against the Guide's own worked example."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,6 +41,7 @@ def test_one_estimate_keeps_its_freedom_and_certain_ones_have_no_end() -> None:
     assert budget_of([normal(3.0, 7)], draws=1000).freedom == pytest.approx(7.0)
     found = budget_of([normal(3.0), normal(4.0)], draws=1000)
     assert found.freedom == math.inf
+    assert found.positions == 1000  # unless told otherwise
     assert found.expanded == pytest.approx(norm.ppf(0.975) * 5.0)
 
 
@@ -61,19 +63,19 @@ def test_draws_give_the_interval_that_can_be_written_down(
     assert budget_of(contributions).propagated == pytest.approx(half, rel=0.01)
 
 
-@pytest.mark.parametrize("positions", [2, 100, 10_000])
-def test_the_largest_of_many_normal_errors_is_their_closed_form(positions: int) -> None:
-    found = budget_of([normal(2.0, is_shared=False)], positions=positions)
+@pytest.mark.parametrize(
+    ("contribution", "law", "positions"),
+    [
+        *((normal(2.0, is_shared=False), norm(0.0, 2.0), n) for n in (2, 100, 10_000)),
+        (heavy(4.0, is_shared=False), student(4.0, 0.0, math.sqrt(0.5)), 1000),
+    ],
+)
+def test_the_largest_of_many_errors_is_its_closed_form(
+    contribution: Contribution, law: Any, positions: int
+) -> None:
+    found = budget_of([contribution], positions=positions)
     for probability, reached in zip((0.025, 0.975), found.largest, strict=True):
-        exact = 2.0 * norm.ppf((1 + probability ** (1 / positions)) / 2)
-        assert reached == pytest.approx(exact, rel=0.02)
-
-
-def test_the_largest_of_a_thousand_heavy_errors_is_their_closed_form() -> None:
-    found = budget_of([heavy(4.0, is_shared=False)])
-    assert found.positions == 1000  # unless told otherwise
-    for probability, reached in zip((0.025, 0.975), found.largest, strict=True):
-        exact = student.ppf((1 + probability ** (1 / 1000)) / 2, 4.0) * math.sqrt(0.5)
+        exact = law.ppf((1 + probability ** (1 / positions)) / 2)
         assert reached == pytest.approx(exact, rel=0.02)
 
 

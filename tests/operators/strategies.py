@@ -17,6 +17,10 @@ REACH = 8.0  # drives lie within -8 .. 8, often on top of a threshold
 ROUNDING = 1e-12  # a hundred operations on numbers of which the steepest is 100 times the flattest
 
 
+def random_walk(rng: np.random.Generator, samples: int, step: float = 0.5) -> Array:
+    return np.asarray(np.cumsum(rng.normal(0, step, samples)) * 0.3)
+
+
 def drives(least: int = 1, most: int = 40) -> st.SearchStrategy[Array]:
     """Samples of a drive; repeats, jumps and values on thresholds come up by themselves."""
     return st.binary(min_size=least, max_size=most).map(

@@ -10,7 +10,7 @@ from piezoid.operators.chain import Chain, Following
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.filters import FirstOrder
 from piezoid.operators.play import play_columns
-from tests.operators.draws import random_walk
+from tests.operators.strategies import random_walk
 
 RATE_Hz = 100.0
 EVERY = {
@@ -98,16 +98,6 @@ def test_the_memory_is_forgotten_once_every_play_has_moved(rng: np.random.Genera
     aware = found[:, : chain.plays].any(axis=1)
     assert aware[:10].all()
     assert not aware[60:].any()
-
-
-def test_the_coefficients_of_a_lag_change_with_its_time_as_they_say() -> None:
-    for time_s in (1e-4, 0.004, 0.3):
-        here = FirstOrder(time_s=time_s, rate_Hz=RATE_Hz)
-        step_s = 1e-5 * time_s
-        up, down = (replace(here, time_s=time_s + s).coefficients for s in (step_s, -step_s))
-        slope = (np.array(up) - np.array(down)) / (2 * step_s)
-        np.testing.assert_allclose(here.by_time, slope, rtol=1e-6, atol=1e-6 * RATE_Hz)
-    assert FirstOrder(time_s=0.0, rate_Hz=RATE_Hz).by_time == (0.0, -RATE_Hz, RATE_Hz)
 
 
 def test_rows_are_written_only_where_they_fit(rng: np.random.Generator) -> None:

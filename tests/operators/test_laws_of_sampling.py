@@ -13,7 +13,6 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators import linear
 from piezoid.operators.linear import (
     ContinuousSystem,
-    DiscreteSystem,
     butterworth,
     cascade,
     first_order,
@@ -81,25 +80,3 @@ def test_running_is_linear_causal_and_may_be_cut_anywhere(
     np.testing.assert_allclose(np.concatenate([first, second]), whole, atol=1e-7)
     np.testing.assert_allclose(after, end, atol=1e-7)
     np.testing.assert_allclose(first, whole[:cut], atol=1e-7)
-
-
-@given(st.integers(1, 4), st.integers(1, 3), st.integers(1, 3), st.integers(0, 2**32 - 1))
-def test_two_states_are_transferred_like_any_number(
-    extra: int, inputs: int, outputs: int, seed: int
-) -> None:
-    """Two states have a formula of their own; a third that nothing sees must not change them."""
-    rng = np.random.default_rng(seed)
-    A = rng.uniform(-0.6, 0.6, (2, 2))
-    B, C, D = (rng.normal(size=s) for s in ((2, inputs), (outputs, 2), (outputs, inputs)))
-    small = DiscreteSystem(A=A, B=B, C=C, D=D, interval_s=1 / RATE_Hz)
-    unseen = np.zeros((2 + extra, 2 + extra))
-    unseen[:2, :2] = A
-    large = DiscreteSystem(
-        A=unseen,
-        B=np.vstack([B, np.ones((extra, inputs))]),
-        C=np.hstack([C, np.zeros((outputs, extra))]),
-        D=D,
-        interval_s=1 / RATE_Hz,
-    )
-    f = np.array([10.0, 3e3, 9e3])
-    np.testing.assert_allclose(small.response(f), large.response(f), rtol=1e-9, atol=1e-12)

@@ -54,21 +54,6 @@ def test_a_mode_of_630_hertz_becomes_its_known_fraction(
     np.testing.assert_allclose(B, (0, *num), atol=6e-9)
 
 
-@pytest.mark.parametrize("delay_samples", [0.0, 0.3, 1.0, 2.75])
-def test_sampling_equals_the_continuous_system_driven_by_steps(delay_samples: float) -> None:
-    """The step response at the samples is known in closed form, whatever the delay."""
-    delay_s = delay_samples / RATE_HZ
-    late = ContinuousSystem(
-        **{name: getattr(first_order(300), name) for name in "ABC"},
-        D=np.array([[0.25]]),
-        delay_s=delay_s,
-    )
-    found, _ = sample(late, RATE_HZ).run(np.ones(40))
-    time_s = np.arange(40) / RATE_HZ - delay_s
-    expected = np.where(time_s > -1e-12, 1.25 - np.exp(-2 * np.pi * 300 * time_s), 0.0)
-    np.testing.assert_allclose(found, expected, atol=ROUNDING)
-
-
 @pytest.mark.parametrize("delay_samples", [0.0, 0.3, 1.0, 53.75])
 @pytest.mark.parametrize("damping", [0.02, 1.0, 3.0])
 @pytest.mark.parametrize("before", [[], [4000], [4000, 4000]], ids=["none", "one", "two alike"])

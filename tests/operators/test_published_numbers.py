@@ -3,7 +3,6 @@
 import numpy as np
 
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.play import play_columns
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 NINE_DIGITS = 1e-9
@@ -62,21 +61,3 @@ def test_example_4_of_al_janaideh_dead_zones_before_plays() -> None:
     y, _ = plays.run(w, plays.virgin_memory())
     assert abs(y.max() - 16.8049127635) < NINE_DIGITS
     assert abs(y[5000] - 5.9040113436) < NINE_DIGITS
-    y, _ = plays.run(6 * np.tanh(0.4 * v), plays.virgin_memory())
-    assert abs(y.max() - 20.1572135857) < NINE_DIGITS
-    assert abs(y[5000] - 6.1332249866) < NINE_DIGITS
-    y, _ = plays.run(v, plays.virgin_memory())
-    y += 0.4 * v
-    assert abs(y.max() - 18.5929908013) < NINE_DIGITS
-    assert abs(y[5000] - 5.8737678276) < NINE_DIGITS
-
-
-def test_ufunclab_backlash_which_states_full_widths() -> None:
-    x = np.array([0, 1, 1.1, 1.0, 1.5, 1.4, 1.2, 0.5])
-    z, _ = play_columns(x, np.array([0.4]) / 2, np.zeros(1))
-    np.testing.assert_allclose(z[:, 0], [0, 0.8, 0.9, 0.9, 1.3, 1.3, 1.3, 0.7], atol=1e-12)
-    x = np.array([0, 0.2, 0.5, 1.1, 1.25, 1, 0.2, -1])
-    z, _ = play_columns(x, np.array([0.2, 0.4, 0.6, 0.8]) / 2, np.zeros(4))
-    np.testing.assert_allclose(
-        z @ np.full(4, 0.25), [0, 0.025, 0.25, 0.85, 1, 0.9875, 0.45, -0.75], atol=1e-12
-    )

@@ -1,19 +1,27 @@
-"""The wide class of hysteresis: rate independent, and the same however a drive is cut."""
+"""The wide class of hysteresis and its states, against what shares no code with them."""
+
+import itertools
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from piezoid.operators.wide_hysteresis import (
     EDGES,
     WIDTHS,
     HysteresisStates,
+    bouc_wen_states,
     class_columns,
     coefficients,
+    friction_states,
     smooth_columns,
     smooth_response,
+    sum_of_polynomials,
 )
 
 DRIVE = np.sin(np.linspace(0.0, 20.0, 400)) * np.linspace(1.0, 0.2, 400)
+WAY = np.sin(np.linspace(0.0, 9.0, 40_001)) * np.linspace(1.0, 0.3, 40_001)
+REACH = np.array([0.05, 0.4, 3.0])
 
 
 def test_a_drive_in_chunks_leaves_the_same_states() -> None:
@@ -30,21 +38,85 @@ def test_columns_do_not_depend_on_speed() -> None:
     assert often[::4] == pytest.approx(quick, abs=2e-4)
 
 
-def test_coefficients_of_all_columns_become_a_density_and_the_others() -> None:
-    states = HysteresisStates(()).follow(DRIVE)
+def test_coefficients_of_all_columns_become_a_density_and_a_smooth_response() -> None:
+    states = HysteresisStates((-1.0, 0.5)).follow(DRIVE)
     columns = class_columns(DRIVE, states)
     weights = np.random.default_rng(0).standard_normal(columns.shape[1])
     density, smooth = coefficients(weights)
     assert density.shape == (len(WIDTHS), len(EDGES) - 1)
-    rest = smooth_columns(DRIVE, states) @ smooth
+    smooth_part = smooth_columns(DRIVE, states) @ smooth
+    assert smooth_response(DRIVE, states, smooth) == pytest.approx(smooth_part, abs=1e-12)
     cells = np.clip(states[0][:, :, None], EDGES[:-1], EDGES[1:])
     cells = cells - np.clip(DRIVE[:, None, None], EDGES[:-1], EDGES[1:])
-    made = np.einsum("kwc,wc->k", cells, density) + rest
+    made = np.einsum("kwc,wc->k", cells, density) + smooth_part
     assert made == pytest.approx(columns @ weights, rel=1e-9, abs=1e-9)
 
 
-def test_the_response_is_the_sum_of_the_columns() -> None:
-    states = HysteresisStates((-1.0, 0.5)).follow(DRIVE)
-    columns = smooth_columns(DRIVE, states)
-    weights = np.random.default_rng(1).standard_normal(columns.shape[1])
-    assert smooth_response(DRIVE, states, weights) == pytest.approx(columns @ weights, abs=1e-12)
+@pytest.mark.parametrize(("gamma", "exponent"), [(0.0, 1.0), (0.6, 1.0), (-0.3, 1.7), (0.8, 2.5)])
+def test_the_bouc_wen_state_follows_its_differential_equation(
+    gamma: float, exponent: float
+) -> None:
+    drive, z = np.array([0.0, 0.9, -0.4, 0.3, -1.0, 0.2]), 0.0
+    for here, there in itertools.pairwise(drive):
+        way = np.sign(there - here)
+
+        def slope(_, state, way=way):
+            grip = gamma + 1.6 * np.sign(state * way)
+            return way * (1.0 - grip * np.abs(state) ** exponent)
+
+        z = solve_ivp(slope, (0.0, abs(there - here)), [z], rtol=1e-10, atol=1e-12).y[0, -1]
+    assert bouc_wen_states(drive, 1.6, gamma, exponent)[-1] == pytest.approx(z, abs=2e-5)
+
+
+def test_the_bouc_wen_state_begins_where_it_is_told_and_a_rest_changes_nothing() -> None:
+    assert np.all(bouc_wen_states(np.full(5, 0.4), 1.0, 0.2, 1.3, start=0.25) == 0.25)
+
+
+def test_friction_solves_its_equation_of_motion() -> None:
+    expected = np.zeros((len(WAY), len(REACH)))
+    for k, step in enumerate(np.diff(WAY)):
+        middle = expected[k] + 0.5 * (step - abs(step) * expected[k] / REACH)
+        expected[k + 1] = expected[k] + step - abs(step) * middle / REACH
+    found = friction_states(WAY, REACH, np.zeros(len(REACH)))
+    np.testing.assert_allclose(found, expected, atol=1e-7)
+
+
+@pytest.mark.parametrize("power", [2, 3])
+def test_friction_of_a_curved_rest_is_what_a_first_order_lag_along_the_way_leaves(power) -> None:
+    lagging = np.zeros((len(WAY), len(REACH)))
+    for k, step in enumerate(np.abs(np.diff(WAY))):
+        target = 0.5 * (WAY[k] ** power + WAY[k + 1] ** power)
+        lagging[k + 1] = lagging[k] + (target - lagging[k]) * -np.expm1(-step / REACH)
+    expected = WAY[:, None] ** power - lagging
+    found = friction_states(WAY, REACH, np.zeros(len(REACH)), power=np.full(len(REACH), power))
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_friction_states_of_one_reach_share_an_exponential_and_nothing_else() -> None:
+    way = 0.7 + np.cumsum(np.random.default_rng(4).normal(0.0, 0.01, 2_500))
+    reach, power = np.array([0.4, 0.05, 0.4, 3.0, 0.05]), np.array([2.0, 1.0, 1.0, 3.0, 2.0])
+    start = np.array([0.1, -0.02, 0.3, 0.0, 0.01])
+    together = friction_states(way, reach, start, power=power)
+    np.testing.assert_array_equal(together[0], start)
+    for k in range(len(reach)):
+        one = slice(k, k + 1)
+        alone = friction_states(way, reach[one], start[one], power=power[one])
+        np.testing.assert_array_equal(together[:, k], alone[:, 0])
+
+
+def test_only_powers_whose_closed_form_is_known_are_followed() -> None:
+    with pytest.raises(ValueError, match="expected some of"):
+        friction_states(np.zeros(3), REACH, np.zeros(3), power=np.array([1.0, 2.0, 4.0]))
+
+
+@pytest.mark.parametrize("powers", [2, 3, 4])
+def test_sums_of_polynomials_are_what_their_columns_would_give(powers: int) -> None:
+    draw = np.random.default_rng(powers)
+    states, drive = draw.normal(size=(70, 5)), draw.normal(size=70)
+    scale, power = draw.uniform(0.5, 2.0, 5), draw.normal(size=(powers, 5))
+    bias = draw.normal(size=(3, 5))
+    z = states * scale
+    expected = sum(z ** (n + 1) @ power[n] for n in range(powers))
+    expected = expected + drive * (z @ bias[0] + z**2 @ bias[2]) + drive**2 * (z @ bias[1])
+    found = sum_of_polynomials(states, drive, scale=scale, power=power, bias=bias)
+    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from piezoid.errors import NotInvertibleError
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.play import play_columns
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from tests.operators.strategies import is_admissible
 
@@ -21,14 +21,6 @@ ZONES = DeadZones(
 MODEL = ModifiedPrandtlIshlinskii(plays=PLAYS, dead_zones=ZONES)
 
 
-def test_play_states_follow_the_input() -> None:
-    z, _ = play_columns(U, PLAYS.threshold, np.zeros(4))
-    np.testing.assert_allclose(z[:, 0], U, atol=EXACT)
-    np.testing.assert_allclose(z[:, 1], [0, 2, 0, 1, -3, 3, 1, 1, 0.5], atol=EXACT)
-    np.testing.assert_allclose(z[:, 2], [0, 1, 1, 1, -2, 2, 2, 2, 1.5], atol=EXACT)
-    np.testing.assert_allclose(z[:, 3], [0, 0, 0, 0, -1, 1, 1, 1, 1], atol=EXACT)
-
-
 def test_cumulative_slopes_and_outputs_are_those_printed() -> None:
     np.testing.assert_allclose(PLAYS.slope, [0.5, 0.75, 0.9, 1.0], atol=EXACT)
     np.testing.assert_allclose(ZONES.slope, [0.7, 0.8, 1, 1, 1.3, 1.05], atol=EXACT)
@@ -36,7 +28,6 @@ def test_cumulative_slopes_and_outputs_are_those_printed() -> None:
     expected = [0, 2.15, -0.35, 1.4, -3.15, 3.15, 0.65, 1.4, 0.2]
     np.testing.assert_allclose(h, expected, atol=EXACT)
     np.testing.assert_allclose(MODEL.run(U, np.zeros(4))[0], Y, atol=EXACT)
-    np.testing.assert_allclose(ZONES.columns(h) @ ZONES.weight, Y, atol=EXACT)
 
 
 def test_inverse_thresholds_and_weights_are_those_printed() -> None:
@@ -65,3 +56,15 @@ def test_threshold_zero_is_required_of_both_parts() -> None:
         PrandtlIshlinskii(threshold=np.array([0.1, 1]), weight=np.ones(2))
     with pytest.raises(ValueError, match="no 0"):
         DeadZones(threshold=np.array([-1.0, 1]), weight=np.ones(2))
+
+
+@pytest.mark.parametrize(
+    ("part", "last", "told"),
+    [(PrandtlIshlinskii, -0.7, "W_1 is -0.2"), (DeadZones, -1.0, "0.5"), (DeadZones, -0.5, "0")],
+)
+def test_a_slope_that_is_not_positive_has_no_inverse(
+    part: type[PrandtlIshlinskii | DeadZones], last: float, told: str
+) -> None:
+    with pytest.raises(NotInvertibleError, match=told):
+        part(threshold=np.array([0.0, 1]), weight=np.array([0.5, last])).inverse()
+    part(threshold=np.array([0.0, 1]), weight=np.array([0.5, -0.499])).inverse()

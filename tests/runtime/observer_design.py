@@ -1,30 +1,18 @@
-"""An observer design made here from its poles alone, for the runtime to run.
+"""An observer for the runtime to run, placed by its poles, and the plant that it is made for.
 
 Amplifier 4 kHz, a mode at 630 Hz with damping 0.05, sensor 8.5 kHz, 20 kHz sampling.
 """
 
+from functools import cache
+
 import numpy as np
-from scipy.linalg import expm
+
+from benchmarks.varied_chains import plant_from_chain
+from piezoid.export.export_stage import observer_values
+from tests.design.placed import place_observer
+from tests.design.rig import lateral_chain, printed_observer_poles
 
 RATE_Hz = 20e3
-
-
-def plant():
-    """Exact zero-order-hold model with unit static gain: A, B, C."""
-    amplifier, mode, damping, sensor = 2 * np.pi * np.array([4e3, 630, 0.05 / 2 / np.pi, 8.5e3])
-    continuous = np.array(
-        [
-            [-amplifier, 0, 0, 0],
-            [0, 0, 1, 0],
-            [mode**2, -(mode**2), -2 * damping * mode, 0],
-            [0, sensor, 0, -sensor],
-        ]
-    )
-    block = np.zeros((5, 5))
-    block[:4, :4] = continuous / RATE_Hz
-    block[0, 4] = amplifier / RATE_Hz
-    held = expm(block)
-    return held[:4, :4], held[:4, 4], np.array([0.0, 0, 0, 1])
 
 
 def poles(frequencies_Hz, damping=1.0):
@@ -36,50 +24,39 @@ def poles(frequencies_Hz, damping=1.0):
     return np.exp(s)
 
 
-def place(A, B, wanted):
-    """Ackermann's formula: K with eig(A - B K) = wanted."""
-    controllable = np.column_stack([np.linalg.matrix_power(A, i) @ B for i in range(len(A))])
-    value = np.zeros_like(A)
-    for coefficient in np.real(np.poly(wanted)):
-        value = value @ A + coefficient * np.eye(len(A))
-    return np.linalg.solve(controllable.T, np.eye(len(A))[-1]) @ value
+@cache
+def plant():
+    """The sampled chain with unit static gain."""
+    return plant_from_chain(lateral_chain())
+
+
+@cache
+def unit_observer():
+    feedback, observer = printed_observer_poles()
+    return observer_values(
+        place_observer(plant(), feedback_poles=feedback, observer_poles=observer)
+    )
 
 
 def observer_parameters(gain_m_per_V=1.0):
     """The runtime's observer for a plant of this static gain; states in metres."""
-    A, B, C = plant()
-    feedback_poles = np.r_[poles(630, 0.9), poles([4e3, 8.5e3])]
-    observer_poles = np.r_[poles(1200, 0.8), poles([800, 4200, 8600])]
-    extended = np.block([[A, B[:, None]], [np.zeros((1, 4)), np.ones((1, 1))]])
-    read = np.r_[C, 0.0]
-    correction = place(extended.T, (read @ extended), observer_poles)
-    K = place(A, B, feedback_poles)
-    rest = np.linalg.solve(np.eye(4) - A, B)
-    return {
-        "observer_order": 4,
-        "observer_A": A,
-        "observer_B": B * gain_m_per_V,
-        "observer_C": C,
-        "observer_L": correction[:4],
-        "observer_disturbance_L_V_per_m": correction[4] / gain_m_per_V,
-        "observer_rest": rest * gain_m_per_V,
-        "feedback_K_V": K / gain_m_per_V,
-        "feedback_N_V_per_m": (1 + K @ rest) / (C @ rest) / gain_m_per_V,
-        "gain_m_per_V": gain_m_per_V,
-    }
+    known = unit_observer()
+    grow = {name: known[name] * gain_m_per_V for name in ("observer_B", "observer_rest")}
+    per_gain = ("observer_disturbance_L_V_per_m", "feedback_K_V", "feedback_N_V_per_m")
+    shrink = {name: known[name] / gain_m_per_V for name in per_gain}
+    return {**known, **grow, **shrink, "gain_m_per_V": gain_m_per_V}
 
 
 class LinearPlant:
     """The same chain, stepped: ``measure`` before the voltage of the sample is known."""
 
-    def __init__(self, gain=1.0):
-        self.A, self.B, self.C = plant()
-        self.gain = gain
-        self.x = np.zeros(4)
+    def __init__(self):
+        self.A, self.B, self.C = plant().realised()
+        self.x = np.zeros(len(self.A))
 
     def measure(self):
         return float(self.C @ self.x)
 
     def drive(self, moved):
-        """moved: gain times voltage, or what a hysteresis made of it."""
+        """moved: the voltage, or what a hysteresis made of it."""
         self.x = self.A @ self.x + self.B * moved

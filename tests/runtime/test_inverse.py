@@ -1,4 +1,4 @@
-"""The runtime's inverse hysteresis, against the worked example and an independent closed form."""
+"""The runtime's inverse hysteresis, against an independent closed form."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.runtime.controller import Controller
 from piezoid.runtime.schema import MAX_EDGES, MAX_KNOTS, MAX_PLAYS, MAX_RELAXATIONS
-from tests.runtime.runtime_parameters import WIDE, WORKED, hysteresis
+from tests.runtime.runtime_parameters import WIDE, hysteresis
 from tests.runtime.runtime_reference import follow, forward, random_model
 
 
@@ -26,24 +26,6 @@ def inverse(model, y, **others):
     controller = Controller(hysteresis(model, **others))
     controller.start(model["last"], np.nan)
     return controller.run(y, np.full(len(y), np.nan)).voltage_V
-
-
-@pytest.mark.parametrize(
-    ("memory", "last", "y"),
-    [
-        (np.zeros(4), 0.0, [0, 2.4575, -0.35, 1.52, -2.605, 3.5075, 0.65, 1.52, 0.2]),
-        (
-            [0.5, 1.0, 1.5, 1.0],
-            0.5,
-            [0.575, 2.64125, -0.25, 1.65, -2.605, 3.5075, 0.65, 1.52, 0.2],
-        ),
-    ],
-    ids=["virgin", "used"],
-)
-def test_the_worked_example_comes_back(memory, last, y):
-    u = np.array([0, 3, -1, 2, -4, 4, 0, 1.5, -0.5])
-    model = {**WORKED, "z": np.array(memory), "last": last}
-    assert np.abs(inverse(model, np.array(y)) - u).max() < 5e-15
 
 
 @pytest.mark.parametrize("negative", [False, True])
@@ -72,7 +54,7 @@ def codes(operator, y, memory, *, limit_V, lsb_V):
 def test_the_shipped_inverse_and_the_operators_put_out_the_same_codes(has_envelope, negative, rng):
     """Two implementations that share nothing, through the same converter."""
     lsb_V = 2.0**-8
-    for _ in range(10):
+    for _ in range(4):
         model = random_model(rng, plays=16, knots_each_side=4, negative=negative)
         front = random_model(rng, plays=2, knots_each_side=4)
         envelope = {

@@ -1,4 +1,4 @@
-"""The disturbance-observer loop: against published polynomials, and against what it promises."""
+"""The disturbance-observer loop around a stage with hysteresis and creep."""
 
 import numpy as np
 import pytest
@@ -7,22 +7,6 @@ from piezoid.runtime.controller import Controller, Status
 from tests.runtime.observer_design import LinearPlant, observer_parameters
 from tests.runtime.runtime_parameters import WIDE, WORKED, hysteresis
 from tests.runtime.runtime_reference import dead_zones, follow
-
-# The polynomials are printed with ten decimals.
-PRINTED = 3e-9
-
-CONTROLLER_NUMERATOR = np.array(
-    [-1.6493438444, 3.8931363194, -2.8841710805, 0.6598793035, -0.0331133718, 0]
-)
-CONTROLLER_DENOMINATOR = np.array(
-    [1, -2.2838911271, 1.9549855646, -0.7903742073, 0.1247293518, -0.005449582]
-)
-CLOSED_LOOP = np.array(
-    [
-        *(1, -4.5750108263, 8.9001057978, -9.5574086345, 6.1517173975),
-        *(-2.4126438412, 0.5616117386, -0.0724327942, 0.004516861, -0.0001052682),
-    ]
-)
 
 
 def observer(**others):
@@ -52,13 +36,13 @@ class HysteresisPlant(LinearPlant):
         self.crept = self.crept + CREEP["relaxation_rate"] * (moved - self.crept)
 
 
-def close_loop(controller, plant, reference, disturbance=0.0):
+def close_loop(controller, plant, reference):
     """Displacement and voltage of every sample."""
     displacement, voltage = np.empty((2, len(reference)))
     for k, wanted in enumerate(reference):
         displacement[k] = plant.measure()
         voltage[k] = controller.step(wanted, displacement[k])
-        plant.drive(voltage[k] + disturbance)
+        plant.drive(voltage[k])
     return displacement, voltage
 
 
@@ -66,28 +50,6 @@ def started(parameters, **precision):
     controller = Controller(parameters, **precision)
     controller.start(0.0, 0.0)
     return controller
-
-
-def test_from_measurement_to_voltage_it_is_the_published_controller(rng):
-    y = rng.standard_normal(50)
-    u = started(observer()).run(np.zeros(50), y).voltage_V
-    left = np.convolve(CONTROLLER_DENOMINATOR, u)[:50]
-    right = np.convolve(CONTROLLER_NUMERATOR, y)[:50]
-    assert np.abs(left - right).max() < PRINTED * 20
-
-
-def test_every_closed_loop_mode_is_a_root_of_the_published_polynomial():
-    plant = LinearPlant()
-    plant.x = np.array([0.3, -0.2, 0.5, 0.1])
-    y, _ = close_loop(started(observer()), plant, np.zeros(60))
-    left = np.convolve(CLOSED_LOOP, y)[9:60]
-    assert np.abs(left).max() < PRINTED * np.abs(y).max() * 20
-    assert np.abs(y).max() > 0.1
-
-
-def test_a_constant_disturbance_leaves_no_error():
-    y, _ = close_loop(started(observer()), LinearPlant(), np.ones(600), disturbance=0.7)
-    assert abs(y[-1] - 1.0) < 1e-9
 
 
 @pytest.mark.parametrize("creeps", [False, True])

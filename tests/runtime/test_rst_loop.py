@@ -57,11 +57,6 @@ def test_a_step_of_the_setpoint_obeys_the_published_closed_loop():
     assert y[-1] == pytest.approx(math.log(1.5), abs=1e-9)
 
 
-def test_the_surface_is_followed_without_a_lasting_error():
-    y, _ = close_loop(started(), Gap(), np.full(400, REFERENCE_A), surface=0.8)
-    assert abs(y[-1]) < 1e-9
-
-
 def test_float_holds_the_setpoint_without_drift():
     """The integrator is exact in single precision: only S without it is rounded."""
     gap = Gap()
@@ -104,19 +99,6 @@ def test_no_reading_far_below_the_set_point_makes_the_tip_faster(current_A, prec
     controller.schedule(2.0)
     run = controller.run(np.full(10, REFERENCE_A), np.full(10, current_A))
     assert np.diff(run.voltage_V) == pytest.approx(np.full(9, 0.5e-3), rel=1e-3)
-
-
-def test_a_latched_tip_waits_for_the_operator_and_then_approaches_from_there():
-    controller = started(retract_samples=5, retract_step_V=0.5, trip_limit=3, trip_samples=1000)
-    controller.run(np.full(40, REFERENCE_A), np.full(40, 1e-7))
-    assert controller.status & Status.LATCHED
-    waited = controller.run(np.full(3000, REFERENCE_A), np.full(3000, 1e-12))
-    assert set(waited.voltage_V) == {-9.0}
-    assert (waited.status & Status.MEASUREMENT_LIMITED).all()
-    controller.reset()
-    run = controller.run(np.full(500, REFERENCE_A), np.full(500, 1e-12))
-    assert run.voltage_V == pytest.approx(-9.0 + 1e-3 * np.arange(1, 501))
-    assert set(run.status) == {int(Status.APPROACHING | Status.CURRENT_LOST)}
 
 
 def test_a_reference_beyond_the_currents_is_the_last_of_them_and_that_is_said():

@@ -22,9 +22,9 @@ from piezoid.verification.verify_stage import plant_of
 from piezoid_cli.export import export
 from piezoid_cli.report import report
 from piezoid_cli.verify import verify
+from tests.design.designed import known_design
 from tests.foreign_objects import KINDS, look, plant
 from tests.verification.known_fit import fitted, junction_model
-from tests.verification.rig import RATE_Hz
 
 APP = typer.Typer()
 APP.command()(export)
@@ -54,10 +54,7 @@ def write_stage(folder, model, design):
 
 @pytest.fixture(scope="module")
 def designed():
-    digest = json.loads(write_model(fitted()))["digest"]
-    return design_stage(
-        fitted(), model_digest=digest, sampling_rate_Hz=RATE_Hz, forms=("inverse",)
-    )
+    return known_design()
 
 
 @pytest.fixture
@@ -117,8 +114,8 @@ def test_targets_come_beside_the_bundle_and_go_with_an_export_that_does_not_ask_
 
 def test_boxes_get_their_files_and_the_terminal_says_what_they_lose(folder):
     (folder / "box.toml").write_text("[pid]\nnotches = 0\n[waveform]\nrange_V = [0, 10]\n")
-    asked = ("--target", "pid", "--target", "waveform", "--box", folder / "box.toml")
-    done = called("export", folder, *asked)
+    targets = ("--target", "pid", "--target", "waveform")
+    done = called("export", folder, *targets, "--box", folder / "box.toml")
     assert done.exit_code == 0, done.output
     said = " ".join(done.output.split())
     assert "and no notch, a spiral of 10 Hz errs by" in said
@@ -133,9 +130,6 @@ def test_boxes_get_their_files_and_the_terminal_says_what_they_lose(folder):
         "x.csv",
         "x_int16.bin",
     }
-    (folder / "box.toml").write_text("[waveform]\nrange_V = [0, 10]\npoints = 100\n")
-    done = called("export", folder, *asked)
-    assert "Set frequency_Hz to 200 or more" in str(done.exception)
 
 
 def test_without_a_controller_that_ships_there_is_no_target(folder):
@@ -167,28 +161,14 @@ def test_a_designed_folder_is_exported_and_verified(folder):
     assert record.parameters_digest == json.loads(to_json(file))["digest"]
     assert {row.method for row in record.comparison} == {"mpi_dob", "mpi", "none"}
     assert all(proof.samples or not proof.is_built for proof in record.proofs)
+    assert record.bounds == ()
     assert len(record.plants) > 1
     assert (folder / "model.json").exists()
 
 
-def test_a_failed_verdict_is_exit_status_1_and_still_written(folder, designed):
-    digest = json.loads((folder / "design.json").read_bytes())["digest"]
-    file = export_stage(fitted(), designed, design_digest=digest)
-    bare = replace(
-        file,
-        axes=tuple(
-            replace(axis, values=axis.for_method("none").values, alternatives=())
-            for axis in file.axes
-        ),
-    )
-    (folder / "params.json").write_bytes(to_json(bare))
-    done = called("verify", folder)
-    assert done.exit_code == 1
-    assert "failed: shape error of the controller" in done.output
-    assert not verification_from_json((folder / "verification.json").read_bytes()).passed
-
-
-def test_limits_come_from_a_file_or_from_the_lab_toml_of_the_folder(exported):
+def test_a_limit_of_a_file_or_of_the_lab_toml_fails_a_verification_which_is_still_written(
+    exported,
+):
     first = (exported / "params.json").read_bytes()
     (exported / "limits.toml").write_text(TIGHT)
     done = called("verify", exported, "--limits", exported / "limits.toml")
@@ -199,6 +179,7 @@ def test_limits_come_from_a_file_or_from_the_lab_toml_of_the_folder(exported):
     assert (exported / "params.json").read_bytes() == first
     record = verification_from_json((exported / "verification.json").read_bytes())
     assert record.lab_digest == read_lab(exported / "lab.toml").digest
+    assert not record.passed
 
 
 def test_a_guard_that_was_written_after_the_export_does_not_pass_unseen(folder, with_tip):
@@ -293,8 +274,6 @@ def test_largest_errors_are_bounded_on_request(exported):
     for row in found.bounds:  # what is probable lies between what is usual and what is possible
         assert row.simulated_m < row.probable_m <= row.worst_found_m < row.bound_m
     assert [row.axis for row in found.bounds] == ["x"] * 3
-    assert called("verify", exported).exit_code == 0
-    assert b'"bounds"' not in (exported / "verification.json").read_bytes()
 
 
 def test_another_design_than_the_exported_one_is_not_compared(exported, designed):
@@ -317,15 +296,15 @@ def test_a_verdict_stands_only_beside_the_bundle_it_was_reached_on(exported, des
     assert reported()[0]
     runtime = exported / "bundle/piezoid_runtime.c"
     original = runtime.read_bytes()
-    for content in (original + b" ", None):
+    for content in (None, original + b" "):
         runtime.write_bytes(content) if content else runtime.unlink()
         is_verified, said = reported()
         assert not is_verified
         assert "bundle/piezoid_runtime.c is missing or changed; run piezoid export" in said
-        done = called("verify", exported)
-        assert done.exit_code == 1
-        assert "piezoid_runtime.c" in done.output
-        assert b'"passed": false' in (exported / "verification.json").read_bytes()
+    done = called("verify", exported)
+    assert done.exit_code == 1
+    assert "piezoid_runtime.c" in done.output
+    assert b'"passed": false' in (exported / "verification.json").read_bytes()
     runtime.write_bytes(original)
     assert called("verify", exported).exit_code == 0
     assert reported()[0]

@@ -74,7 +74,7 @@ def test_the_figures_foretell_stages_with_any_past(rng):
         worse_m = max(found[method].rms_m for found in each)
         assert row.rms_m == pytest.approx(worse_m, rel=0.05), method  # noise of another run
     ratios = {method: [] for method in own}
-    for _ in range(12):
+    for _ in range(6):
         past_V = tuple(rng.uniform(-10.0, 10.0, 3).tolist())
         for method, row in at_20_Hz(replace(known, history_V=past_V)).items():
             ratios[method].append(row.rms_m / own[method].rms_m)

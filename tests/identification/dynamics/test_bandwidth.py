@@ -9,7 +9,6 @@ from piezoid.identification.dynamics.axis_dynamics import with_dynamics
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict, decide_bandwidth, unfitted
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.operators.linear import ContinuousSystem, cascade, first_order, resonance, sample
-from piezoid.record_json import from_json, to_json
 from tests.identification.dynamics.stage import (
     AMPLIFIER,
     DECLARATION,
@@ -18,7 +17,7 @@ from tests.identification.dynamics.stage import (
     lines_between,
     record,
 )
-from tests.identification.dynamics.test_axis_dynamics import chirp, recorded
+from tests.identification.dynamics.test_axis_dynamics import recorded
 from tests.reports.known_stage import axis_model
 
 KNOWN = (0.0, 0.0)
@@ -71,7 +70,7 @@ def test_an_unknown_delay_leaves_a_steep_phase_undecided_and_a_peak_decisive(
 
 
 @pytest.mark.parametrize("system", [first_order(630), resonance(630, 0.05), resonance(630, 0.7)])
-def test_lines_that_end_before_the_gain_falls_decide_nothing(
+def test_lines_that_show_no_gain_at_rest_or_end_before_it_falls_decide_nothing(
     rng: np.random.Generator, system: ContinuousSystem
 ) -> None:
     short = lines_between(seen(rng, system), 30.0, 200.0)
@@ -79,20 +78,8 @@ def test_lines_that_end_before_the_gain_falls_decide_nothing(
     assert verdict.kind == "undecided"
     assert verdict.fallen_Hz is None
     assert "lab.toml states a bandwidth of 630 Hz" in verdict.text
-
-
-def test_a_gain_without_lines_at_rest_decides_nothing(rng: np.random.Generator) -> None:
-    above = lines_between(seen(rng, first_order(630)), 500.0, 4000.0)
-    assert decide_bandwidth(above, DECLARATION, delay_s=KNOWN).kind == "undecided"
-
-
-def test_a_fit_tells_the_stage_s_resonance_and_compares_what_was_stated() -> None:
-    chirped = recorded(chirp(), np.random.default_rng(41))
-    found = with_dynamics(axis_model(), [chirped], stated_Hz=400.0)
-    assert found.bandwidth is not None
-    assert found.bandwidth.kind == "resonance"
-    assert found.bandwidth.text in found.dynamics_remarks
-    assert from_json(BandwidthVerdict, to_json(found.bandwidth)) == found.bandwidth
+    without_rest = lines_between(seen(rng, system), 500.0, 4000.0)
+    assert decide_bandwidth(without_rest, DECLARATION, delay_s=KNOWN).kind == "undecided"
 
 
 def test_a_stated_bandwidth_no_recording_reaches_is_said_to_be_open() -> None:

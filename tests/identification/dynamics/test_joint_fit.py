@@ -10,6 +10,7 @@ from piezoid.identification.dynamics.joint_fit import fit_jointly
 from piezoid.identification.dynamics.modal import JointFit, LinearDynamics
 from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.model import AxisModel
+from tests.identification.dynamics.stage import truth
 from tests.identification.dynamics.test_axis_dynamics import (
     DAMPING,
     MODE_Hz,
@@ -35,24 +36,16 @@ def axis() -> AxisModel:
 
 def rough(known: AxisModel) -> LinearDynamics:
     """What a windowed estimate may give: every number a little off."""
-    return LinearDynamics(
-        axis="x",
+    return replace(
+        truth(),
         mode_frequency_Hz=np.array([1.01 * MODE_Hz]),
         mode_damping=np.array([1.2 * DAMPING]),
         mode_gain_m_per_V=np.array([middle_slope_m_per_V(known)]),
-        lag_frequency_Hz=np.zeros(0),
-        lag_gain_m_per_V=np.zeros(0),
-        direct_gain_m_per_V=0.0,
         delay_s=50e-6,
         declared=(),
         shape_covariance=np.eye(3),
-        static_gain_std_m_per_V=0.0,
-        hold="zero_order",
         sampling_rate_Hz=RATE_Hz,
         band_Hz=(5.0, 1500.0),
-        drive_rms_V=1.0,
-        cost=1.0,
-        expected_cost=1.0,
     )
 
 

@@ -19,6 +19,8 @@ from piezoid.records.recording import Recording
 from tests.identification.hysteresis.stages import recording
 from tests.records.responses import noisy, response
 
+pytestmark = pytest.mark.usefixtures("one_order")
+
 FREQUENCY_Hz = np.geomspace(1.0, 5000.0, 400)
 AMPLIFIER, SENSOR = (
     Filter(name=n, frequency_Hz=f) for n, f in (("amplifier", 4e3), ("sensor", 8.5e3))

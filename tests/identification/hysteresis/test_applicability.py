@@ -19,7 +19,7 @@ from tests.identification.hysteresis.stages import (
 )
 from tests.laws import LAWS, recorded
 
-pytestmark = pytest.mark.usefixtures("plays_alone", "few_orders")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 
 def noisy(values: np.ndarray, seed: int = 1) -> np.ndarray:  # type: ignore[type-arg]
@@ -62,6 +62,15 @@ def test_loops_that_open_the_wrong_way_in_one_of_three_recordings_are_its_own_fa
         recordings.append(recording(drive, noisy(1e-6 * early), f"r{k}"))
     model = fit(recordings)["x"]
     assert ("wrong way" in model.verdict.reason) is is_refused
+
+
+def test_a_loop_is_as_wide_as_its_branches_are_apart() -> None:
+    drive = through([-1.0, 1.0] * 3, 100)
+    plays = play_sum(drive, np.array([0.0, 0.3]), np.array([1.0, 0.5]), np.full(2, drive[0]))
+    for loop in loops_of(drive, plays, 0.01)[1:]:
+        middle = np.abs(loop.drive) < 0.3
+        np.testing.assert_allclose(loop.opening[middle], 0.5 * 2 * 0.3, atol=0.01)
+        assert loop.span == pytest.approx(2.0, abs=0.02)
 
 
 def test_levels_held_one_after_another_are_no_loop() -> None:

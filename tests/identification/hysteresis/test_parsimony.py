@@ -64,6 +64,7 @@ def test_the_choice_is_as_good_as_the_best_of_all_that_was_tried(law: str) -> No
     assert quality.held_out_rms_m < 1.15 * least_m
 
 
+@pytest.mark.usefixtures("one_order")
 @pytest.mark.parametrize("small", [0.01, 0.4])
 def test_a_recording_that_goes_further_than_all_others_cannot_blow_up(small: float) -> None:
     rng = np.random.default_rng(3)
@@ -79,6 +80,7 @@ def test_a_recording_that_goes_further_than_all_others_cannot_blow_up(small: flo
         assert order.held_out_rms_m < 0.02 * quality.range_m
 
 
+@pytest.mark.usefixtures("one_order")
 def test_a_recording_whose_parts_go_unequally_far_is_held_out_by_its_parts() -> None:
     """Only the part of the widest recording that goes furthest is trained on by half."""
     rng = np.random.default_rng(4)

@@ -44,22 +44,10 @@ def drawn_vector(rng: np.random.Generator, coordinates: Coordinates) -> Array:
     return theta
 
 
-def task_of(
-    piece: Piece, coordinates: Coordinates, sensor_Hz: float | None, stride: int = 1
-) -> Task:
-    return Task(
-        pieces=[piece],
-        coordinates=coordinates,
-        sensor_pole_Hz=sensor_Hz,
-        stride=stride,
-        longest_lag_s=1.0,
-    )
-
-
 @pytest.mark.parametrize("lag", ["none", "delay", "first_order"])
-@pytest.mark.parametrize("sensor_Hz", [None, 60.0])
-@pytest.mark.parametrize("stride", [1, 4])
-@pytest.mark.parametrize("bends", [0, 2])
+@pytest.mark.parametrize(
+    ("sensor_Hz", "stride", "bends"), [(None, 1, 2), (60.0, 4, 2), (60.0, 1, 0)]
+)
 def test_tangents_are_finite_differences_of_the_simulation(
     rng: np.random.Generator, lag: str, sensor_Hz: float | None, stride: int, bends: int
 ) -> None:
@@ -67,7 +55,13 @@ def test_tangents_are_finite_differences_of_the_simulation(
         shape=Shape(plays=4, below=2, above=1, lag=lag, bends=bends), offsets=(3,)
     )
     piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
-    task = task_of(piece, coordinates, sensor_Hz, stride)
+    task = Task(
+        pieces=[piece],
+        coordinates=coordinates,
+        sensor_pole_Hz=sensor_Hz,
+        stride=stride,
+        longest_lag_s=1.0,
+    )
     samples, blocks = zip(*rows_of(theta, task, 0), strict=True)
     sample, tangent = np.concatenate(samples), np.vstack(blocks)[:, :-1]
     assert set(np.diff(sample)) == {stride}
@@ -77,20 +71,3 @@ def test_tangents_are_finite_differences_of_the_simulation(
         down = simulate(theta - step, task, 0, piece)
         wrong = np.abs((up - down)[sample] / (2 * STEP) - tangent[:, j]) > 1e-4
         assert wrong.mean() < KINKS, f"number {place}"
-
-
-@pytest.mark.parametrize("lag", ["none", "delay", "first_order"])
-@pytest.mark.parametrize("sensor_Hz", [None, 60.0])
-@pytest.mark.parametrize("bends", [0, 2])
-def test_rows_asked_for_alone_are_those_of_the_whole_simulation(
-    rng: np.random.Generator, lag: str, sensor_Hz: float | None, bends: int
-) -> None:
-    coordinates = Coordinates(
-        shape=Shape(plays=4, below=2, above=1, lag=lag, bends=bends), offsets=(3,)
-    )
-    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
-    task = task_of(piece, coordinates, sensor_Hz)
-    whole = simulate(theta, task, 0, piece)
-    for sample in (np.arange(0, len(whole), 9), np.array([0, 1, 4, 700, 701])):
-        few = simulate(theta, task, 0, piece, sample)
-        np.testing.assert_array_equal(few, whole[sample])

@@ -25,7 +25,7 @@ def coarse(samples: int) -> np.ndarray:
     return np.round(triangles(samples // 300, 300) / 0.05) * 0.05
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", ["preisach", "duhem", "plays"])
 @pytest.mark.parametrize("drive", [jumping, drawn, coarse, lambda n: triangles(n // 300, 300)])
 def test_repeated_periods_measure_the_noise(tmp_path: Path, law: str, drive) -> None:
     once = drive(1200)

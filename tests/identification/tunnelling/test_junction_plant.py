@@ -52,10 +52,6 @@ def test_the_frequency_response_is_that_of_the_polynomials() -> None:
     assert plant.frequency_response(frequency_Hz) == pytest.approx(expected, rel=1e-10)
 
 
-def test_the_gain_at_rest_is_the_gain() -> None:
-    assert _plant(30e-6).respond(np.ones(200))[-1] == pytest.approx(369.0, rel=1e-12)
-
-
 def test_a_negative_delay_is_refused() -> None:
     with pytest.raises(ValueError, match="delay_s"):
         _plant(-1e-6)
