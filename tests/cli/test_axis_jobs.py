@@ -3,6 +3,7 @@
 Cores that no axis takes become threads of those that are there.
 """
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +54,10 @@ def test_the_files_of_a_stage_are_the_same_bytes_for_one_and_for_two_processes(
     said: list[str] = []
     alone = calibrate(files, lab, lambda _: None, 1)
     together = calibrate(files, lab, said.append, 2)
-    assert sorted(alone.model.axes) == ["x", "y"]
+    model = json.loads(alone.files["model.json"])
+    assert (model["stage"], sorted(model["axes"])) == ("two butterflies", ["x", "y"])
+    diagnosis = json.loads(alone.files["diagnosis.json"])
+    assert (diagnosis["axis"], set(diagnosis["axes"])) == ("x", {"y"})  # the first at the top
     assert dict(together.files) == dict(alone.files)
     assert any("axis x: " in text for text in said)
     assert any("axis y: " in text for text in said)

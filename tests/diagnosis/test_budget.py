@@ -13,7 +13,7 @@ from piezoid.identification.simulation import simulate_recording
 from piezoid.records.frames import from_arrays
 from piezoid.records.recording import Recording
 from tests.diagnosis.ceramic import NOISE_um, bouc_wen_um
-from tests.plays_alone import fit_one_order
+from tests.plays_alone import fit_one_order, fit_plays_alone
 from tests.reports.known_diagnosis import diagnosed, finding
 
 
@@ -101,6 +101,7 @@ def test_the_error_of_coarse_readings_is_part_of_the_budget_and_nothing_else() -
     )
     with pytest.MonkeyPatch.context() as patch:
         fit_one_order(patch)
+        fit_plays_alone(patch)
         diagnosis = diagnose([coarse])
     assert "quantisation" in diagnosis.names
     assert "something_else" not in diagnosis.names

@@ -59,7 +59,7 @@ def test_the_size_of_a_clip_is_the_part_of_the_drives_range_that_is_cut_off(seed
     assert 0.0 < low < true < high < 1.3 * true
 
 
-RATE_Hz = 200.0
+RATE_Hz = 100.0
 EVERY = 3  # samples of a stage that does not know time
 PER_DECADE = 12  # rungs of the quadrature
 TILT = 0.15  # of the spectrum of creep, for each decade of time

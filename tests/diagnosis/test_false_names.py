@@ -32,7 +32,7 @@ from .play_stage import moved as plays
 pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 HOLD, RAMP = 40, 6  # samples
-LEVELS = 120
+LEVELS = 60
 
 
 def held_levels() -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from tests.journeys.test_batch import write_night
 
-from .bench import causes, recorded
+from .bench import causes, recorded, thinned
 from .play_stage import NOISE_m, clean, view_with
 
 pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
@@ -50,7 +50,7 @@ def noisy_stage(level: Level) -> tuple[tuple[Recording, ...], Lab, float]:
 @pytest.mark.slow
 def test_noise_that_grows_with_position_is_a_finding_with_its_place() -> None:
     noisy, lab, more_m = noisy_stage(by_place)
-    diagnosis = diagnose(noisy, lab=lab)
+    diagnosis = diagnose(thinned(noisy, 3), lab=lab)
     assert causes(diagnosis) == ("something_else",)
     (finding,) = (named for named in diagnosis.findings if named.effect == "something_else")
     assert finding.coordinate in {"displacement", "reading"}

@@ -1,22 +1,25 @@
 """A filter in front of the walls is told from one behind them; so is a gain between recordings."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from piezoid.diagnosis.diagnose import diagnose
+from piezoid.diagnosis.candidate import Candidate, size_of
 from piezoid.diagnosis.effects import gain_change
 from piezoid.diagnosis.refinement import initial_guess, with_step
 from piezoid.diagnosis.score_test import score_test
+from piezoid.diagnosis.selection import search
 from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
+from piezoid.records.recording import Recording
 
-from .bench import effects_of, thinned, view_of_recordings
+from .bench import thinned, view_of_recordings
 from .play_stage import NOISE_m, STROKE_m, clean, drive, moved, recording
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone", "one_order")]
+pytestmark = pytest.mark.slow
 
 KINDS = ("sweep", "walk", "waves")
 ORDER = ("sweep", "sweep", "waves")
@@ -36,17 +39,22 @@ def noisy(reading_m: Array) -> Array:
     return reading_m + np.random.default_rng(3).normal(0.0, NOISE_m, len(reading_m))
 
 
+def causes_in(recordings: Sequence[Recording]) -> tuple[Candidate, ...]:
+    return search(view_of_recordings(thinned(recordings, EVERY), Lab())).causes
+
+
 def test_a_lag_in_front_of_the_walls_is_named_alone_and_sized() -> None:
     """A lag behind them: test_hidden_effects.py."""
     recordings = []
     for kind in KINDS:
         rate_Hz, field = drive(kind)
         recordings.append(recording(kind, noisy(STROKE_m * moved(behind(field, rate_Hz)))))
-    lag, memory_after = effects_of(diagnose(thinned(recordings, EVERY)))
-    assert (lag.effect, memory_after.effect) == ("lag", "initial_state")
-    low_us, high_us = lag.size.ci95
+    lag, initial_state = causes_in(recordings)
+    assert (lag.effect.name, initial_state.effect.name) == ("lag", "initial_state")
+    size = size_of(lag)
+    low_us, high_us = size.ci95
     assert low_us < 1e6 * LAG_s < high_us
-    assert lag.size.value == pytest.approx(1e6 * LAG_s, rel=0.03)
+    assert size.value == pytest.approx(1e6 * LAG_s, rel=0.03)
 
 
 def with_gains(*gains: float) -> list[str]:
@@ -55,8 +63,11 @@ def with_gains(*gains: float) -> list[str]:
         recording(kind, clean(kind)[2] * gain) for kind, gain in zip(ORDER, gains, strict=True)
     ]
     numbered = [replace(one, name=f"{k}") for k, one in enumerate(made)]
-    found = effects_of(diagnose(thinned(numbered, EVERY)))
-    return [f"{one.effect} {one.size.value:.1f}" for one in found if one.effect != "initial_state"]
+    return [
+        f"{cause.effect.name} {size_of(cause).value:.1f}"
+        for cause in causes_in(numbered)
+        if cause.effect.name != "initial_state"
+    ]
 
 
 def test_a_gain_that_changed_between_two_recordings_is_named_and_sized() -> None:

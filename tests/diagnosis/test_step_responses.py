@@ -60,11 +60,7 @@ def creeping(followed: Array) -> Array:
 
 def searched(made: Array) -> Outcome:
     noise_m = np.random.default_rng(8).normal(0.0, NOISE_m, len(made))
-    recordings = [
-        recording("sweep"),
-        recording("walk", STROKE_m * made + noise_m, jumping()),
-        recording("waves"),
-    ]
+    recordings = [recording("sweep"), recording("walk", STROKE_m * made + noise_m, jumping())]
     return search(view_on(recordings, axis="x", lab=Lab()))
 
 

@@ -1,6 +1,7 @@
 """What the model of the stage does not need, or cannot miss, is not named."""
 
 from dataclasses import replace
+from functools import cache
 from importlib import import_module
 
 import numpy as np
@@ -9,7 +10,11 @@ import pytest
 from piezoid.diagnosis import residual_structure
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE
 from piezoid.diagnosis.residual_structure import SensorRangeEnd
+from piezoid.identification.fit import fit
 from piezoid.identification.loop_shape_blocks import Errors
+from piezoid.numerics.executor import SERIAL
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Recording
 
 from .bench import thinned
 from .play_stage import clean, recording
@@ -19,14 +24,25 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone", "one_orde
 diagnose_module = import_module("piezoid.diagnosis.diagnose")
 
 
-def diagnosed(every: int = 6, **gains: float):
-    """Diagnose a sweep, the same sweep again, and waves, each with its own gain."""
+def recorded(every: int, **gains: float) -> tuple[Recording, ...]:
+    """Return a sweep, the same sweep again, and waves, each with its own gain."""
     kinds = {"before": "sweep", "after": "sweep", "waves": "waves"}
     recordings = [
         replace(recording(kind, gains.get(name, 1.0) * clean(kind)[2]), name=name)
         for name, kind in kinds.items()
     ]
-    return diagnose_module.diagnose(thinned(recordings, every))
+    return thinned(recordings, every)
+
+
+@cache
+def changed_gain():
+    """Return recordings with a gain that changed, their model, and the effects found in them."""
+    recordings = recorded(6, after=1.02, waves=1.02)
+    model = fit(recordings)["x"]
+    selection = diagnose_module._select_effects(
+        recordings, "x", model, Lab(), SERIAL, is_rejected=False
+    )
+    return recordings, model, selection
 
 
 @pytest.mark.parametrize(
@@ -49,11 +65,13 @@ def test_a_doubtful_cause_is_named_only_if_the_model_needs_it(
     is_named: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    recordings, model, selection = changed_gain()
     errors_m = Errors(explained=error_without_m, held_out=error_without_m)
     monkeypatch.setattr(diagnose_module, "is_weak_evidence", lambda _: is_weak)
     monkeypatch.setattr(diagnose_module, "errors_with_loop_shape_m", lambda *_: errors_m)
     monkeypatch.setattr(diagnose_module, "CLEARLY_WORSE", max_ratio)
-    diagnosis = diagnosed(after=1.02, waves=1.02)
+    monkeypatch.setattr(diagnose_module, "_select_effects", lambda *_, **__: selection)
+    diagnosis = diagnose_module.diagnose(recordings, model=model)
     assert ("gain_change" in diagnosis.names) == is_named
     reasons = [a.reason for a in diagnosis.not_detected if a.effect == "gain_change"]
     assert len(reasons) == (not is_named)
@@ -68,7 +86,7 @@ def test_an_end_of_the_range_that_the_model_does_not_miss_is_not_stated(
 
     def find_wrong_end(view, _):
         error = [np.zeros(len(track.response)) for track in view.tracks]
-        error[0][-500:] = -1.0
+        error[0][-150:] = -1.0
         return SensorRangeEnd(error=tuple(error), level=0.5, side=1)
 
     def missed_by_the_class(outcome):
@@ -79,4 +97,4 @@ def test_an_end_of_the_range_that_the_model_does_not_miss_is_not_stated(
     monkeypatch.setattr(residual_structure, "_sensor_range_structure", missed_by_the_class)
     monkeypatch.setattr(residual_structure, "MIN_NOISE_RATIO", 0.0)
     monkeypatch.setattr(residual_structure, "MAX_SECOND_RATIO", 10.0)
-    assert SOMETHING_ELSE not in diagnosed(every=3).names
+    assert SOMETHING_ELSE not in diagnose_module.diagnose(recorded(10)).names

@@ -71,10 +71,10 @@ def _show(text: str) -> None:
     sys.stdout.flush()
 
 
-def shortened(recording: Path) -> str:
+def shortened(recording: Path, rows: int = ROWS) -> str:
     """Return the heading and the first rows of a recording."""
     lines = recording.read_text(encoding="utf-8").splitlines(keepends=True)
-    return "".join(lines[: ROWS + 1])
+    return "".join(lines[: rows + 1])
 
 
 if __name__ == "__main__":

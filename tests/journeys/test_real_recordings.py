@@ -37,6 +37,7 @@ def fitted(recording: Path, lab_text: str, folder: Path) -> AxisModel:
     return fit(collect([recording], lab).recordings, lab=lab)["x"]
 
 
+@pytest.mark.usefixtures("one_order")
 def test_the_steady_part_of_the_actuator(realdata: Path, tmp_path: Path) -> None:
     recording = realdata / "actuator_150V" / "hysteresis_v_150_1hz.csv"
     model = fitted(recording, ACTUATOR, tmp_path)
@@ -46,6 +47,7 @@ def test_the_steady_part_of_the_actuator(realdata: Path, tmp_path: Path) -> None
     assert noise_percent == pytest.approx(0.12, abs=0.01)
 
 
+@pytest.mark.usefixtures("one_order")
 def test_the_flexure_with_its_wandering_zero(realdata: Path, tmp_path: Path) -> None:
     recording = realdata / "flexure" / "Model_Vi_Do.dat"
     model = fitted(recording, FLEXURE, tmp_path)
@@ -55,6 +57,7 @@ def test_the_flexure_with_its_wandering_zero(realdata: Path, tmp_path: Path) -> 
     assert "baseline_drift" in {fact.quantity for fact in fit_statements(model)}
 
 
+@pytest.mark.usefixtures("plays_alone")
 def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata: Path) -> None:
     model = fit(collect([realdata / "objective_lag" / "triangles.csv.gz"]).recordings)["x"]
     quality = model.quality
@@ -66,6 +69,7 @@ def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata: Path
     assert "a second-order lag without hysteresis 0.5" in reason
 
 
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_the_hold_of_an_approach_names_creep_and_is_fitted_as_no_loop(realdata: Path) -> None:
     recordings = collect([realdata / "capsensor_hold" / "approach_hold_retract.csv.gz"]).recordings
     found = diagnose(recordings)

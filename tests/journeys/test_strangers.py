@@ -138,6 +138,7 @@ def test_a_drive_drawn_anew_at_every_sample_turns_all_the_time(tmp_path: Path) -
     assert int(re.search(r"(\d+)\s+reversals", looked)[1]) > 500
 
 
+@pytest.mark.usefixtures("one_order")
 @pytest.mark.parametrize(("law", "drift_um"), [("dahl", 0.0), ("duhem", 2.0)])
 def test_a_zero_that_follows_a_strange_law_is_no_drift(
     law: str, drift_um: float, tmp_path: Path
@@ -172,6 +173,7 @@ def test_a_lag_of_first_order_leaves_hysteresis_the_plays_it_asks_for(tmp_path: 
     assert 0.0195 < axis.lag.time_s < 0.0205
 
 
+@pytest.mark.usefixtures("one_order")
 def test_another_machine_beside_the_loop_is_no_lag_and_told_by_its_frequency(
     tmp_path: Path,
 ) -> None:
