@@ -1,7 +1,8 @@
 """Read recordings larger than memory in chunks, and thin them while they are read.
 
-``ingest_table`` makes a recording of every chunk. This module joins the chunks and bounds the
-number of rows.
+``ingest_table`` makes a recording of every chunk, with the usual checks. This module joins the
+chunks and bounds the number of rows. The result is a ``Recording`` of each axis that has a drive
+and a displacement.
 
 While there are too many rows, every second one is dropped, as long as the fastest branches of the
 drive keep ``MIN_BRANCH_ROWS``. Turning points of the drive are never dropped but replace a

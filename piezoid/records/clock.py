@@ -69,8 +69,10 @@ class Clock:
 def read_clock(time_s: Array, name: str, row_name: RowName) -> Clock:
     """Find the sampling rate and the faults of a column of time stamps.
 
-    time_s          (samples,)  s, finite
-    name, row_name  of the file, and of the row of a stamp, for messages
+    time_s    (samples,)  s, finite
+    name      of the file, for messages
+
+    row_name  name of the row of a stamp, for messages
 
     Stamps that a uniform clock would print with the same number of digits are uniform: rounding is
     not jitter. Raises ``RecordingError`` for stamps without a common interval.

@@ -41,7 +41,8 @@ def from_arrays(
 
     voltage_V, displacement_m, current_A  (samples,), or by axis: ``{"x": ..., "y": ...}``
     time_s, sampling_rate_Hz  exactly one of the two: (samples,) s, or Hz
-    axis  of the recording, and of arrays that are not given by axis
+    axis  axis of the recording, and of arrays that are not given by axis
+    name  name of the recording, by which results refer to it
 
     Raises ``RecordingError`` for arrays of other shapes or lengths, or without a clock.
 

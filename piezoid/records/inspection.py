@@ -47,14 +47,17 @@ _MAX_LEVELS = 12
 class ColumnSummary:
     """Summary of one column.
 
-    number, label      index from 1 and heading in the file
-    meaning            ``time``, ``voltage of x``, or ``not read: ...`` with the reason
-    unit, si_unit      as written in the file, and of the numbers below; empty if unknown
+    number     index in the file, from 1
+    label      heading in the file
+    meaning    ``time``, ``voltage of x``, or ``not read: ...`` with the reason
+    unit       as written in the file, empty without one
+    si_unit    of the numbers below, empty if unknown
     minimum, maximum   of its numbers; None without numbers
-    noise_rms          white noise; None for too few samples or a too fast signal
-    step               smallest step of its values, 0 without one
-    clipped            share of the samples at an extreme
-    missing            number of rows without a number
+    noise_rms  robust white noise; None for too few samples or a too fast signal
+    step       smallest step of its values, 0 without one
+    is_dead    whether it is constant
+    clipped    share of the samples at an extreme
+    missing    number of rows without a number
     """
 
     number: int

@@ -33,6 +33,7 @@ class Quantity(Enum):
 class Channel:
     """One column of a recording.
 
+    quantity    measured quantity; decides the unit of the samples
     axis        name of its axis, ``x`` if the file names none
     values      (samples,)  SI units, finite, read-only
     label       heading of the column, for messages and the report
@@ -58,8 +59,10 @@ class Channel:
 class Recording(Summarised):
     """One uninterrupted acquisition on a uniform clock.
 
-    name, digest      of the file, without its folder
+    name              the file's name without its folder
+    digest            of the file's bytes
     axis              the axis this recording is about
+    sampling_rate_Hz  > 0
     channels          at least one; all of the same length; one per quantity and axis
     breaks            (count,)  first sample after each gap in time, increasing; the state of the
                       hysteresis is unknown there

@@ -79,9 +79,13 @@ class SampleRows:
 def select_common_rows(
     table: RawTable, assignment: Assignment
 ) -> tuple[RawTable, tuple[Statement, ...]]:
-    """Return the table of every n-th row, with a statement, if a channel is blank in the others.
+    """Select the rows of the slowest channel if it is blank in all but every n-th row.
 
-    Loggers merge channels of two rates into one table. Irregular blanks are missing numbers.
+    Loggers merge channels of two rates into one table. The rows in which every channel was
+    measured make a recording at the lower rate; irregular blanks are missing numbers.
+
+    Returns:
+        The table of every n-th row with a statement, or the unchanged table.
     """
     intervals = [_measured_interval(channel.column.values) for channel in assignment.channels]
     first, step = max(intervals, key=lambda interval: interval[1], default=(0, 1))

@@ -70,7 +70,8 @@ class RawTable:
     """Table of one file; ``read_table`` adds name, digest and format to the result of a reader.
 
     columns           all of the same length
-    name, digest      of the file, without its folder
+    name              the file's name without its folder
+    digest            of the file's bytes
     format            name of the format in messages: ``Nanonis``, ``text table``, ...
     sampling_rate_Hz  if the format states a clock instead of a time column
     independent       label of the swept column in formats that sweep another quantity than time;

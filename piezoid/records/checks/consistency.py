@@ -57,7 +57,9 @@ Range_V = tuple[float, float]
 class LowFrequencyGain:
     """Gain of one recording at the lowest frequencies of its drive.
 
+    name          of the recording
     gain_m_per_V  in phase
+    coherence     0 to 1
     frequency_Hz  mean over the power of the drive
     range_ratio   m/V, range of the readings over that of the drive
     voltage_V     lowest and highest drive

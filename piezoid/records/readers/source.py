@@ -70,6 +70,7 @@ class TextFormat:
 class Source:
     """An opened file of unknown format.
 
+    path          of the file
     suffix        of the name in lower case, without ``.gz``
     digest        of the file's bytes
     head          the first bytes of the content, decompressed

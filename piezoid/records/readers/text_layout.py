@@ -37,10 +37,12 @@ _NAME_AND_BRACKET = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\[\]]*\]|\([^()]*\)))?")
 class TableStart:
     """Start and layout of a table in a text.
 
-    row            index of its first line, from 0
-    labels, units  heading and unit (in a separate row of units) of each field, or empty
-    above          lines before the headings
-    strays         lines (from 1) above the table with another number of numeric fields
+    layout   of its rows
+    row      index of its first line, from 0
+    labels   heading of each field, empty without one
+    units    unit of each field in a separate row of units, empty without one
+    above    lines before the headings
+    strays   lines (from 1) above the table with another number of numeric fields
     """
 
     layout: Layout
