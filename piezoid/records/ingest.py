@@ -1,7 +1,7 @@
 """Ingest: from a table and the declarations of lab.toml to recordings.
 
 assign_columns -> unique_rows, complete_rows -> read_clock -> SampleRows
-    -> find_invalid_readings -> Recording -> check_recording, split_at_baseline_steps
+    -> find_invalid_readings -> Recording -> check_recording, find_baseline_steps
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from msgspec import structs
 
 from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.raw_counts import record_in_counts
-from piezoid.records.baseline_steps import split_at_baseline_steps
+from piezoid.records.baseline_steps import find_baseline_steps
 from piezoid.records.checks import check_recording
 from piezoid.records.checks.columns import check_columns
 from piezoid.records.clock import (
@@ -49,10 +49,10 @@ from piezoid.statement import Statement, finding
 # smaller, a mistake larger.
 _RATE_TOLERANCE = 0.01
 
-Part = tuple[RawTable, RecordingEntry | None]
+Part = tuple[RawTable, RecordingEntry]
 
 
-def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Recording, ...]:
+def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry) -> tuple[Recording, ...]:
     """Make one recording of a table, or one of each segment with a constant sampling rate.
 
     Raises ``UnitError``, ``RecordingError`` or ``LabFileError``. Minor problems (gaps, jitter,
@@ -66,32 +66,30 @@ def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tup
 
 def with_checks(recording: Recording, lab: Lab) -> Recording:
     """Return a recording with the statements of all checks, split at steps of the zero."""
-    split = split_at_baseline_steps(recording)
-    new = (*check_recording(recording, lab), *split.statements[len(recording.statements) :])
-    statements = (*recording.statements, *record_in_counts(new, recording.counted))
-    return replace(split, statements=statements)
+    breaks, steps = find_baseline_steps(recording)
+    new = record_in_counts((*check_recording(recording, lab), *steps), recording.counted)
+    return replace(recording, breaks=breaks, statements=(*recording.statements, *new))
 
 
-def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Part, ...]:
+def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry) -> tuple[Part, ...]:
     """Split a table where its sampling rate changes; each part becomes a recording.
 
     returned  table and entry of each recording: the name of a part ends in ``(part 1 of 3)``, and
               its start_s and stop_s count from its first sample
     """
     whole_table: tuple[Part, ...] = ((table, entry),)
-    declarations = entry or RecordingEntry(file=table.name)
-    if table.independent or declarations.sampling_rate_Hz is not None:
+    if table.independent or entry.sampling_rate_Hz is not None:
         return whole_table
-    time = assign_columns(table, lab, declarations).time
+    time = assign_columns(table, lab, entry).time
     if time is None:
         return whole_table
-    time_s = time.values[::-1] if declarations.reverse else time.values
+    time_s = time.values[::-1] if entry.reverse else time.values
     stamped = np.flatnonzero(np.isfinite(time_s))
     stamps_s = time_s[stamped]
     segments = constant_rate_segments(stamps_s)
     if len(segments) < 2:
         return whole_table
-    if entry is not None and entry.reverse:
+    if entry.reverse:
         table, entry = table.reversed(), structs.replace(entry, reverse=False)
     starts = [0, *(int(stamped[segment.start]) for segment in segments[1:])]
     locations = ", ".join(
@@ -103,38 +101,35 @@ def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[P
         "read as a recording."
     )
     statement = finding("several_rates", text, place=table.row_name(starts[1]))
+    # Start and stop of the entry count from the beginning of the table, later of the part.
+    start_s = 0.0 if entry.start_s is None else entry.start_s
+    stop_s = np.inf if entry.stop_s is None else entry.stop_s
     parts: list[Part] = []
     edges = pairwise((*starts, table.rows))
     for k, (segment, (start, stop)) in enumerate(zip(segments, edges, strict=True), 1):
         first_s, last_s = (stamps_s[[segment.start, segment.stop - 1]] - stamps_s[0]).tolist()
-        shifted = entry
-        if entry is not None:
-            # Start and stop of the entry count from the beginning of the part.
-            start_s = 0.0 if entry.start_s is None else entry.start_s
-            stop_s = np.inf if entry.stop_s is None else entry.stop_s
-            if start_s >= last_s or stop_s <= first_s:
-                continue
-            shifted = structs.replace(
-                entry,
-                start_s=start_s - first_s if start_s > first_s else None,
-                stop_s=stop_s - first_s if stop_s < last_s else None,
-            )
+        if start_s >= last_s or stop_s <= first_s:
+            continue
+        shifted = structs.replace(
+            entry,
+            start_s=start_s - first_s if start_s > first_s else None,
+            stop_s=stop_s - first_s if stop_s < last_s else None,
+        )
         part = table.part(slice(start, stop), f"{table.name} (part {k} of {len(segments)})")
         part = replace(part, statements=(*part.statements, statement))
         parts.append((part, shifted))
     return tuple(parts) or whole_table
 
 
-def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Recording:
+def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry) -> Recording:
     """Make a recording of a table, without the checks."""
-    if table.independent and (entry is None or not entry.columns):
+    if table.independent and not entry.columns:
         raise RecordingError(
             f"{table.name}: a {table.format} table over {table.independent!r}, not over time",
             needed="columns as functions of time",
             remedy="Use it where a table is required (a tunnelling current against height), or "
             "name its columns and sampling_rate_Hz in lab.toml if they are samples in time.",
         )
-    entry = RecordingEntry(file=table.name) if entry is None else entry
     table = table.reversed() if entry.reverse else table
     assignment = assign_columns(table, lab, entry)
     table, rate_statements = select_common_rows(table, assignment)

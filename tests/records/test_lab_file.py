@@ -99,6 +99,11 @@ def test_entries_go_by_path_and_then_by_name(tmp_path: Path) -> None:
             (f"[amplifier]\n{key} = 5\n[axis.x.amplifier]\ngain_V_per_V = 2\n", key)
             for key in ("output_min_V", "output_max_V", "slew_V_per_s")
         ),
+        # what no text table can be
+        ('[[recording]]\nfile = "a"\nseparator = "ab"\n', "separator is 'ab'"),
+        ('[[recording]]\nfile = "a"\ndecimal = ";"\n', "decimal"),
+        ('[[recording]]\nfile = "a"\nheading_row = 0\n', "heading_row is 0"),
+        ('[[recording]]\nfile = "a"\nscale = { voltage = 0 }\n', "scale is zero"),
         # misspelt names
         (
             "[acquisition]\nsampling_rate_hz = 1000\n",

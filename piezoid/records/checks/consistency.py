@@ -7,7 +7,6 @@ of the drive's power: a mode lies far above them in a sweep, and above tens of h
 Only recordings with coherent drive and displacement at these frequencies are compared.
 """
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,13 +19,10 @@ from piezoid.errors import RecordingError
 from piezoid.formatting import significant, with_unit
 from piezoid.raw_counts import record_in_counts
 from piezoid.records.checks.feedback import held_span
-from piezoid.records.checks.plausibility import (
-    MIN_MOTION_NOISE,
-    MAX_GAIN_m_per_V,
-    MIN_GAIN_m_per_V,
-)
+from piezoid.records.checks.plausibility import MAX_GAIN_m_per_V, MIN_GAIN_m_per_V
+from piezoid.records.lab_tables import entry_text
 from piezoid.records.recording import Quantity, Recording, counted_in
-from piezoid.records.sample_statistics import noise_rms
+from piezoid.records.sample_statistics import MIN_MOTION_NOISE, noise_rms
 from piezoid.statement import Statement, finding
 
 POWER_SHARE = 0.02  # of the drive, in the lowest lines
@@ -239,7 +235,7 @@ def refuse_inconsistent(recordings: Sequence[Recording]) -> None:
 
 def _entry(name: str, line: str) -> str:
     """Return an entry of lab.toml about the file of a recording, which may be a part of it."""
-    return f"[[recording]]\nfile = {json.dumps(name.partition(' (part ')[0])}\n{line}"
+    return entry_text(name.partition(" (part ")[0], line)
 
 
 def _is_alike(ratio: float) -> bool:
@@ -276,36 +272,30 @@ def inconsistency(
 def likely_cause(ratio: float, *, is_drive: bool) -> tuple[str, str]:
     """Return the cause of a ratio of gains, and the line of lab.toml that corrects it."""
     size, sign = abs(ratio), "-" if ratio < 0.0 else ""
-    polarity = " and opposite polarity" if ratio < 0.0 else ""
     if _is_alike(size):
-        return (
-            "opposite polarity of drive or sensor",
-            "scale = { voltage = -1 }   # or displacement = -1",
-        )
+        line = "scale = { voltage = -1 }   # or displacement = -1"
+        return "opposite polarity of drive or sensor", line
     thousands = math.log10(size) / 3.0
-    if round(thousands) and abs(thousands - round(thousands)) < UNIT_TOLERANCE:
-        factor = 10.0 ** (3 * round(thousands))
-        if is_drive:
-            return (
-                f"another unit of the drive{polarity}",
-                f"scale = {{ voltage = {sign}{factor:g} }}",
-            )
-        line = f"scale = {{ displacement = {sign}{1.0 / factor:g} }}"
-        return f"another unit of the displacement{polarity}", line
     distances = {monitor: abs(math.log(size / monitor)) for monitor in MONITORS}
     monitors = [m for m in MONITORS if distances[m] < MONITOR_TOLERANCE]
     monitors = monitors or [m for m in MONITORS if distances[m] < LOOP_TOLERANCE]
-    if is_drive and monitors:
+    if round(thousands) and abs(thousands - round(thousands)) < UNIT_TOLERANCE:
+        factor = 10.0 ** (3 * round(thousands))
+        cause, line = "another unit of the drive", f"scale = {{ voltage = {sign}{factor:g} }}"
+        if not is_drive:
+            cause = "another unit of the displacement"
+            line = f"scale = {{ displacement = {sign}{1.0 / factor:g} }}"
+    elif is_drive and monitors:
         exact = len(monitors) == 1 and distances[monitors[0]] < MONITOR_TOLERANCE
+        names = " or ".join(f"1/{monitor}" for monitor in monitors)
+        cause = (
+            f"the drive is the output of a monitor ({names}) or the command in front of the "
+            "amplifier"
+        )
         scale = f"{sign}{monitors[0]}" if exact else "..."
         comment = "" if exact else f"   # volts at the stage for {sign}1 V of the monitor"
-        names = " or ".join(f"1/{monitor}" for monitor in monitors)
-        return (
-            f"the drive is the output of a monitor ({names}) or the command in front of the "
-            f"amplifier{polarity}",
-            f"scale = {{ voltage = {scale} }}{comment}",
-        )
-    return (
-        f"another axis, stage or range of the sensor{polarity}",
-        'axis = "..."   # or scale = { displacement = ... }',
-    )
+        line = f"scale = {{ voltage = {scale} }}{comment}"
+    else:
+        cause = "another axis, stage or range of the sensor"
+        line = 'axis = "..."   # or scale = { displacement = ... }'
+    return f"{cause}{' and opposite polarity' if ratio < 0.0 else ''}", line

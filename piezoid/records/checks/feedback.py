@@ -9,10 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezoid.formatting import with_unit
-from piezoid.records.checks.plausibility import MIN_MOTION_NOISE
 from piezoid.records.constant_drive import is_mostly_driven
 from piezoid.records.recording import Recording
-from piezoid.records.sample_statistics import noise_rms
+from piezoid.records.sample_statistics import MIN_MOTION_NOISE, noise_rms
 from piezoid.statement import Statement, finding
 
 BLOCKS = 100

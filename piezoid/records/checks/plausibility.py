@@ -5,13 +5,12 @@ import numpy as np
 from piezoid.formatting import with_unit
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
-from piezoid.records.sample_statistics import noise_rms
+from piezoid.records.sample_statistics import MIN_MOTION_NOISE, noise_rms
 from piezoid.statement import Statement, finding
 
 # Gain per volt: tubes some nm, stacks 0.1 to 1 um, levers and benders 10 um; an objective 40 um
 # per volt at the amplifier's input.
 MIN_GAIN_m_per_V, MAX_GAIN_m_per_V = 1e-10, 5e-5
-MIN_MOTION_NOISE = 20.0  # standard deviations of the noise; a smaller range may be noise alone
 
 
 def check_gain(recording: Recording, axis: str) -> list[Statement]:

@@ -20,9 +20,8 @@ class Reader:
                      formats are similar)
     read             returns the table, without the file's name, digest and format; a damaged file
                      raises ``UnreadableFileError``
-    read_chunks      yields the table in chunks of about the given number of rows; None if the
-                     format is only read as a whole. Every chunk begins with the last row of the
-                     previous one, so that a gap between two chunks lies inside one of them.
+    read_chunks      yields the table in chunks of at most about the given number of rows; None if
+                     the format is only read as a whole
     reads_gzip       whether ``read_chunks`` also reads files compressed by gzip: from front to
                      back, without seeking
     library          whether a library reads the format; its errors then mean a damaged file

@@ -4,9 +4,7 @@ import numpy as np
 
 from tests.records.messy.writers import (
     BY_NUMBER,
-    COPY,
     COUNTS,
-    FIT,
     NAMES,
     Messy,
     held,
@@ -22,7 +20,6 @@ FILES: tuple[Messy, ...] = (
         scaled(1, 1, 1e4, names=(*NAMES[:2], "position [counts]")),
         lines=COUNTS,
         kept=np.zeros(0, dtype=int),
-        problems=frozenset({"counts"}),
     ),
     Messy(
         "codes.csv",
@@ -32,7 +29,6 @@ FILES: tuple[Messy, ...] = (
             names=("time [s]", "DAC [codes]", "ADC [codes]"),
             written="{:.6g}".format,
         ),
-        refused="no column is a drive voltage or a displacement",
         lines='columns = { time = 1, voltage = "DAC [codes]", displacement = "ADC [codes]" }\n'
         'units = { voltage = "codes", displacement = "codes" }\n'
         "scale = { voltage = 0.001, displacement = 1e-10 }\n",
@@ -43,61 +39,50 @@ FILES: tuple[Messy, ...] = (
         scaled(1, 1000, 1, names=("time [s]", "drive [counts]", "position [um]")),
         lines="scale = { voltage = 0.001 }\n",
         kept=np.zeros(0, dtype=int),
-        problems=frozenset({"counts"}),
     ),
     Messy(
         "tube.csv",
         "150 mV that move 16 um",
         scaled(1, 3.75, 1, names=("time [s]", "voltage [mV]", "position [um]")),
         lines="scale = { voltage = 266.6666666666667 }\n",
-        problems=frozenset({"implausible_gain"}),
     ),
     Messy(
         "kilovolts.csv",
         "kilovolts under a heading of volts, beside a clean file",
         scaled(1, 1e-3, 1, written="{:.7f}".format),
-        problems=FIT | COPY | {"implausible_gain"},
         lines="scale = { voltage = 1000 }\n",
-        mended=COPY,
         beside=True,
     ),
     Messy(
         "monitor.csv",
         "the 1/15 monitor of the drive, beside a clean file",
         scaled(1, 1 / 15, 1, written="{:.7f}".format),
-        problems=FIT | COPY,
         lines="scale = { voltage = 15 }\n",
-        mended=COPY,
         beside=True,
     ),
     Messy(
         "polarity.csv",
         "the other polarity, beside a clean file",
         scaled(1, -1, 1),
-        problems=FIT,
         lines="scale = { voltage = -1 }\n",
-        mended=COPY,
         beside=True,
     ),
     Messy(
         "exchanged.csv",
         "the headings of drive and displacement exchanged",
         text(lines(names=("time [s]", "position [um]", "voltage [V]"))),
-        problems=frozenset({"leads"}),
         lines=BY_NUMBER,
     ),
     Messy(
         "nanometres.csv",
         "the same run in nanometres, beside the clean file",
         scaled(1, 1, 1e3, names=(*NAMES[:2], "position [nm]")),
-        problems=COPY,
         beside=True,
     ),
     Messy(
         "held.csv",
         "the sensor held by a feedback while the drive creeps",
         held,
-        problems=frozenset({"closed_loop"}),
         kept=np.zeros(0, dtype=int),
     ),
 )
