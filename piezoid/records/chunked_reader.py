@@ -123,9 +123,11 @@ class _ThinnedFile:
             raise self._rate_change_error(earlier.sampling_rate_Hz, later.sampling_rate_Hz, sample)
         recording = ingest_table(table, self._lab, self._unbounded_entry)
         self._chunks += 1
+        statements: dict[tuple[str, str], Statement] = {}
         for statement in recording.statements:
             location = statement.place if statement.quantity in _WHOLE_FILE else ""
-            key = (statement.quantity, location)
+            statements.setdefault((statement.quantity, location), statement)
+        for key, statement in statements.items():
             first_statement, times = self._statements.get(key, (statement, 0))
             self._statements[key] = first_statement, times + 1
         first = self._first or recording

@@ -9,8 +9,7 @@ import pytest
 from scipy import signal
 
 from piezoid.errors import LabFileError, RecordingError
-from piezoid.records.checks.consistency import refuse_inconsistent
-from piezoid.records.checks.copies import copies
+from piezoid.records.checks.consistency import copies, refuse_inconsistent
 from piezoid.records.collection import collect
 from piezoid.records.frames import from_arrays, from_frame, to_frame
 from piezoid.records.inspection import inspect_files

@@ -65,11 +65,6 @@ FILES: tuple[Messy, ...] = (
     Messy("greek.csv", "`μm` with a Greek mu", text(lines(names=(*NAMES[:2], "Position (μm)")))),
     Messy("crlf.csv", "line ends of Windows", text(lines(), end="\r\n")),
     Messy("mac.csv", "line ends of an old Mac", text(lines(), end="\r")),
-    Messy(
-        "mixed_ends.csv",
-        "three kinds of line end in one file",
-        with_rows(lambda rows: [row + ("\r" if k % 3 else "") for k, row in enumerate(rows)]),
-    ),
     Messy("blank_lines.csv", "an empty line between all rows", text(lines(), end="\n\n")),
     Messy(
         "packed.csv.gz",

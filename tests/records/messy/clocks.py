@@ -45,11 +45,6 @@ FILES: tuple[Messy, ...] = (
     ),
     Messy("rows_twice.csv", "60 rows written twice", with_rows(twice)),
     Messy(
-        "block_twice.csv",
-        "a block of 60 rows written again",
-        with_rows(lambda rows: [*rows[:161], *rows[101:161], *rows[161:]]),
-    ),
-    Messy(
         "jitter.csv",
         "stamps that scatter by 5 %",
         clocked(TIME_s + np.random.default_rng(3).normal(0, 5e-5, SAMPLES), "{:.6f}".format),
@@ -115,11 +110,6 @@ FILES: tuple[Messy, ...] = (
         "bursts of 100 samples, a second between",
         clocked(TIME_s + EVERY // 100),
         breaks=3,
-    ),
-    Messy(
-        "micros.csv",
-        "a 32-bit counter of microseconds that begins anew",
-        counter(2**32 - 150_200, 32, "time [us]", 1000),
     ),
     Messy(
         "signed.csv",

@@ -34,13 +34,6 @@ FILES: tuple[Messy, ...] = (
         "scale = { voltage = 0.001, displacement = 1e-10 }\n",
     ),
     Messy(
-        "dac.csv",
-        "a drive in counts of the converter",
-        scaled(1, 1000, 1, names=("time [s]", "drive [counts]", "position [um]")),
-        lines="scale = { voltage = 0.001 }\n",
-        kept=np.zeros(0, dtype=int),
-    ),
-    Messy(
         "tube.csv",
         "150 mV that move 16 um",
         scaled(1, 3.75, 1, names=("time [s]", "voltage [mV]", "position [um]")),

@@ -175,9 +175,4 @@ FILES: tuple[Messy, ...] = (
         "a second heading in the middle, its columns exchanged",
         headed_anew(columns()[:, [0, 2, 1]], [NAMES[k] for k in (0, 2, 1)]),
     ),
-    Messy(
-        "statistics.csv",
-        "mean and standard deviation below the rows",
-        with_rows(lambda rows: [*rows, "mean,50.0,9.0", "std,28.3,5.7"]),
-    ),
 )
