@@ -134,20 +134,23 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry) -> Recording:
     assignment = assign_columns(table, lab, entry)
     table, rate_statements = select_common_rows(table, assignment)
     assignment = assign_columns(table, lab, entry) if rate_statements else assignment
-    unique, repeat_statements = unique_rows(table, assignment)
-    complete, after_single, after_gap, gap_statements = complete_rows(table, assignment, unique)
+    statements = [*table.statements, *assignment.statements, *rate_statements]
+    unique = unique_rows(table, assignment, statements)
+    complete, after_single, after_gap = complete_rows(table, assignment, unique, statements)
     clock = _clock(table, lab, entry, assignment, complete, unique)
+    statements += clock.statements
     segments = positions_in(complete, np.array(table.segment_starts, dtype=int))
     bridged = set(clock.bridged)  # next to an incomplete row two samples are missing
     breaks = {*clock.breaks, *after_gap, *segments, *(bridged & after_single)}
     rows = SampleRows.of(complete, breaks, bridged | after_single)
     rows = rows.selected(entry, clock.sampling_rate_Hz)
-    channels, invalid, invalid_statements = _make_channels(table, assignment, rows)
+    channels, invalid = _make_channels(table, assignment, rows, statements)
     _refuse_impossible_sizes(table, assignment, channels)
-    axis, axis_statements = _select_axis(entry, channels, lab.place)
     quantities = {a.column.number: a.quantity for a in assignment.channels if a.quantity}
-    reported = {(s.quantity, s.place) for s in invalid_statements}
-    column_statements = check_columns(table, quantities)
+    reported = {(s.quantity, s.place) for s in statements}
+    of_columns = check_columns(table, quantities)
+    statements += [s for s in of_columns if (s.quantity, s.place) not in reported]
+    axis = _select_axis(entry, channels, lab.place, statements)
     return Recording(
         name=table.name,
         digest=table.digest,
@@ -156,33 +159,21 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry) -> Recording:
         channels=channels,
         breaks=rows.breaks,
         bridged=tuple(sorted({*rows.bridged, *invalid})),
-        statements=(
-            *table.statements,
-            *assignment.statements,
-            *rate_statements,
-            *repeat_statements,
-            *gap_statements,
-            *clock.statements,
-            *invalid_statements,
-            *(s for s in column_statements if (s.quantity, s.place) not in reported),
-            *axis_statements,
-        ),
+        statements=tuple(statements),
     )
 
 
 def _make_channels(
-    table: RawTable, assignment: Assignment, rows: SampleRows
-) -> tuple[tuple[Channel, ...], list[int], list[Statement]]:
-    """Return the channels, with invalid samples interpolated linearly.
+    table: RawTable, assignment: Assignment, rows: SampleRows, statements: list[Statement]
+) -> tuple[tuple[Channel, ...], list[int]]:
+    """Return the channels, with invalid samples interpolated linearly, and the invalid samples.
 
-    Returns:
-        The channels, the invalid samples of any of them, and a statement for each column and kind.
+    Appends a statement for each column and kind of invalid samples.
     """
     columns = [a for a in assignment.channels if a.quantity is not None]
     values = [rows.values(a.column.values) for a in columns]  # in the file's units
     is_invalid = [np.zeros(len(rows.position), dtype=bool) for _ in columns]
     drive_of = {a.axis: k for k, a in enumerate(columns) if a.quantity is Quantity.VOLTAGE}
-    statements: list[Statement] = []
     for k, assigned in enumerate(columns):
         if assigned.quantity is not Quantity.DISPLACEMENT:
             continue
@@ -214,7 +205,7 @@ def _make_channels(
         for assigned, mask in zip(columns, is_invalid, strict=True)
         if assigned.quantity is not None
     )
-    return channels, np.flatnonzero(np.any(is_invalid, axis=0)).tolist(), statements
+    return channels, np.flatnonzero(np.any(is_invalid, axis=0)).tolist()
 
 
 # Smallest and largest range of a moving channel, in SI units.
@@ -251,9 +242,9 @@ def _refuse_impossible_sizes(
 
 
 def _select_axis(
-    entry: RecordingEntry, channels: Sequence[Channel], lab_file: str
-) -> tuple[str, list[Statement]]:
-    """Return the axis of a recording, with a statement if there are several.
+    entry: RecordingEntry, channels: Sequence[Channel], lab_file: str, statements: list[Statement]
+) -> str:
+    """Return the axis of a recording, and append a statement if there are several.
 
     The axis is that of the entry, else the one with a displacement and the largest drive.
     """
@@ -266,7 +257,7 @@ def _select_axis(
                 needed="the axis of one of its columns",
                 remedy="Correct the axis, or name the columns.",
             )
-        return entry.axis, []
+        return entry.axis
     displaced = {c.axis for c in channels if c.quantity is Quantity.DISPLACEMENT}
     ranges = {
         c.axis: float(np.ptp(c.values))
@@ -274,15 +265,15 @@ def _select_axis(
         if c.quantity is Quantity.VOLTAGE and c.axis in displaced
     }
     if not ranges:
-        return min(displaced or axes), []
+        return min(displaced or axes)
     axis = max(sorted(ranges), key=lambda name: ranges[name])
-    if len(ranges) == 1:
-        return axis, []
-    text = (
-        f"Contains the axes {', '.join(sorted(ranges))}; read as {axis}, whose drive moves the "
-        "most. Set axis in its [[recording]] of lab.toml to change this."
-    )
-    return axis, [finding("several_axes", text, place="columns")]
+    if len(ranges) > 1:
+        text = (
+            f"Contains the axes {', '.join(sorted(ranges))}; read as {axis}, whose drive moves "
+            "the most. Set axis in its [[recording]] of lab.toml to change this."
+        )
+        statements.append(finding("several_axes", text, place="columns"))
+    return axis
 
 
 def _clock(

@@ -226,6 +226,17 @@ def test_every_turning_point_of_the_drive_is_kept_and_the_play_states_with_it() 
     np.testing.assert_array_equal(states[after_turns][inner], exact[turns][inner])
 
 
+def test_rows_keep_their_interval_but_at_turning_points() -> None:
+    drive = swelling_drive(20, 3000)
+    thinning = Thinning(1 << 13)
+    thinning.append(drive, np.arange(len(drive), dtype=float), is_new_piece=True)
+    rows, _starts, stride, _share = thinning.result()
+    late = rows[1] - stride * np.arange(rows.shape[1])
+    turns = np.count_nonzero(np.diff(np.sign(np.diff(drive))))
+    assert np.count_nonzero(late) <= turns
+    assert 0 <= late.min() <= late.max() < stride
+
+
 def test_noise_of_the_drive_makes_no_turning_points(rng: np.random.Generator) -> None:
     noise = 0.002 * rng.standard_normal(60_000)
     rows = thinned(swelling_drive(20, 3000) + noise, 1 << 13)

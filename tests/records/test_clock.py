@@ -58,6 +58,12 @@ def test_samples_lost_one_at_a_time_are_bridged_and_longer_gaps_are_breaks() -> 
     assert "1 of single samples, bridged" in problem.text
 
 
+def test_two_losses_around_one_sample_are_two() -> None:
+    clock = clock_of(np.delete(TIME_s, [700, 702]))
+    assert clock.bridged == (700, 701)
+    assert clock.statements[0].value == 2
+
+
 @pytest.mark.parametrize("share", [0.004, 0.015, 0.06])
 @pytest.mark.parametrize("digits", [15, 4, 3])
 def test_many_lost_samples_change_no_rate_and_are_all_told(

@@ -79,3 +79,12 @@ def test_modes_of_multisines_hide_no_coupling() -> None:
             sampling_rate_Hz=RATE_Hz,
         )
         assert bool(reported(recording)) is is_coupled
+
+
+def test_a_fit_prints_the_line_for_lab_toml() -> None:
+    from piezoid.identification.fit import unfitted_stage
+
+    recording = stage(np.array([[8.0, 4.0, 4.0], [4.0, 8.0, 4.0], [4.0, 4.0, 8.0]]), "plays")
+    assert any("[coupled] axes" in text for text in unfitted_stage([recording], Lab()).remarks)
+    declared = Lab(coupled=Coupled(axes=("x", "y", "z")))
+    assert not any("[coupled]" in text for text in unfitted_stage([recording], declared).remarks)

@@ -3,11 +3,14 @@
 import io
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 
 from piezoid.errors import UnreadableFileError
 from piezoid.records.chunked_reader import read_thinned
 from piezoid.records.lab import Lab
+from piezoid.records.readers import read_table
 from piezoid.records.readers.hdf5 import SIGNATURE, check_trees
 from tests.records.formats import hdf5, mat73
 from tests.records.tables import said
@@ -64,3 +67,13 @@ def test_a_node_is_found_wherever_the_pieces_of_a_file_part_it() -> None:
         ring = _node(first + 24)
         with pytest.raises(ValueError, match=f"at byte {first + 24} leads"):
             check_trees(_file(bytes(first - 40), ring, ring, b"TREE"))
+
+
+def test_a_file_of_many_groups_and_pieces_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "many.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("voltage", data=np.arange(20_000.0), chunks=(10,))
+        for k in range(100):
+            file.create_group(f"empty {k}")
+    assert path.read_bytes().count(b"TREE") > 10
+    assert read_table(path).rows == 20_000

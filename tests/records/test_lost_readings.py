@@ -180,7 +180,7 @@ def test_the_held_out_error_hardly_rises(law: str, kind: str, share: float) -> N
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_sensor_at_the_end_of_its_range_is_left_out_and_a_stage_at_its_end_is_not(
-    law: str,
+    law: str, tmp_path: Path
 ) -> None:
     field, clean_um = swept_um(law)
     top = float(np.quantile(clean_um, 0.92))
@@ -192,6 +192,10 @@ def test_a_sensor_at_the_end_of_its_range_is_left_out_and_a_stage_at_its_end_is_
     noise_um = 0.008 * np.random.default_rng(2).standard_normal(len(field))
     assert find_invalid_readings(6.0 + 10.0 * LAWS[law](limited) + noise_um, field) == ()
     assert find_invalid_readings(10.0 * LAWS[law](limited), field) == ()
+    (found,) = inspect_files([write(tmp_path / "a.csv", field, np.minimum(clean_um, top))])
+    (told,) = [p.text for p in found.statements if p.quantity == "saturated"]
+    assert f"is clipped at {top:.6g} um while the drive moves" in told
+    assert "left out as invalid" in told
 
 
 @pytest.mark.parametrize("samples_per_code", [0.7, 1.3, 2.6])
