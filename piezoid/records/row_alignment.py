@@ -129,7 +129,7 @@ def _measured_interval(values: np.ndarray) -> tuple[int, int]:
 
 
 def unique_rows(table: RawTable, assignment: Assignment, statements: list[Statement]) -> Rows:
-    """Return the rows without repetitions of the same time stamp, which are added to statements.
+    """Return the rows without those that repeat a time stamp and its numbers; state how many.
 
     Rows are repetitions only if all other stamps are distinct: many samples share a stamp of few
     digits, and some of them may be equal.

@@ -107,7 +107,7 @@ def read_table_in_chunks(source: Source, rows: int) -> Iterator[RawTable]:
             remedy="Export the recording in one of these formats, or cut it into files that fit "
             "into memory.",
         )
-    if source.is_gzip and not reader.reads_gzip:
+    if source.is_gzip and not reader.has_text_layout:
         raise unreadable(
             source.name,
             f"it is {reader.name} compressed by gzip, which can only be read from front to back",

@@ -22,11 +22,10 @@ class Reader:
                      raises ``UnreadableFileError``
     read_chunks      yields the table in chunks of at most about the given number of rows; None if
                      the format is only read as a whole
-    reads_gzip       whether ``read_chunks`` also reads files compressed by gzip: from front to
-                     back, without seeking
     library          whether a library reads the format; its errors then mean a damaged file
     extra            the extra of the installation that contains the library, empty for none
-    has_text_layout  whether ``separator``, ``decimal`` and ``heading_row`` of lab.toml apply
+    has_text_layout  whether ``separator``, ``decimal`` and ``heading_row`` of lab.toml apply;
+                     ``read_chunks`` then also reads files compressed by gzip, front to back
     """
 
     name: str
@@ -34,7 +33,6 @@ class Reader:
     recognises: Callable[[Source], bool]
     read: Callable[[Source], RawTable]
     read_chunks: Callable[[Source, int], Iterator[RawTable]] | None = None
-    reads_gzip: bool = False
     library: bool = False
     extra: str = ""
     has_text_layout: bool = False

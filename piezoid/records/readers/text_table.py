@@ -292,6 +292,5 @@ READER = Reader(
     recognises=recognises,
     read=lambda source: read_text(source, text_of(source)),
     read_chunks=read_chunks,
-    reads_gzip=True,
     has_text_layout=True,
 )
