@@ -125,8 +125,11 @@ class _ThinnedFile:
         self._chunks += 1
         statements: dict[tuple[str, str], Statement] = {}
         for statement in recording.statements:
-            location = statement.place if statement.quantity in _WHOLE_FILE else ""
-            statements.setdefault((statement.quantity, location), statement)
+            kind = statement.quantity
+            # Problems of one kind are those of several columns; their lines differ between chunks.
+            number = sum(kind == earlier for earlier, _ in statements)
+            location = statement.place if kind in _WHOLE_FILE else str(number)
+            statements[kind, location] = statement
         for key, statement in statements.items():
             first_statement, times = self._statements.get(key, (statement, 0))
             self._statements[key] = first_statement, times + 1
