@@ -133,8 +133,8 @@ def _tables(source: Source, start: TableStart, bodies: Iterable[str]) -> Iterato
     textual: frozenset[int] | None = None
     line = start.row + 1
     for body in bodies:
-        block, segment_starts, statements = parse_rows(body, start, source.name, line)
-        statements = (*statements, *block.statements)
+        block, segment_starts = parse_rows(body, start, source.name, line)
+        statements = block.statements
         if block.stamped and not source.in_memory:
             raise unreadable(
                 source.name,
@@ -204,31 +204,30 @@ def _statements_of_file(start: TableStart, block: NumberTable) -> list[Statement
 
 def parse_rows(
     body: str, start: TableStart, name: str, line: int
-) -> tuple[NumberTable, tuple[int, ...], tuple[Statement, ...]]:
+) -> tuple[NumberTable, tuple[int, ...]]:
     """Return the numbers of a table, without comments and headings among its rows.
 
     line      of the first row
-    returned  block, first rows behind each repeated heading, statements about removed lines
+    returned  block, with statements about removed lines; first rows behind each repeated heading
 
     Raises ``UnreadableFileError`` for other headings among the rows, which change the meaning of
     the columns.
     """
     rows, remarks = without_comments(body, line)
     block = parse_numbers(rows, start.layout, name, line)
-    if not remarks and not any(
-        statement.quantity == "not_a_number" for statement in block.statements
-    ):
-        return block, (), ()
+    if not remarks and all(s.quantity != "not_a_number" for s in block.statements):
+        return block, ()
     body, segment_starts, heading_lines = drop_repeated_headings(body, start, name, line)
-    if not heading_lines:
-        return block, (), remarks
-    rows, remarks = without_comments(body, line)
-    text = (
-        f"the headings are repeated at {len(heading_lines)} places, as in a file of several runs: "
-        "each has a separate initial state"
-    )
-    statement = finding("repeated_heading", text, place=f"line {heading_lines[0]}")
-    return parse_numbers(rows, start.layout, name, line), segment_starts, (*remarks, statement)
+    if heading_lines:
+        rows, remarks = without_comments(body, line)
+        text = (
+            f"the headings are repeated at {len(heading_lines)} places, as in a file of several "
+            "runs: each has a separate initial state"
+        )
+        location = f"line {heading_lines[0]}"
+        remarks = (*remarks, finding("repeated_heading", text, place=location))
+        block = parse_numbers(rows, start.layout, name, line)
+    return replace(block, statements=(*remarks, *block.statements)), segment_starts
 
 
 def metadata_of(lines: Sequence[str]) -> dict[str, str]:
