@@ -142,7 +142,7 @@ def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:
     """Print the recordings that do not contribute to the diagnosis of an axis."""
     from piezoid.identification.dynamics.behind_hysteresis import excites_dynamics
     from piezoid.identification.fit import driven_recordings, recordings_of_axis
-    from piezoid.records.checks.feedback import is_held_throughout
+    from piezoid.records.checks.plausibility import is_held_throughout
 
     used_names = {recording.name for recording in driven_recordings(recordings, axis)}
     servo = [r.name for r in recordings_of_axis(recordings, axis) if is_held_throughout(r, axis)]

@@ -29,7 +29,7 @@ from piezoid.diagnosis.rest_columns import (
 )
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.records.checks.feedback import held_span, is_held_throughout
+from piezoid.records.checks.plausibility import held_span, is_held_throughout
 from piezoid.records.recording import Recording
 
 NAME = "creep"

@@ -26,9 +26,8 @@ from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_
 from piezoid.identification.tunnelling.loop_files import is_loop
 from piezoid.records.checks import check_set, refuse_unusable
 from piezoid.records.checks.command_range import MAY_BE_HIGH_VOLTAGE
-from piezoid.records.checks.consistency import MIN_RANGE
-from piezoid.records.checks.copies import copies
-from piezoid.records.checks.feedback import is_held_throughout
+from piezoid.records.checks.consistency import MIN_RANGE, copies
+from piezoid.records.checks.plausibility import is_held_throughout
 from piezoid.records.clock import CONTROLLER_RATE
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab

@@ -7,7 +7,7 @@ lasts: crossings of one level of the drive in one direction differ from cycle to
 between them. A jump that returns on the way down (a dead spot, a converter) fails the second test.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -19,7 +19,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.constant_drive import is_at_rest
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import robust_sigma, step_size
-from piezoid.statement import finding
+from piezoid.statement import Statement, finding
 
 # With these values no step is found in 294 healthy recordings, nor in those of 60 stages of two
 # other simulators.
@@ -63,8 +63,8 @@ class BaselineStep:
     size: float
 
 
-def split_at_baseline_steps(recording: Recording) -> Recording:
-    """Return a recording with a break at each step of a sensor's zero, and a statement.
+def find_baseline_steps(recording: Recording) -> tuple[tuple[int, ...], list[Statement]]:
+    """Return the breaks of a recording and those at steps of a sensor's zero, with statements.
 
     Each piece has a separate zero, and the state of the hysteresis behind a step is unknown.
     """
@@ -108,11 +108,7 @@ def split_at_baseline_steps(recording: Recording) -> Recording:
         )
         largest_m = float(sizes_m.max())
         statements.append(finding("zero_jump", text, axis=axis, value=largest_m, unit="m"))
-    return replace(
-        recording,
-        breaks=tuple(sorted(breaks)),
-        statements=(*recording.statements, *statements),
-    )
+    return tuple(sorted(breaks)), statements
 
 
 def baseline_steps(

@@ -24,7 +24,7 @@ from msgspec import structs
 from piezoid.errors import LabFileError, RecordingError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import white_noise_rms
-from piezoid.records.columns import Assignment, assign_columns
+from piezoid.records.columns import assign_columns
 from piezoid.records.ingest import ingest_table, parts_of
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table_in_chunks
@@ -98,7 +98,7 @@ class _ThinnedFile:
         self._name, self._lab, self._entry, self._max_rows = name, lab, entry, max_rows
         # start_s and stop_s count from the start of the file, not of a chunk.
         self._unbounded_entry = structs.replace(entry, start_s=None, stop_s=None)
-        self._assignment: Assignment | None = None
+        self._numbers: set[int] = set()  # of the columns that are read
         self._first: Recording | None = None
         self._thinnings: dict[str, Thinning] = {}
         self._statements: dict[tuple[str, str], tuple[Statement, int]] = {}
@@ -107,11 +107,11 @@ class _ThinnedFile:
 
     def append(self, table: RawTable) -> None:
         """Ingest the next chunk and add its samples."""
-        if self._assignment is None:
-            self._assignment = assign_columns(table, self._lab, self._unbounded_entry)
-        numbers = {assigned.column.number for assigned in self._assignment.columns}
+        if not self._numbers:
+            assignment = assign_columns(table, self._lab, self._unbounded_entry)
+            self._numbers = {assigned.column.number for assigned in assignment.columns}
         has_numbers = np.logical_and.reduce(
-            [np.isfinite(column.values) for column in table.columns if column.number in numbers]
+            [np.isfinite(c.values) for c in table.columns if c.number in self._numbers]
         )
         if has_numbers.sum() < _MIN_NUMBERS and self._first is not None:
             self._is_broken = True
@@ -123,9 +123,14 @@ class _ThinnedFile:
             raise self._rate_change_error(earlier.sampling_rate_Hz, later.sampling_rate_Hz, sample)
         recording = ingest_table(table, self._lab, self._unbounded_entry)
         self._chunks += 1
+        statements: dict[tuple[str, str], Statement] = {}
         for statement in recording.statements:
-            location = statement.place if statement.quantity in _WHOLE_FILE else ""
-            key = (statement.quantity, location)
+            kind = statement.quantity
+            # Problems of one kind are those of several columns; their lines differ between chunks.
+            number = sum(kind == earlier for earlier, _ in statements)
+            location = statement.place if kind in _WHOLE_FILE else str(number)
+            statements[kind, location] = statement
+        for key, statement in statements.items():
             first_statement, times = self._statements.get(key, (statement, 0))
             self._statements[key] = first_statement, times + 1
         first = self._first or recording

@@ -1,7 +1,6 @@
 """Find the uniform clock of a recording: its rate, and gaps, repeats and steps of its stamps."""
 
 import itertools
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array, runs_of
+from piezoid.records.lab_tables import entry_text
 from piezoid.records.sample_statistics import robust_sigma
 from piezoid.statement import Statement, finding
 
@@ -155,8 +155,8 @@ def refuse_newest_first(time_s: Array, name: str, row_name: RowName) -> None:
         f"{name}: time runs backwards, from {time_s[0]:.6g} s in {row_name(0)} to "
         f"{time_s[-1]:.6g} s in {row_name(len(time_s) - 1)}: the newest row is the first",
         needed="rows in the order in which they were recorded",
-        remedy="Write into lab.toml, which reverses the rows:\n\n[[recording]]\n"
-        f"file = {json.dumps(name)}\nreverse = true\n",
+        remedy="Write into lab.toml, which reverses the rows:\n\n"
+        f"{entry_text(name, 'reverse = true')}\n",
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from piezoid.errors import RecordingError
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.ingest import ingest_parts
-from piezoid.records.lab import Lab
+from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Recording
 from piezoid.records.response_columns import is_response
@@ -99,11 +99,11 @@ def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:
     responses: list[FrequencyResponseRecord] = []
     for path in paths:
         table = read_table(path, declared.text_format_of(path))
-        entries = declared.entries_of(path)
+        entries = declared.entries_of(path) or (RecordingEntry(file=path.name),)
         if is_over_height(table) and not any(entry.columns for entry in entries):
             sweeps.append(table)
         else:
-            for entry in entries or (None,):
+            for entry in entries:
                 if is_response(table, entry):
                     responses.append(ingest_response(table, declared, entry))
                 else:

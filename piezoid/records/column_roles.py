@@ -83,7 +83,15 @@ def meaning_of(heading: Heading) -> Meaning:
     A name and a unit that contradict each other are resolved in columns.py, with the sensor gain
     that lab.toml may declare.
     """
-    words, axis = _words_of(heading.stem)
+    stem = re.sub(r"\[.*?\]|\(.*?\)", " ", heading.stem)
+    tokens = [token.lower() for token in _TOKENS.findall(stem)]
+    axes = {token for token in tokens if token in _AXES}
+    words = set(tokens) - axes
+    for token in tokens:
+        if match := _SYMBOL_WITH_AXIS.fullmatch(token):
+            axes.add(match.group(1))
+            words.add(token[0])
+    axis = axes.pop() if len(axes) == 1 else None
     dimension = None if heading.unit is None else heading.unit.dimension
     is_abscissa = dimension is Dimension.TIME and words <= _ABSCISSA_WORDS
     if is_abscissa or (words & _TIME_WORDS and dimension in (None, Dimension.TIME)):
@@ -111,16 +119,3 @@ def meaning_of(heading: Heading) -> Meaning:
             "a drive nor a response: name the column in lab.toml, with scale"
         )
     return Meaning(reason=f"{heading.unit.symbol} is not a unit of a stage's drive or response")
-
-
-def _words_of(stem: str) -> tuple[frozenset[str], str | None]:
-    """Return the words of a heading without its axis, and the axis if there is exactly one."""
-    tokens = [token.lower() for token in _TOKENS.findall(re.sub(r"\[.*?\]|\(.*?\)", " ", stem))]
-    axes = {token for token in tokens if token in _AXES}
-    words = set(tokens) - axes
-    for token in tokens:
-        match = _SYMBOL_WITH_AXIS.fullmatch(token)
-        if match:
-            axes.add(match.group(1))
-            words.add(token[0])
-    return frozenset(words), axes.pop() if len(axes) == 1 else None

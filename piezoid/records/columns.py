@@ -14,6 +14,7 @@ from piezoid.errors import LabFileError, UnitError
 from piezoid.numerics.arrays import Array
 from piezoid.records.column_roles import DIMENSION_OF, Meaning, meaning_of
 from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.lab_tables import entry_text
 from piezoid.records.recording import Quantity
 from piezoid.records.table import Column, RawTable
 from piezoid.records.units import Dimension, Unit, unit_of
@@ -342,8 +343,8 @@ def _counts_statement(
         raise UnitError(
             f"{table.name}: {column.place} is a {name} in counts",
             needed=f"how many {si} one count is: only drive and displacement may be in counts",
-            remedy=f"Write into lab.toml:\n\n[[recording]]\nfile = {json.dumps(table.name)}\n"
-            f"scale = {{ {name} = ... }}\n",
+            remedy="Write into lab.toml:\n\n"
+            f"{entry_text(table.name, f'scale = {{ {name} = ... }}')}\n",
         )
     # The declared converter gives the size of a count.
     acquisition, range_V = lab.acquisition, lab.acquisition.input_range_V
@@ -402,8 +403,6 @@ def entry_template(table: RawTable) -> str:
     unit = "counts" if is_counted else "..."
     units += [f'voltage = "{unit}"', f'displacement = "{unit}"']
     lines = [
-        "[[recording]]",
-        f"file = {json.dumps(table.name)}",
         'axis = "x"',
         f"columns = {{ {', '.join(columns)} }}",
         f"units = {{ {', '.join(units)} }}",
@@ -412,4 +411,4 @@ def entry_template(table: RawTable) -> str:
         lines.append("scale = { voltage = ..., displacement = ... }  # V and m of one count")
     if not clocks and table.sampling_rate_Hz is None:
         lines.append('sampling_rate_Hz = ...  # unless time = "..." is among the columns')
-    return "\n".join(lines)
+    return entry_text(table.name, *lines)

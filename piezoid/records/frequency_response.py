@@ -5,12 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.numerics.arrays import (
-    Array,
-    ComplexArray,
-    frozen,
-    strictly_increasing,
-)
+from piezoid.numerics.arrays import Array, ComplexArray, freeze, strictly_increasing
 from piezoid.statement import Statement
 
 CHAIN = ("amplifier", "sensor")
@@ -33,14 +28,14 @@ class ResponsePath:
     coherence: Array | None = None
 
     def __post_init__(self) -> None:
-        response = frozen(self.response_m_per_V, "response_m_per_V", dtype=np.complex128)
-        object.__setattr__(self, "response_m_per_V", response)
+        freeze(self, "response_m_per_V", dtype=np.complex128)
+        response = self.response_m_per_V
         if not response.all():
             raise ValueError(f"response_m_per_V[{int(np.argmin(np.abs(response)))}] is zero")
         if self.coherence is None:
             return
-        coherence = frozen(self.coherence, "coherence")
-        object.__setattr__(self, "coherence", coherence)
+        freeze(self, "coherence")
+        coherence = self.coherence
         if len(coherence) != len(response) or coherence.min() < 0.0 or coherence.max() > 1.0:
             raise ValueError(
                 f"coherence has {len(coherence)} values from {coherence.min():g} to "
@@ -81,8 +76,8 @@ class FrequencyResponseRecord:
     statements: tuple[Statement, ...] = ()
 
     def __post_init__(self) -> None:
-        frequency_Hz = frozen(self.frequency_Hz, "frequency_Hz")
-        object.__setattr__(self, "frequency_Hz", frequency_Hz)
+        freeze(self, "frequency_Hz")
+        frequency_Hz = self.frequency_Hz
         strictly_increasing(frequency_Hz, "frequency_Hz")
         lines = len(frequency_Hz)
         if lines < MIN_LINES or not frequency_Hz[0] > 0.0:

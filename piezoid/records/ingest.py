@@ -1,7 +1,7 @@
 """Ingest: from a table and the declarations of lab.toml to recordings.
 
 assign_columns -> unique_rows, complete_rows -> read_clock -> SampleRows
-    -> find_invalid_readings -> Recording -> check_recording, split_at_baseline_steps
+    -> find_invalid_readings -> Recording -> check_recording, find_baseline_steps
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from msgspec import structs
 
 from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.raw_counts import record_in_counts
-from piezoid.records.baseline_steps import split_at_baseline_steps
+from piezoid.records.baseline_steps import find_baseline_steps
 from piezoid.records.checks import check_recording
 from piezoid.records.checks.columns import check_columns
 from piezoid.records.clock import (
@@ -49,10 +49,10 @@ from piezoid.statement import Statement, finding
 # smaller, a mistake larger.
 _RATE_TOLERANCE = 0.01
 
-Part = tuple[RawTable, RecordingEntry | None]
+Part = tuple[RawTable, RecordingEntry]
 
 
-def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Recording, ...]:
+def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry) -> tuple[Recording, ...]:
     """Make one recording of a table, or one of each segment with a constant sampling rate.
 
     Raises ``UnitError``, ``RecordingError`` or ``LabFileError``. Minor problems (gaps, jitter,
@@ -66,32 +66,30 @@ def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tup
 
 def with_checks(recording: Recording, lab: Lab) -> Recording:
     """Return a recording with the statements of all checks, split at steps of the zero."""
-    split = split_at_baseline_steps(recording)
-    new = (*check_recording(recording, lab), *split.statements[len(recording.statements) :])
-    statements = (*recording.statements, *record_in_counts(new, recording.counted))
-    return replace(split, statements=statements)
+    breaks, steps = find_baseline_steps(recording)
+    new = record_in_counts((*check_recording(recording, lab), *steps), recording.counted)
+    return replace(recording, breaks=breaks, statements=(*recording.statements, *new))
 
 
-def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Part, ...]:
+def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry) -> tuple[Part, ...]:
     """Split a table where its sampling rate changes; each part becomes a recording.
 
     returned  table and entry of each recording: the name of a part ends in ``(part 1 of 3)``, and
               its start_s and stop_s count from its first sample
     """
     whole_table: tuple[Part, ...] = ((table, entry),)
-    declarations = entry or RecordingEntry(file=table.name)
-    if table.independent or declarations.sampling_rate_Hz is not None:
+    if table.independent or entry.sampling_rate_Hz is not None:
         return whole_table
-    time = assign_columns(table, lab, declarations).time
+    time = assign_columns(table, lab, entry).time
     if time is None:
         return whole_table
-    time_s = time.values[::-1] if declarations.reverse else time.values
+    time_s = time.values[::-1] if entry.reverse else time.values
     stamped = np.flatnonzero(np.isfinite(time_s))
     stamps_s = time_s[stamped]
     segments = constant_rate_segments(stamps_s)
     if len(segments) < 2:
         return whole_table
-    if entry is not None and entry.reverse:
+    if entry.reverse:
         table, entry = table.reversed(), structs.replace(entry, reverse=False)
     starts = [0, *(int(stamped[segment.start]) for segment in segments[1:])]
     locations = ", ".join(
@@ -103,56 +101,56 @@ def parts_of(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[P
         "read as a recording."
     )
     statement = finding("several_rates", text, place=table.row_name(starts[1]))
+    # Start and stop of the entry count from the beginning of the table, later of the part.
+    start_s = 0.0 if entry.start_s is None else entry.start_s
+    stop_s = np.inf if entry.stop_s is None else entry.stop_s
     parts: list[Part] = []
     edges = pairwise((*starts, table.rows))
     for k, (segment, (start, stop)) in enumerate(zip(segments, edges, strict=True), 1):
         first_s, last_s = (stamps_s[[segment.start, segment.stop - 1]] - stamps_s[0]).tolist()
-        shifted = entry
-        if entry is not None:
-            # Start and stop of the entry count from the beginning of the part.
-            start_s = 0.0 if entry.start_s is None else entry.start_s
-            stop_s = np.inf if entry.stop_s is None else entry.stop_s
-            if start_s >= last_s or stop_s <= first_s:
-                continue
-            shifted = structs.replace(
-                entry,
-                start_s=start_s - first_s if start_s > first_s else None,
-                stop_s=stop_s - first_s if stop_s < last_s else None,
-            )
+        if start_s >= last_s or stop_s <= first_s:
+            continue
+        shifted = structs.replace(
+            entry,
+            start_s=start_s - first_s if start_s > first_s else None,
+            stop_s=stop_s - first_s if stop_s < last_s else None,
+        )
         part = table.part(slice(start, stop), f"{table.name} (part {k} of {len(segments)})")
         part = replace(part, statements=(*part.statements, statement))
         parts.append((part, shifted))
     return tuple(parts) or whole_table
 
 
-def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Recording:
+def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry) -> Recording:
     """Make a recording of a table, without the checks."""
-    if table.independent and (entry is None or not entry.columns):
+    if table.independent and not entry.columns:
         raise RecordingError(
             f"{table.name}: a {table.format} table over {table.independent!r}, not over time",
             needed="columns as functions of time",
             remedy="Use it where a table is required (a tunnelling current against height), or "
             "name its columns and sampling_rate_Hz in lab.toml if they are samples in time.",
         )
-    entry = RecordingEntry(file=table.name) if entry is None else entry
     table = table.reversed() if entry.reverse else table
     assignment = assign_columns(table, lab, entry)
     table, rate_statements = select_common_rows(table, assignment)
     assignment = assign_columns(table, lab, entry) if rate_statements else assignment
-    unique, repeat_statements = unique_rows(table, assignment)
-    complete, after_single, after_gap, gap_statements = complete_rows(table, assignment, unique)
+    statements = [*table.statements, *assignment.statements, *rate_statements]
+    unique = unique_rows(table, assignment, statements)
+    complete, after_single, after_gap = complete_rows(table, assignment, unique, statements)
     clock = _clock(table, lab, entry, assignment, complete, unique)
+    statements += clock.statements
     segments = positions_in(complete, np.array(table.segment_starts, dtype=int))
     bridged = set(clock.bridged)  # next to an incomplete row two samples are missing
     breaks = {*clock.breaks, *after_gap, *segments, *(bridged & after_single)}
     rows = SampleRows.of(complete, breaks, bridged | after_single)
     rows = rows.selected(entry, clock.sampling_rate_Hz)
-    channels, invalid, invalid_statements = _make_channels(table, assignment, rows)
+    channels, invalid = _make_channels(table, assignment, rows, statements)
     _refuse_impossible_sizes(table, assignment, channels)
-    axis, axis_statements = _select_axis(entry, channels, lab.place)
     quantities = {a.column.number: a.quantity for a in assignment.channels if a.quantity}
-    reported = {(s.quantity, s.place) for s in invalid_statements}
-    column_statements = check_columns(table, quantities)
+    reported = {(s.quantity, s.place) for s in statements}
+    of_columns = check_columns(table, quantities)
+    statements += [s for s in of_columns if (s.quantity, s.place) not in reported]
+    axis = _select_axis(entry, channels, lab.place, statements)
     return Recording(
         name=table.name,
         digest=table.digest,
@@ -161,33 +159,21 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
         channels=channels,
         breaks=rows.breaks,
         bridged=tuple(sorted({*rows.bridged, *invalid})),
-        statements=(
-            *table.statements,
-            *assignment.statements,
-            *rate_statements,
-            *repeat_statements,
-            *gap_statements,
-            *clock.statements,
-            *invalid_statements,
-            *(s for s in column_statements if (s.quantity, s.place) not in reported),
-            *axis_statements,
-        ),
+        statements=tuple(statements),
     )
 
 
 def _make_channels(
-    table: RawTable, assignment: Assignment, rows: SampleRows
-) -> tuple[tuple[Channel, ...], list[int], list[Statement]]:
-    """Return the channels, with invalid samples interpolated linearly.
+    table: RawTable, assignment: Assignment, rows: SampleRows, statements: list[Statement]
+) -> tuple[tuple[Channel, ...], list[int]]:
+    """Return the channels, with invalid samples interpolated linearly, and the invalid samples.
 
-    Returns:
-        The channels, the invalid samples of any of them, and a statement for each column and kind.
+    Appends a statement for each column and kind of invalid samples.
     """
     columns = [a for a in assignment.channels if a.quantity is not None]
     values = [rows.values(a.column.values) for a in columns]  # in the file's units
     is_invalid = [np.zeros(len(rows.position), dtype=bool) for _ in columns]
     drive_of = {a.axis: k for k, a in enumerate(columns) if a.quantity is Quantity.VOLTAGE}
-    statements: list[Statement] = []
     for k, assigned in enumerate(columns):
         if assigned.quantity is not Quantity.DISPLACEMENT:
             continue
@@ -219,7 +205,7 @@ def _make_channels(
         for assigned, mask in zip(columns, is_invalid, strict=True)
         if assigned.quantity is not None
     )
-    return channels, np.flatnonzero(np.any(is_invalid, axis=0)).tolist(), statements
+    return channels, np.flatnonzero(np.any(is_invalid, axis=0)).tolist()
 
 
 # Smallest and largest range of a moving channel, in SI units.
@@ -256,9 +242,9 @@ def _refuse_impossible_sizes(
 
 
 def _select_axis(
-    entry: RecordingEntry, channels: Sequence[Channel], lab_file: str
-) -> tuple[str, list[Statement]]:
-    """Return the axis of a recording, with a statement if there are several.
+    entry: RecordingEntry, channels: Sequence[Channel], lab_file: str, statements: list[Statement]
+) -> str:
+    """Return the axis of a recording, and append a statement if there are several.
 
     The axis is that of the entry, else the one with a displacement and the largest drive.
     """
@@ -271,7 +257,7 @@ def _select_axis(
                 needed="the axis of one of its columns",
                 remedy="Correct the axis, or name the columns.",
             )
-        return entry.axis, []
+        return entry.axis
     displaced = {c.axis for c in channels if c.quantity is Quantity.DISPLACEMENT}
     ranges = {
         c.axis: float(np.ptp(c.values))
@@ -279,15 +265,15 @@ def _select_axis(
         if c.quantity is Quantity.VOLTAGE and c.axis in displaced
     }
     if not ranges:
-        return min(displaced or axes), []
+        return min(displaced or axes)
     axis = max(sorted(ranges), key=lambda name: ranges[name])
-    if len(ranges) == 1:
-        return axis, []
-    text = (
-        f"Contains the axes {', '.join(sorted(ranges))}; read as {axis}, whose drive moves the "
-        "most. Set axis in its [[recording]] of lab.toml to change this."
-    )
-    return axis, [finding("several_axes", text, place="columns")]
+    if len(ranges) > 1:
+        text = (
+            f"Contains the axes {', '.join(sorted(ranges))}; read as {axis}, whose drive moves "
+            "the most. Set axis in its [[recording]] of lab.toml to change this."
+        )
+        statements.append(finding("several_axes", text, place="columns"))
+    return axis
 
 
 def _clock(

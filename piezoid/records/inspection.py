@@ -126,7 +126,7 @@ def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspec
         except PiezoidError as error:
             inspected.append((Inspection(name=path.name, refusal=str(error)), None))
             continue
-        for entry in lab.entries_of(path) or (None,):
+        for entry in lab.entries_of(path) or (RecordingEntry(file=path.name),):
             if is_response(table, entry):
                 inspected.append((_inspect_response(table, lab, entry), None))
                 continue
@@ -154,7 +154,7 @@ def _table_summary(table: RawTable) -> Inspection:
     )
 
 
-def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Inspection:
+def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry) -> Inspection:
     """Inspect a frequency response; its columns are summarised in the units of the file."""
     meanings: dict[int, str] = {}
     try:
@@ -169,7 +169,7 @@ def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -
             refusal=str(error),
         )
     else:
-        columns = response_columns(table, lab, entry or RecordingEntry(file=table.name))
+        columns = response_columns(table, lab, entry)
         meanings[columns.frequency.number] = "frequency"
         for (output, drive), parts in columns.paths.items():
             to = "" if output == drive else f" to a drive of {drive}"
@@ -192,12 +192,11 @@ def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -
 
 
 def _inspect_table(
-    table: RawTable, lab: Lab, entry: RecordingEntry | None
+    table: RawTable, lab: Lab, entry: RecordingEntry
 ) -> tuple[Inspection, Recording | None]:
-    declarations = RecordingEntry(file=table.name) if entry is None else entry
     try:
         recording = with_checks(ingest_table(table, lab, entry), lab)
-        assignment = assign_columns(table, lab, declarations)
+        assignment = assign_columns(table, lab, entry)
     except PiezoidError as error:
         refused = replace(
             _table_summary(table),
@@ -205,7 +204,7 @@ def _inspect_table(
             statements=(*table.statements, *check_columns(table, {})),
             refusal=str(error),
         )
-        if declarations.columns or not is_approach_curve(table):
+        if entry.columns or not is_approach_curve(table):
             return refused, None
         text = (
             f"a table over the height {table.independent!r}, without a time: fit uses its "
@@ -219,8 +218,8 @@ def _inspect_table(
         _table_summary(table),
         columns=tuple(_summarise_column(column, assignment) for column in table.columns),
         axis=recording.axis,
-        axis_is_named=declarations.axis is not None
-        or any("_" in key for key in declarations.columns)
+        axis_is_named=entry.axis is not None
+        or any("_" in key for key in entry.columns)
         or any(meaning.axis is not None for meaning in headings),
         sampling_rate_Hz=recording.sampling_rate_Hz,
         duration_s=recording.duration_s,

@@ -314,12 +314,10 @@ def invalid_statement(
 ) -> Statement:
     """State which readings of a column are invalid.
 
-    kind      as ``find_invalid_readings`` returns it, with ``samples``
-    values    (samples,)  of the column, in the file's unit
-    invalid   (samples,)  invalid readings of all kinds
-    column    name of the column in messages
-    unit      of the values
-    row_name  name of the line or row of a sample in messages
+    kind, samples  as ``find_invalid_readings`` returns them for ``values``, in ``unit``
+    invalid        (samples,)  invalid readings of all kinds
+    column         name of the column in messages
+    row_name       name of the line or row of a sample in messages
     """
     total = len(values)
     levels = " and ".join(f"{x:.6g}" for x in np.unique(values[samples]).tolist())

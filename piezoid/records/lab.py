@@ -1,22 +1,8 @@
 """lab.toml: declarations about a rig and its files that recordings do not contain.
 
-    [rig]            name
-    [amplifier]      gain_V_per_V, bandwidth_Hz, output_min_V, output_max_V, slew_V_per_s
-    [actuator]       gain_m_per_V, bandwidth_Hz
-    [sensor]         bandwidth_Hz, gain_V_per_m
-    [acquisition]    sampling_rate_Hz, dac_bits, adc_bits, input_range_V
-    [tunnelling]     set_point_A, floor_A, bandwidth_Hz, feedback_ohm, extension_uncertainty
-                     barrier_range_eV, ceiling_A, retract_V, retract_m, retract_s,
-                     retract_limit, lost_s, search_m, approach_m_per_s
-    [verification]   limits by name, in place of the defaults
-    [uncertainty]    sensor_gain_relative, sensor_linearity_m, tilt_rad, temperature_range_K,
-                     expansion_m_per_K
-    [coupled]        axes, settling_periods
-    [axis.z.sensor]  the same tables for one axis, each replacing the one above it
-    [[recording]]    file, axis, columns, units, scale, offset, sampling_rate_Hz, start_s, stop_s,
-                     reverse, includes, separator, decimal, heading_row
-
-Everything is optional. An unknown name is refused, because it is usually a typing error.
+``lab_tables.py`` has a class for each table, with its keys; ``[verification]`` holds limits by
+name. ``[axis.z.sensor]`` and the like hold the same tables for one axis, each replacing the common
+one. Everything is optional. An unknown name is refused, because it is usually a typing error.
 """
 
 from collections.abc import Iterable

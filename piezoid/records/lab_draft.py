@@ -103,10 +103,11 @@ def _describe_file(path: Path, name: str) -> tuple[str, bool]:
     if is_over_height(table):
         text = f"{name}: a table over {table.independent!r}, used for the tunnelling junction."
         return as_comments(text), True
-    if is_response(table, None):
+    entry = RecordingEntry(file=table.name)
+    if is_response(table, entry):
         block = _with_file_name(response_block(table), name)
         try:
-            response = ingest_response(table, Lab(), None)
+            response = ingest_response(table, Lab(), entry)
         except PiezoidError as error:
             return as_comments(str(error).partition("\n")[0]) + as_comments(block), False
         frequency_Hz = response.frequency_Hz
@@ -116,11 +117,11 @@ def _describe_file(path: Path, name: str) -> tuple[str, bool]:
             "is read by its headings"
         )
         includes = 'includes = ["amplifier", "sensor"]  # poles it was measured through'
-        entry = f"[[recording]]\nfile = {_toml(name)}\n{includes}\n"
+        lines = f"[[recording]]\nfile = {_toml(name)}\n{includes}\n"
         axis = "" if response.axis_is_named else '# axis = "x"\n'
-        return as_comments(summary) + entry + axis, True
+        return as_comments(summary) + lines + axis, True
     try:
-        return _draft_entry(table, ingest_parts(table, Lab(), None), name), True
+        return _draft_entry(table, ingest_parts(table, Lab(), entry), name), True
     except PiezoidError as error:
         reason = str(error).partition("\n")[0]
         _, header, lines = error.remedy.partition("[[recording]]")

@@ -1,5 +1,6 @@
 """Tables of lab.toml: every key, with its unit, its meaning and its admissible numbers."""
 
+import json
 from typing import Literal
 
 import msgspec
@@ -238,6 +239,11 @@ def check_range(location: str, name: str, low: float | None, high: float | None)
     """Refuse a range whose limits are not increasing."""
     if low is not None and high is not None and not low < high:
         raise lab_error(f"{location} {name} goes from {low} to {high}", "a range that ascends")
+
+
+def entry_text(file: str, *lines: str) -> str:
+    """Return a ``[[recording]]`` entry about a file, as TOML."""
+    return "\n".join(["[[recording]]", f"file = {json.dumps(file)}", *lines])
 
 
 def lab_error(problem: str, needed: str) -> LabFileError:

@@ -7,7 +7,6 @@ lab.toml declares one. Units are as instruments write them: m/V, dB re 1 um/V, d
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from enum import Enum, auto
 from json import dumps
 
 import numpy as np
@@ -16,57 +15,27 @@ from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.records.column_roles import meaning_of
 from piezoid.records.columns import clocks_of, first_values, missing_column
 from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.lab_tables import entry_text
 from piezoid.records.recording import Quantity
 from piezoid.records.table import Column, RawTable
-from piezoid.records.units import BRACKETS, Dimension, unit_of
+from piezoid.records.units import BRACKETS, Dimension, Unit, unit_of
 
-
-class Kind(Enum):
-    """Quantity of a unit: SHARE is a ratio, DECIBEL a gain with an unknown reference."""
-
-    FREQUENCY = auto()
-    ANGLE = auto()
-    GAIN = auto()  # displacement per volt
-    VOLTAGE_GAIN = auto()  # volts of a sensor per volt
-    LENGTH = auto()
-    VOLTAGE = auto()
-    DECIBEL = auto()
-    SHARE = auto()
-
-
-AMPLITUDES = frozenset({Kind.GAIN, Kind.VOLTAGE_GAIN, Kind.LENGTH, Kind.VOLTAGE})
-
-
-@dataclass(frozen=True, kw_only=True)
-class ResponseUnit:
-    """One unit: ``SI = factor * value``, of decibels ``SI = factor * 10^(value / 20)``.
-
-    factor  to Hz, rad, m/V, V/V, m, V or 1
-    """
-
-    symbol: str
-    kind: Kind
-    factor: float = 1.0
-    is_decibel: bool = False
-
-
-_RAD_PER_deg = np.pi / 180.0
-_ANGLES = {
-    **dict.fromkeys(("deg", "degree", "degrees", "°", "grad °"), _RAD_PER_deg),
-    **dict.fromkeys(("rad", "radian", "radians"), 1.0),
-    "mrad": 1e-3,
+AMPLITUDES = frozenset(
+    {Dimension.GAIN, Dimension.VOLTAGE_GAIN, Dimension.LENGTH, Dimension.VOLTAGE}
+)
+# Units that recordings over time do not have, in lower case.
+_UNITS = {
+    **dict.fromkeys(("deg", "degree", "degrees", "°", "grad °"), (Dimension.ANGLE, np.pi / 180.0)),
+    **dict.fromkeys(("rad", "radian", "radians"), (Dimension.ANGLE, 1.0)),
+    "mrad": (Dimension.ANGLE, 1e-3),
+    **dict.fromkeys(
+        ("rad/s", "rad/sec", "rad s^-1", "rad_s", "rad_per_s"),
+        (Dimension.FREQUENCY, 1.0 / (2.0 * np.pi)),
+    ),
+    "krad/s": (Dimension.FREQUENCY, 1e3 / (2.0 * np.pi)),
 }
-_ANGULAR_FREQUENCIES = {
-    **dict.fromkeys(("rad/s", "rad/sec", "rad s^-1", "rad_s", "rad_per_s"), 1.0),
-    "krad/s": 1e3,
-}
-_KINDS = {
-    Dimension.FREQUENCY: Kind.FREQUENCY,
-    Dimension.LENGTH: Kind.LENGTH,
-    Dimension.VOLTAGE: Kind.VOLTAGE,
-    Dimension.RATIO: Kind.SHARE,
-}
-_PER_VOLT = {Dimension.LENGTH: Kind.GAIN, Dimension.VOLTAGE: Kind.VOLTAGE_GAIN}
+_PER_VOLT = {Dimension.LENGTH: Dimension.GAIN, Dimension.VOLTAGE: Dimension.VOLTAGE_GAIN}
+_WITHOUT_VOLT = {Dimension.FREQUENCY, Dimension.LENGTH, Dimension.VOLTAGE, Dimension.RATIO}
 _RATIO = re.compile(r"([A-Za-zµμÅ]+)\s?(?:/|_per_| per )\s?([A-Za-zµμ]+)")
 _DECIBEL = re.compile(r"dB\s*(?:re\.?|of|rel\.?)?\s*[(\[]?\s*1?\s*(.*?)\s*[)\]]?", re.IGNORECASE)
 _PART = re.compile(r"^(?:real|imag)\((.*)\)$")
@@ -79,20 +48,17 @@ _UNITS_AT_END = (
 )
 
 
-def response_unit(text: str) -> ResponseUnit | None:
+def response_unit(text: str) -> Unit | None:
     """Return the unit that a text names; None if it is not a unit of a frequency response."""
     symbol = " ".join(text.split())
-    name = symbol.lower()
-    if name in _ANGLES:
-        return ResponseUnit(symbol=symbol, kind=Kind.ANGLE, factor=_ANGLES[name])
-    if name in _ANGULAR_FREQUENCIES:
-        factor = _ANGULAR_FREQUENCIES[name] / (2.0 * np.pi)
-        return ResponseUnit(symbol=symbol, kind=Kind.FREQUENCY, factor=factor)
-    if name.startswith("db") and (match := _DECIBEL.fullmatch(symbol)):
+    if symbol.lower() in _UNITS:
+        dimension, factor = _UNITS[symbol.lower()]
+        return Unit(symbol=symbol, dimension=dimension, factor=factor)
+    if symbol.lower().startswith("db") and (match := _DECIBEL.fullmatch(symbol)):
         if not match[1]:
-            return ResponseUnit(symbol=symbol, kind=Kind.DECIBEL, is_decibel=True)
+            return Unit(symbol=symbol, dimension=Dimension.DECIBEL, is_decibel=True)
         reference = response_unit(match[1])
-        if reference is None or reference.is_decibel or reference.kind not in AMPLITUDES:
+        if reference is None or reference.is_decibel or reference.dimension not in AMPLITUDES:
             return None
         return replace(reference, symbol=symbol, is_decibel=True)
     if match := _RATIO.fullmatch(symbol):
@@ -102,11 +68,9 @@ def response_unit(text: str) -> ResponseUnit | None:
         if denominator.dimension is not Dimension.VOLTAGE:
             return None
         factor = numerator.factor / denominator.factor
-        return ResponseUnit(symbol=symbol, kind=_PER_VOLT[numerator.dimension], factor=factor)
+        return Unit(symbol=symbol, dimension=_PER_VOLT[numerator.dimension], factor=factor)
     unit = unit_of(symbol)
-    if unit is None or unit.dimension not in _KINDS:
-        return None
-    return ResponseUnit(symbol=symbol, kind=_KINDS[unit.dimension], factor=unit.factor)
+    return unit if unit is not None and unit.dimension in _WITHOUT_VOLT else None
 
 
 def _base_name(label: str) -> str:
@@ -114,7 +78,7 @@ def _base_name(label: str) -> str:
     return _INDEX.sub("", _PART.sub(r"\1", label))
 
 
-def unit_in_heading(column: Column) -> ResponseUnit | None:
+def unit_in_heading(column: Column) -> Unit | None:
     """Return the unit of a column that the format or its heading states, else None."""
     stated = [column.declared_unit] if column.declared_unit.strip() else []
     label = _base_name(" ".join(column.label.split()))
@@ -125,21 +89,21 @@ def unit_in_heading(column: Column) -> ResponseUnit | None:
     return next((unit for text in stated if (unit := response_unit(text)) is not None), None)
 
 
-_GAINS = AMPLITUDES | {Kind.DECIBEL}
+_GAINS = AMPLITUDES | {Dimension.DECIBEL}
 # Words that name a part of a response, and the units it may have.
-_PARTS: dict[str, tuple[set[str], frozenset[Kind]]] = {
+_PARTS: dict[str, tuple[set[str], frozenset[Dimension]]] = {
     "frequency": (
         {"frequency", "freq", "f", "frequenz", "omega"},
-        frozenset({Kind.FREQUENCY}),
+        frozenset({Dimension.FREQUENCY}),
     ),
-    "phase": ({"phase", "phi", "theta", "arg", "angle"}, frozenset({Kind.ANGLE})),
+    "phase": ({"phase", "phi", "theta", "arg", "angle"}, frozenset({Dimension.ANGLE})),
     "magnitude": (
         {"magnitude", "mag", "gain", "amplitude", "amp", "abs", "modulus", "betrag"},
         _GAINS,
     ),
     "real": ({"real", "re"}, _GAINS),
     "imaginary": ({"imaginary", "imag", "im"}, _GAINS),
-    "coherence": ({"coherence", "coh", "msc", "koh", "kohärenz"}, frozenset({Kind.SHARE})),
+    "coherence": ({"coherence", "coh", "msc", "koh", "kohärenz"}, frozenset({Dimension.RATIO})),
 }
 COMPLEX = "response"  # name in lab.toml of a complex array, which is read as two columns
 _NAMES = (*_PARTS, "excitation", COMPLEX)
@@ -171,9 +135,9 @@ class ResponseColumns:
     is_named: bool = True
 
 
-def is_response(table: RawTable, entry: RecordingEntry | None) -> bool:
+def is_response(table: RawTable, entry: RecordingEntry) -> bool:
     """Return whether a table is a frequency response, by the entry or else by its headings."""
-    if entry is not None and entry.columns:
+    if entry.columns:
         return "frequency" in entry.columns
     parts = _parts_by_heading(table)
     swept = [column for part, _, column in parts if part == "frequency"]
@@ -247,8 +211,8 @@ def part_of(column: Column) -> str | None:
     unit = unit_in_heading(column)
     if unit is None and column.heading.unit is not None:
         return None  # a force, a time or a current
-    for part, (names, kinds) in _PARTS.items():
-        if words & names and (unit is None or unit.kind in kinds):
+    for part, (names, dimensions) in _PARTS.items():
+        if words & names and (unit is None or unit.dimension in dimensions):
             return part
     return None
 
@@ -266,10 +230,8 @@ def _parts_by_heading(table: RawTable) -> list[Part]:
         elif match := _AXIS_NUMBERS.search(column.label):
             i, j = (int(number) - 1 for number in match.groups() if number is not None)
             pair = (_LETTERS[i], _LETTERS[j]) if max(i, j) < len(_LETTERS) else None
-        elif match := _AXIS_PAIR.search(stem):
-            pair = match[1], match[2]
-        elif match := _AXIS.search(stem):
-            pair = match[1], match[1]
+        elif match := _AXIS_PAIR.search(stem) or _AXIS.search(stem):
+            pair = match[1], match[match.lastindex or 1]
         parts.append((part, pair, column))
     return parts
 
@@ -360,12 +322,14 @@ def response_block(table: RawTable) -> str:
     symbols = {}
     for part in ("frequency", *parts):
         unit = unit_in_heading(column_of[part]) if part in column_of else None
-        is_known = unit is not None and unit.kind is not Kind.DECIBEL
+        is_known = unit is not None and unit.dimension is not Dimension.DECIBEL
         symbols[part] = unit.symbol if unit is not None and is_known else "..."
     coherence = ["coherence"] if "coherence" in column_of else []
     columns = [f"{p} = {dumps(labels.get(p, '...'))}" for p in (*symbols, *coherence)]
-    return (
-        f'[[recording]]\nfile = {dumps(table.name)}\naxis = "x"\n'
-        f"columns = {{ {', '.join(columns)} }}\n"
-        f"units = {{ {', '.join(f'{part} = {dumps(s)}' for part, s in symbols.items())} }}"
+    units = [f"{part} = {dumps(symbol)}" for part, symbol in symbols.items()]
+    return entry_text(
+        table.name,
+        'axis = "x"',
+        f"columns = {{ {', '.join(columns)} }}",
+        f"units = {{ {', '.join(units)} }}",
     )

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from json import dumps
 from typing import Any
 
 import numpy as np
@@ -18,19 +17,19 @@ from piezoid.records.frequency_response import (
     ResponsePath,
 )
 from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.lab_tables import entry_text
 from piezoid.records.response_columns import (
     AMPLITUDES,
     COMPLEX,
-    Kind,
     Pair,
     ResponseColumns,
-    ResponseUnit,
     ambiguous_response,
     response_columns,
     response_unit,
     unit_in_heading,
 )
 from piezoid.records.table import RawTable
+from piezoid.records.units import Dimension, Unit
 from piezoid.statement import Statement, finding
 
 # Range of the phase about its regression line. A mode turns the phase by half a turn, a delay
@@ -44,15 +43,12 @@ MAX_RADIANS_deg = 2.0 * np.pi
 REMOVE_ROWS = "Remove these rows from the file; gaps between frequencies are allowed."
 
 
-def ingest_response(
-    table: RawTable, lab: Lab, entry: RecordingEntry | None
-) -> FrequencyResponseRecord:
+def ingest_response(table: RawTable, lab: Lab, entry: RecordingEntry) -> FrequencyResponseRecord:
     """Make a frequency response of a table that ``is_response`` recognises.
 
     Raises ``UnitError`` for a column without unit or meaning, ``RecordingError`` for invalid
     numbers, ``LabFileError`` if lab.toml names a column that the file does not have.
     """
-    entry = RecordingEntry(file=table.name) if entry is None else entry
     columns = response_columns(table, lab, entry)
     for column in (columns.frequency, *(c for p in columns.paths.values() for c in p.values())):
         missing = np.flatnonzero(~np.isfinite(column.values))
@@ -90,7 +86,7 @@ def _frequency_Hz(
     """Return the frequencies above zero in rising order, and their rows of the table."""
     column, symbol = columns.frequency, entry.units.get("frequency")
     unit = unit_in_heading(column) if symbol is None else response_unit(symbol)
-    if unit is None or unit.kind is not Kind.FREQUENCY:
+    if unit is None or unit.dimension is not Dimension.FREQUENCY:
         state = "has no unit" if unit is None else f"is in {unit.symbol}"
         raise ambiguous_response(table, f"{column.place} {state}")
     f = column.values * unit.factor
@@ -174,7 +170,7 @@ class _PathReader:
             )
         if "excitation" in parts:
             values, unit = self._values("excitation")
-            if unit is None or unit.kind is not Kind.VOLTAGE:
+            if unit is None or unit.dimension is not Dimension.VOLTAGE:
                 raise self._ambiguous("excitation", "is an excitation that is not in volts")
             self._refuse_rows(
                 ~(values > 0),
@@ -200,7 +196,7 @@ class _PathReader:
             coherence=coherence,
         )
 
-    def _values(self, part: str) -> tuple[Array, ResponseUnit | None]:
+    def _values(self, part: str) -> tuple[Array, Unit | None]:
         """Return the values of a column, and its unit from lab.toml or its heading."""
         column = self.columns.paths[self.pair][part]
         symbol = self._declaration(self.entry.units, part)
@@ -239,24 +235,25 @@ class _PathReader:
         values, unit = self._values(part)
         if unit is None:
             raise self._ambiguous(part, "has no unit")
-        if unit.kind is Kind.DECIBEL:
+        if unit.dimension is Dimension.DECIBEL:
             raise self._ambiguous(
                 part,
                 "is in dB without a reference: write 'dB re 1 um/V', or the actual reference of "
                 "0 dB",
             )
-        if unit.kind not in AMPLITUDES:
+        if unit.dimension not in AMPLITUDES:
             raise self._ambiguous(part, f"is in {unit.symbol}")
         scale = self._declaration(self.entry.scale, part)
         has_excitation = any(key.startswith("excitation") for key in self.entry.columns)
-        if unit.kind in (Kind.LENGTH, Kind.VOLTAGE) and not has_excitation and scale is None:
+        is_amplitude = unit.dimension in (Dimension.LENGTH, Dimension.VOLTAGE)
+        if is_amplitude and not has_excitation and scale is None:
             raise self._ambiguous(
                 part,
                 f"is in {unit.symbol}, an amplitude and not a response: the amplitude of the "
                 "drive is needed, as a column 'excitation' or as scale = { response = 1 / volts }",
             )
         values = 10.0 ** (values / 20.0) if unit.is_decibel else values
-        if unit.kind in (Kind.VOLTAGE, Kind.VOLTAGE_GAIN):
+        if unit.dimension in (Dimension.VOLTAGE, Dimension.VOLTAGE_GAIN):
             output, location = self.pair[0], self.columns.paths[self.pair][part].place
             volts = (
                 f"{self.table.name}: {location} is a response of axis {output} in {unit.symbol}"
@@ -268,7 +265,7 @@ class _PathReader:
     def _angle_rad(self, size: Array, frequency_Hz: Array) -> Array:
         """Return the phase; refuse one that is obviously in the other unit."""
         values, unit = self._values("phase")
-        if unit is None or unit.kind is not Kind.ANGLE:
+        if unit is None or unit.dimension is not Dimension.ANGLE:
             state = "has no unit" if unit is None else f"is in {unit.symbol}"
             raise self._ambiguous("phase", f"{state}, and not in deg or rad")
         angle_rad, largest = values * unit.factor, float(np.abs(values).max())
@@ -286,7 +283,7 @@ class _PathReader:
                 f"{self.table.name}: {location} is declared in {unit.symbol} and reaches "
                 f"{largest:.4g} while the gain changes by {changed_dB:.3g} dB: the unit is wrong",
                 needed=f"the true unit of the phase; {likely} is plausible",
-                remedy="If that is the unit, write into lab.toml:\n\n[[recording]]\n"
-                f'file = {dumps(self.table.name)}\nunits = {{ phase = "{likely}" }}\n',
+                remedy="If that is the unit, write into lab.toml:\n\n"
+                + entry_text(self.table.name, f'units = {{ phase = "{likely}" }}\n'),
             )
         return np.asarray(angle_rad)

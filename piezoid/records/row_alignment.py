@@ -128,8 +128,8 @@ def _measured_interval(values: np.ndarray) -> tuple[int, int]:
     return (first, step) if step > 1 and is_on_grid and is_regular else (0, 1)
 
 
-def unique_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, list[Statement]]:
-    """Return the rows without repetitions of the same time stamp with the same numbers.
+def unique_rows(table: RawTable, assignment: Assignment, statements: list[Statement]) -> Rows:
+    """Return the rows without those that repeat a time stamp and its numbers; state how many.
 
     Rows are repetitions only if all other stamps are distinct: many samples share a stamp of few
     digits, and some of them may be equal.
@@ -137,7 +137,7 @@ def unique_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, list[Sta
     every_row = np.arange(table.rows)
     time_s = None if assignment.time is None else assignment.time.values
     if time_s is None or not (np.diff(time_s[np.isfinite(time_s)]) <= 0).any():
-        return every_row, []
+        return every_row
     _, first, group = np.unique(time_s, return_index=True, return_inverse=True, equal_nan=False)
     is_repeated = (first[group] != every_row) & np.isfinite(time_s)
     for channel in assignment.channels:
@@ -146,25 +146,25 @@ def unique_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, list[Sta
     stamps_s = time_s[~is_repeated]
     stamps_s = stamps_s[np.isfinite(stamps_s)]
     if not is_repeated.any() or len(np.unique(stamps_s)) < len(stamps_s):
-        return every_row, []
+        return every_row
     repeated = np.flatnonzero(is_repeated)
     location = table.row_name(int(repeated[0]))
     text = (
         f"{len(repeated)} rows are repeated (same stamp, same numbers) and read once. The first "
         f"is {location}, t = {time_s[repeated[0]]:.6g} s."
     )
-    return every_row[~is_repeated], [finding("repeated_rows", text, place=location)]
+    statements.append(finding("repeated_rows", text, place=location))
+    return np.flatnonzero(~is_repeated)
 
 
 def complete_rows(
-    table: RawTable, assignment: Assignment, rows: Rows
-) -> tuple[Rows, set[int], set[int], list[Statement]]:
+    table: RawTable, assignment: Assignment, rows: Rows, statements: list[Statement]
+) -> tuple[Rows, set[int], set[int]]:
     """Return the ``rows`` in which every column that is read holds a number.
 
     Returns:
         The complete rows; the indices of complete rows behind a single row in which some channels
-        lack a number; the indices of complete rows behind a blank row or several incomplete rows;
-        the statements.
+        lack a number; the indices of complete rows behind a blank row or several incomplete rows.
     """
     is_complete = np.ones(len(rows), dtype=bool)
     for assigned in assignment.columns:
@@ -182,7 +182,7 @@ def complete_rows(
         )
     incomplete = np.flatnonzero(~is_complete)
     if not len(incomplete):
-        return complete, set(), set(), []
+        return complete, set(), set()
     usable = np.flatnonzero(is_complete)
     at_ends = int(usable[0]) + len(rows) - 1 - int(usable[-1])
     is_blank = np.all([np.isnan(c.values[rows]) for c in assignment.channels], axis=0)
@@ -197,7 +197,8 @@ def complete_rows(
         f"rows, which are interpolated, {len(incomplete) - at_ends - len(after_single)} in "
         f"{len(after_gap)} gaps; the first is {location}, {' and '.join(empty)}"
     )
-    return complete, after_single, after_gap, [finding("missing_values", text, place=location)]
+    statements.append(finding("missing_values", text, place=location))
+    return complete, after_single, after_gap
 
 
 def positions_in(complete: Rows, rows: Rows) -> tuple[int, ...]:

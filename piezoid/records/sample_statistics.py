@@ -24,6 +24,7 @@ _NOTICEABLE = 1e-3
 _BLOCKS = 8
 _MIN_BLOCK = 64
 _MAX_UNEVEN = 4.0
+MIN_MOTION_NOISE = 20.0  # standard deviations of the noise; a smaller range may be noise alone
 
 
 def noise_rms(values: Array) -> float:

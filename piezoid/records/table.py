@@ -150,6 +150,23 @@ class RawTable:
             is_reversed=not self.is_reversed,
         )
 
+    def followed_by(self, table: "RawTable") -> "RawTable":
+        """Return this table with the rows of the next part of its file."""
+        is_adjacent = table.first_line == self.first_line + self.rows
+        return replace(
+            self,
+            columns=tuple(
+                replace(column, values=np.concatenate([column.values, further.values]))
+                for column, further in zip(self.columns, table.columns, strict=True)
+            ),
+            segment_starts=(
+                *self.segment_starts,
+                *(self.rows + start for start in table.segment_starts),
+            ),
+            first_line=self.first_line if is_adjacent else 0,
+            statements=(*self.statements, *table.statements),
+        )
+
     def part(self, rows: slice, name: str) -> "RawTable":
         """Return some rows as a table with another name."""
         first, stop = rows.start, rows.stop

@@ -6,7 +6,10 @@ from enum import Enum
 
 
 class Dimension(Enum):
-    """Dimension of a unit; the value is the SI unit to which it is converted."""
+    """Dimension of a unit; the value is the SI unit to which it is converted.
+
+    Only frequency responses have angles, gains, and decibels of an unknown reference.
+    """
 
     TIME = "s"
     VOLTAGE = "V"
@@ -15,23 +18,29 @@ class Dimension(Enum):
     TEMPERATURE = "K"
     RATIO = "1"
     FREQUENCY = "Hz"
+    ANGLE = "rad"
+    GAIN = "m/V"
+    VOLTAGE_GAIN = "V/V"
+    DECIBEL = "dB"
     OTHER = ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unit:
-    """One unit: ``SI = factor * value + offset``.
+    """One unit: ``SI = factor * value + offset``, or ``factor * 10^(value / 20)`` of decibels.
 
-    symbol     as written in the file
-    dimension  OTHER for units of quantities that a piezo stage does not have
-    factor     to SI; 1 for OTHER, whose values are not converted
-    offset     added after scaling; zero except for the degree Celsius
+    symbol      as written in the file
+    dimension   OTHER for units of quantities that a piezo stage does not have
+    factor      to SI; 1 for OTHER, whose values are not converted
+    offset      added after scaling; zero except for the degree Celsius
+    is_decibel  whether the values are decibels of this unit
     """
 
     symbol: str
     dimension: Dimension
     factor: float = 1.0
     offset: float = 0.0
+    is_decibel: bool = False
 
     @property
     def si_symbol(self) -> str:

@@ -1,5 +1,6 @@
 """Dead, clipped, wrapped and coarse channels, and the noise of a smooth one."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -81,14 +82,8 @@ def test_a_clipped_channel_is_told_with_its_share(rng: np.random.Generator) -> N
         np.zeros(100),
     ],
     ids=[
-        "sine",
-        "coarse sine",
-        "fine sine",
-        "bursts from rest",
-        "staircase",
-        "steps",
-        "triangle",
-        "dead",
+        *("sine", "coarse sine", "fine sine", "bursts from rest"),
+        *("staircase", "steps", "triangle", "dead"),
     ],
 )
 def test_drives_that_rest_where_they_should_are_not_clipped(values: np.ndarray) -> None:
@@ -113,12 +108,10 @@ def test_a_reading_that_overflows_is_reported_with_its_first_row_and_not_fitted(
     (statement,) = (s for s in recording.statements if s.quantity == "wrapped")
     first = int(np.flatnonzero(np.abs(np.diff(wrapped_um)) > 30.0)[0]) + 1
     assert f"row {first + 1}" in statement.text
+    message = f"{recording.name}: column 3 'displacement [um]' jumps over its whole range"
     for verb in (piezoid.fit, piezoid.diagnose):
-        with pytest.raises(RecordingError) as refusal:
+        with pytest.raises(RecordingError, match=re.escape(message)):
             verb(recording)
-        message = f"{recording.name}: column 3 'displacement [um]' jumps over its whole range"
-        assert statement.text.rstrip(".") in str(refusal.value)
-        assert str(refusal.value).startswith(message)
 
 
 def test_a_coarse_counter_that_overflows_slowly_is_not_fitted(tmp_path: Path) -> None:

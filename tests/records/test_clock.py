@@ -77,11 +77,6 @@ def test_many_lost_samples_change_no_rate_and_are_all_told(
     assert len(clock.bridged) > 0.8 * len(lost)
 
 
-def test_a_lost_sample_is_found_in_stamps_of_few_digits() -> None:
-    time_s = np.round(np.delete(np.arange(2000) / 1000, 900), 3)
-    assert clock_of(time_s).bridged == (900,)
-
-
 def test_a_clock_slightly_slower_than_its_print_lost_nothing() -> None:
     clock = clock_of(np.round(np.arange(5000) / 999.0, 3))
     assert not clock.statements
@@ -91,13 +86,8 @@ def test_a_clock_slightly_slower_than_its_print_lost_nothing() -> None:
 def test_a_gap_is_found_among_jitter(rng: np.random.Generator) -> None:
     time_s = TIME_s + rng.normal(0, 0.05 / RATE_Hz, len(TIME_s))
     time_s[3000:] += 0.01
+    time_s[2000] += 0.8 / RATE_Hz  # a late stamp is no gap
     assert clock_of(time_s).breaks == (3000,)
-
-
-def test_one_late_stamp_is_no_gap() -> None:
-    time_s = TIME_s.copy()
-    time_s[2000] += 0.8 / RATE_Hz
-    assert not clock_of(time_s).breaks
 
 
 def test_a_clock_that_stands_is_found_in_stamps_of_few_digits() -> None:
@@ -143,7 +133,13 @@ def test_an_interval_of_which_no_rate_can_be_made_states_none(interval_s: float 
     assert rate_of(5e-4) == 2000.0
 
 
-@pytest.mark.parametrize("time_s", [np.zeros(100), np.linspace(1, 0, 100), np.array([0.0, 1.0])])
+@pytest.mark.parametrize(
+    "time_s",
+    [
+        *(np.zeros(100), np.linspace(1, 0, 100), np.array([0.0, 1.0])),
+        *(1e24 * np.arange(100), 1e-310 * np.arange(100)),
+    ],
+)
 def test_no_clock_is_refused(time_s: Array) -> None:
     with pytest.raises(RecordingError):
         clock_of(time_s)

@@ -42,8 +42,9 @@ def test_a_text_that_invites_to_search_for_ever_is_answered(text: str, tmp_path:
     assert inspection.refusal or inspection.sampling_rate_Hz
 
 
-@pytest.mark.parametrize("columns", [5_000, 1_000_000])
-@pytest.mark.parametrize("separator", [",", "\t", ";", " "])
+@pytest.mark.parametrize(
+    ("columns", "separator"), [(5_000, ","), (5_000, "\t"), (5_000, " "), (1_000_000, ";")]
+)
 def test_a_heading_of_too_many_columns_is_refused_with_their_number(
     columns: int, separator: str, tmp_path: Path
 ) -> None:
@@ -85,11 +86,10 @@ def test_a_long_run_of_digits_signs_or_brackets_is_answered_at_once(
     run: str, text: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "run.txt"
-    for size in (3_000, 50_000):
-        path.write_text(text.format(run * (size // len(run))))
-        begun_s = process_time()
-        inspect_files([path])
-        assert process_time() - begun_s < 2.0
+    path.write_text(text.format(run * (50_000 // len(run))))
+    begun_s = process_time()
+    inspect_files([path])
+    assert process_time() - begun_s < 2.0
 
 
 def test_a_recording_that_does_not_fit_into_memory_names_what_it_needs_and_stream(
@@ -132,10 +132,6 @@ def test_a_sparse_file_with_a_heading_is_refused_at_its_first_zero_byte(tmp_path
         text_of(opened)
     assert tracemalloc.get_traced_memory()[1] < 10 << 20
     tracemalloc.stop()
-
-
-def test_a_zero_byte_in_a_heading_is_named_with_its_place(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
     path.write_text(HEADED.replace("volt", "vo\x00lt") + ROWS)
     assert "line 1 holds a zero byte (byte 12 of the file)" in said(path)
 

@@ -38,7 +38,7 @@ def broken(reading_um: Array, kind: str, share: float) -> Array:
 @pytest.mark.parametrize("law", LAWS)
 def test_lost_readings_are_found_and_no_others(law: str, kind: str) -> None:
     field, clean_um = swept_um(law)
-    for share in (0.005, 0.02, 0.05):
+    for share in (0.005, 0.05):
         reading_um = broken(clean_um, kind, share)
         found = np.zeros(len(field), dtype=bool)
         for _, samples in find_invalid_readings(reading_um, field):
@@ -167,12 +167,8 @@ def held_out_m(law: str, kind: str, share: float) -> float:
     ("law", "kind", "share"),
     [
         ("preisach", "zero", 0.05),
-        ("bouc_wen", "held", 0.05),
-        ("wall_pinning", "9999", 0.02),
-        ("dahl", "full scale", 0.05),
-        ("duhem", "-1", 0.005),
+        ("preisach", "held", 0.05),
         ("plays", "spike", 0.05),
-        ("preisach", "clipped", 0.07),
         ("plays", "clipped", 0.07),
     ],
 )

@@ -65,12 +65,6 @@ def test_segments_without_headers_of_their_own_are_found(realdata: Path) -> None
     assert table.segment_starts == (8192,)
 
 
-def test_a_labview_file_cut_short_is_told(realdata: Path) -> None:
-    recording = collect([realdata / "formats" / "multi_time_column.lvm"])[0]
-    assert recording.sampling_rate_Hz == 51200
-    assert {problem.quantity for problem in recording.statements} == {"truncated", "incomplete"}
-
-
 def test_bytes_that_are_no_utf8_are_read(realdata: Path) -> None:
     table = read_table(realdata / "formats" / "with_comments.lvm")
     assert [column.label for column in table.columns][1:3] == [

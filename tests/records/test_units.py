@@ -38,6 +38,10 @@ def test_a_heading_is_taken_apart(
     assert (heading.unit and heading.unit.dimension) == dimension
 
 
+def test_the_abscissa_of_an_oscilloscope_is_its_clock() -> None:
+    assert meaning_of(heading_of("x-axis [second]")).is_time
+
+
 def test_degrees_celsius_are_offset_and_not_scaled() -> None:
     unit = unit_of("degC")
     assert unit is not None

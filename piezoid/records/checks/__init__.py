@@ -18,15 +18,16 @@ from piezoid.records.checks.causality import check_early_turns, check_loop_direc
 from piezoid.records.checks.command_range import check_command_range
 from piezoid.records.checks.consistency import (
     check_consistency,
+    check_copies,
     check_drive_ranges,
     check_mixed_units,
     refuse_inconsistent,
 )
-from piezoid.records.checks.copies import check_copies
 from piezoid.records.checks.coupled_drives import check_coupled_drives
-from piezoid.records.checks.feedback import check_feedback, check_feedback_of_set
 from piezoid.records.checks.plausibility import (
     check_commanded_displacement,
+    check_feedback,
+    check_feedback_of_set,
     check_gain,
     check_missing_channels,
 )

@@ -1,4 +1,4 @@
-"""Report recordings of a stage that are inconsistent in gain, unit or range of the drive.
+"""Report recordings of a stage that are inconsistent in gain, unit or drive range, or copies.
 
 A contradictory gain is caused by another unit, monitor, polarity or stage.
 
@@ -7,10 +7,10 @@ of the drive's power: a mode lies far above them in a sweep, and above tens of h
 Only recordings with coherent drive and displacement at these frequencies are compared.
 """
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Self
 
 import numpy as np
@@ -18,15 +18,12 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from piezoid.errors import RecordingError
 from piezoid.formatting import significant, with_unit
+from piezoid.numerics.arrays import Array, runs_of
 from piezoid.raw_counts import record_in_counts
-from piezoid.records.checks.feedback import held_span
-from piezoid.records.checks.plausibility import (
-    MIN_MOTION_NOISE,
-    MAX_GAIN_m_per_V,
-    MIN_GAIN_m_per_V,
-)
+from piezoid.records.checks.plausibility import MAX_GAIN_m_per_V, MIN_GAIN_m_per_V, held_span
+from piezoid.records.lab_tables import entry_text
 from piezoid.records.recording import Quantity, Recording, counted_in
-from piezoid.records.sample_statistics import noise_rms
+from piezoid.records.sample_statistics import MIN_MOTION_NOISE, noise_rms
 from piezoid.statement import Statement, finding
 
 POWER_SHARE = 0.02  # of the drive, in the lowest lines
@@ -239,7 +236,7 @@ def refuse_inconsistent(recordings: Sequence[Recording]) -> None:
 
 def _entry(name: str, line: str) -> str:
     """Return an entry of lab.toml about the file of a recording, which may be a part of it."""
-    return f"[[recording]]\nfile = {json.dumps(name.partition(' (part ')[0])}\n{line}"
+    return entry_text(name.partition(" (part ")[0], line)
 
 
 def _is_alike(ratio: float) -> bool:
@@ -276,36 +273,122 @@ def inconsistency(
 def likely_cause(ratio: float, *, is_drive: bool) -> tuple[str, str]:
     """Return the cause of a ratio of gains, and the line of lab.toml that corrects it."""
     size, sign = abs(ratio), "-" if ratio < 0.0 else ""
-    polarity = " and opposite polarity" if ratio < 0.0 else ""
     if _is_alike(size):
-        return (
-            "opposite polarity of drive or sensor",
-            "scale = { voltage = -1 }   # or displacement = -1",
-        )
+        line = "scale = { voltage = -1 }   # or displacement = -1"
+        return "opposite polarity of drive or sensor", line
     thousands = math.log10(size) / 3.0
-    if round(thousands) and abs(thousands - round(thousands)) < UNIT_TOLERANCE:
-        factor = 10.0 ** (3 * round(thousands))
-        if is_drive:
-            return (
-                f"another unit of the drive{polarity}",
-                f"scale = {{ voltage = {sign}{factor:g} }}",
-            )
-        line = f"scale = {{ displacement = {sign}{1.0 / factor:g} }}"
-        return f"another unit of the displacement{polarity}", line
     distances = {monitor: abs(math.log(size / monitor)) for monitor in MONITORS}
     monitors = [m for m in MONITORS if distances[m] < MONITOR_TOLERANCE]
     monitors = monitors or [m for m in MONITORS if distances[m] < LOOP_TOLERANCE]
-    if is_drive and monitors:
+    if round(thousands) and abs(thousands - round(thousands)) < UNIT_TOLERANCE:
+        factor = 10.0 ** (3 * round(thousands))
+        cause, line = "another unit of the drive", f"scale = {{ voltage = {sign}{factor:g} }}"
+        if not is_drive:
+            cause = "another unit of the displacement"
+            line = f"scale = {{ displacement = {sign}{1.0 / factor:g} }}"
+    elif is_drive and monitors:
         exact = len(monitors) == 1 and distances[monitors[0]] < MONITOR_TOLERANCE
+        names = " or ".join(f"1/{monitor}" for monitor in monitors)
+        cause = (
+            f"the drive is the output of a monitor ({names}) or the command in front of the "
+            "amplifier"
+        )
         scale = f"{sign}{monitors[0]}" if exact else "..."
         comment = "" if exact else f"   # volts at the stage for {sign}1 V of the monitor"
-        names = " or ".join(f"1/{monitor}" for monitor in monitors)
-        return (
-            f"the drive is the output of a monitor ({names}) or the command in front of the "
-            f"amplifier{polarity}",
-            f"scale = {{ voltage = {scale} }}{comment}",
-        )
-    return (
-        f"another axis, stage or range of the sensor{polarity}",
-        'axis = "..."   # or scale = { displacement = ... }',
+        line = f"scale = {{ voltage = {scale} }}{comment}"
+    else:
+        cause = "another axis, stage or range of the sensor"
+        line = 'axis = "..."   # or scale = { displacement = ... }'
+    return f"{cause}{' and opposite polarity' if ratio < 0.0 else ''}", line
+
+
+# A copy differs only in its digits or its unit; two recordings of one drive differ by the noise. A
+# part of a file, or an overlapping export, has common rows with it.
+MAX_DIFFERENCE = 0.3  # standard deviations of the noise; two recordings differ by 1.4
+MIN_ROWS = 100  # noisy readings do not agree in so many rows by chance
+MIN_SHARED = 0.5  # of the rows of the shorter recording, which is then left out
+SAME_DRIVE = 1e-3  # rms of the difference of the standardised drives
+_FIRST_SAMPLES = 1000  # compared before all samples are
+
+
+def check_copies(recordings: Sequence[Recording]) -> list[Statement]:
+    """Report each recording that is a copy or a part of another one."""
+    return [
+        finding("copy", f"{copy} holds samples of {original} and is left out.", recording=copy)
+        for copy, original in copies(recordings).items()
+    ]
+
+
+def copies(recordings: Sequence[Recording]) -> dict[str, str]:
+    """Return the name of the original by the name of each copy.
+
+    The copy is the later of two equal recordings, or the shorter of two recordings that share half
+    of its rows.
+    """
+    original_of: dict[str, str] = {}
+    for first, second in combinations(recordings, 2):
+        if first.name in original_of or first.name == second.name:
+            continue
+        if is_copy(first, second):
+            original_of.setdefault(second.name, first.name)
+            continue
+        longer, shorter = (first, second) if first.samples >= second.samples else (second, first)
+        if shared_rows(longer, shorter) >= MIN_SHARED * shorter.samples:
+            original_of.setdefault(shorter.name, longer.name)
+    return original_of
+
+
+def shared_rows(first: Recording, second: Recording) -> int:
+    """Return the number of successive rows of two recordings that agree.
+
+    The rows are compared at the offset at which most single rows agree. The result is 0 for fewer
+    than ``MIN_ROWS`` rows, and without a drive or a displacement.
+    """
+    if first.axis != second.axis or not all(
+        first.axis in recording.complete_axes for recording in (first, second)
+    ):
+        return 0
+    rows = [
+        np.stack([r.voltage_V(r.axis), r.displacement_m(r.axis)], axis=1) for r in (first, second)
+    ]
+    keys = [np.ascontiguousarray(values).view(np.complex128).ravel() for values in rows]
+    unique, position = np.unique(keys[0], return_index=True)
+    index = np.minimum(np.searchsorted(unique, keys[1]), len(unique) - 1)
+    matches = np.flatnonzero(unique[index] == keys[1])
+    if len(matches) < MIN_ROWS:
+        return 0
+    offsets, counts = np.unique(position[index[matches]] - matches, return_counts=True)
+    offset = int(offsets[np.argmax(counts)])
+    start, stop = max(0, -offset), min(len(keys[1]), len(keys[0]) - offset)
+    equal = keys[0][start + offset : stop + offset] == keys[1][start:stop]
+    count = max(stop - start for start, stop in runs_of(equal))
+    return count if count >= MIN_ROWS else 0
+
+
+def is_copy(first: Recording, second: Recording) -> bool:
+    """Return whether two recordings have the same samples, in any unit."""
+    axis = first.axis
+    kinds = [{(c.quantity, c.axis) for c in r.channels} for r in (first, second)]
+    if first.samples != second.samples or kinds[0] != kinds[1] or axis not in first.complete_axes:
+        return False
+    for step in (max(first.samples // _FIRST_SAMPLES, 1), 1):
+        if _rms_difference(*(r.voltage_V(axis)[::step] for r in (first, second))) > SAME_DRIVE:
+            return False
+    displacements = [r.displacement_m(axis) for r in (first, second)]
+    spreads = [float(values.std()) for values in displacements]
+    if not min(spreads) > 0.0:
+        return False
+    decades = np.log10(spreads[0] / spreads[1])  # another unit is a whole power of ten
+    if abs(decades - np.round(decades)) > SAME_DRIVE:
+        return False
+    difference = _rms_difference(*displacements)
+    return difference <= MAX_DIFFERENCE * noise_rms(displacements[0]) / spreads[0]
+
+
+def _rms_difference(*signals: Array) -> float:
+    """Return the rms of the difference of two signals, each scaled to mean 0 and rms 1."""
+    first, second = (
+        (values - values.mean()) / (spread if (spread := float(values.std())) > 0 else 1.0)
+        for values in signals
     )
+    return float(np.sqrt(np.mean((first - second) ** 2)))

@@ -92,7 +92,10 @@ def read_table(path: Path, text: TextFormat | None = None) -> RawTable:
 def read_table_in_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     """Yield the chunks of a file; refuse formats that are only read as a whole.
 
-    rows  approximate number of rows of a chunk
+    rows  a chunk has so many to twice as many, and only the last one may have fewer
+
+    Every chunk begins with the last row of the previous one, so that a gap between two chunks lies
+    inside one of them.
     """
     reader = next((reader for reader in READERS if reader.recognises(source)), None)
     if reader is None or reader.read_chunks is None:
@@ -104,7 +107,7 @@ def read_table_in_chunks(source: Source, rows: int) -> Iterator[RawTable]:
             remedy="Export the recording in one of these formats, or cut it into files that fit "
             "into memory.",
         )
-    if source.is_gzip and not reader.reads_gzip:
+    if source.is_gzip and not reader.has_text_layout:
         raise unreadable(
             source.name,
             f"it is {reader.name} compressed by gzip, which can only be read from front to back",
@@ -112,8 +115,17 @@ def read_table_in_chunks(source: Source, rows: int) -> Iterator[RawTable]:
             remedy="Unpack it with gunzip; or read it whole if it fits into memory.",
         )
     with library_errors(source, reader):
+        chunk: RawTable | None = None
         for table in reader.read_chunks(source, rows):
-            yield replace(table, name=source.name, digest=source.digest, format=reader.name)
+            table = replace(table, name=source.name, digest=source.digest, format=reader.name)
+            if chunk is None or chunk.rows + table.rows < 2 * rows:  # a short remainder
+                chunk = table if chunk is None else chunk.followed_by(table)
+                continue
+            yield chunk
+            last_row = chunk.part(slice(chunk.rows - 1, chunk.rows), source.name)
+            chunk = replace(last_row, statements=()).followed_by(table)
+        if chunk is not None:
+            yield chunk
 
 
 def is_approach_curve(table: RawTable) -> bool:

@@ -43,7 +43,6 @@ def read(source: Source) -> RawTable:
     return replace(
         table_under(source, headings, body, layout, line),
         sampling_rate_Hz=rate_of(number_of(pairs.get("SAMPLE_TIME", ""), ".")),
-        metadata=pairs,
     )
 
 

@@ -6,9 +6,10 @@ compiled code, and never returns from a damaged file with a cycle.
 """
 
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any, BinaryIO
 
-from piezoid.records.readers.named_arrays import commonest_length, table_of, tables_of_pieces
+from piezoid.records.readers.named_arrays import commonest_length, table_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import MAX_COLUMNS, Source, check_growth
 from piezoid.records.table import RawTable
@@ -37,12 +38,11 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         datasets = checked_datasets(stream)
         length = commonest_length(max(d.shape, default=0) for d in datasets.values() if d.size > 1)
         columns = {name: d for name, d in datasets.items() if d.shape[:1] == (length,)}
-        check_growth(source, 8 * sum(d.size for d in columns.values()), in_memory=False)
-        pieces = (
-            {name: dataset[first : first + rows] for name, dataset in columns.items()}
-            for first in range(0, length, rows)
-        )
-        yield from tables_of_pieces(source, pieces, rows, units=_units_of(columns))
+        check_growth(source, 8 * sum(d.size for d in columns.values()))
+        units = _units_of(columns)
+        for first, stop in pairwise([*range(0, max(length - rows, 1), rows), length]):
+            arrays = {name: dataset[first:stop] for name, dataset in columns.items()}
+            yield table_of(source, arrays, units=units)
 
 
 def checked_datasets(stream: BinaryIO) -> dict[str, Any]:

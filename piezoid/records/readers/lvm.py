@@ -143,7 +143,6 @@ def _join_segments(name: str, header: dict[str, str], segments: Sequence[_Segmen
         sampling_rate_Hz=None if has_clock else rate_of(interval_s),
         segment_starts=tuple(starts),
         first_line=first_line if len(segments) == 1 else 0,
-        metadata=header,
         statements=(*(s for _, _, block, _ in segments for s in block.statements), *truncated),
     )
 

@@ -1,9 +1,7 @@
 """Tables of named arrays, as returned by libraries for binary formats."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
-from functools import partial
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,8 +16,6 @@ from piezoid.statement import Statement, finding
 MIN_TRANSPOSED_RATIO = 50
 MAX_AXES = 3  # of a stage: number of outputs and inputs of its response
 
-Arrays = Mapping[str, NDArray[Any]]
-
 
 def table_of(
     source: Source,
@@ -30,12 +26,11 @@ def table_of(
 ) -> RawTable:
     """Make a table of named arrays: each vector and each column of a matrix becomes a column.
 
-    Arrays of another than the commonest length are left out with a statement; scalars and text
-    become metadata. Durations become seconds, dates become seconds from the first date.
+    Arrays of another than the commonest length are left out with a statement, scalars and text
+    without one. Durations become seconds, dates become seconds from the first date.
     """
     units = dict(units or {})
     vectors: list[tuple[str, str, NDArray[Any]]] = []  # label, name of the array, values
-    metadata: dict[str, str] = {}
     statements: list[Statement] = []
     shapes = {name: np.asarray(value).shape for name, value in arrays.items()}
     for name, value in arrays.items():
@@ -46,7 +41,6 @@ def table_of(
             seconds = (elapsed / np.timedelta64(1, "ns") * 1e-9).round(9)
             array, units[name] = np.where(np.isnat(elapsed), np.nan, seconds), "s"
         if array.dtype.kind not in "biufc" or array.size <= 1:
-            metadata[name] = str(value)[:200]
             continue
         columns, further = _columns_of(source, name, array, shapes)
         vectors += [(label, name, values) for label, values in columns]
@@ -71,40 +65,8 @@ def table_of(
             for k, (label, name, values) in enumerate(v for v in vectors if len(v[2]) == rows)
         ),
         sampling_rate_Hz=sampling_rate_Hz,
-        metadata=metadata,
         statements=tuple(statements),
     )
-
-
-def tables_of_pieces(
-    source: Source,
-    pieces: Iterable[Arrays],
-    rows: int,
-    *,
-    units: Mapping[str, str],
-    sampling_rate_Hz: float | None = None,
-) -> Iterator[RawTable]:
-    """Yield tables of ``rows`` to ``2 rows`` rows from arrays in pieces of any length.
-
-    Each table after the first begins with the last row of the previous one.
-
-    rows  at least 2
-    """
-    table = partial(table_of, source, units=units, sampling_rate_Hz=sampling_rate_Hz)
-    pending: Arrays = {}
-    first = 0
-    for piece in pieces:
-        pending = {
-            name: np.concatenate([pending[name], values]) if pending else values
-            for name, values in piece.items()
-        }
-        while max(map(len, pending.values()), default=0) >= 2 * rows:
-            chunk = {name: values[:rows] for name, values in pending.items()}
-            yield replace(table(chunk), first_row=first)
-            pending = {name: values[rows - 1 :] for name, values in pending.items()}
-            first += rows - 1
-    if max(map(len, pending.values()), default=0) > int(first > 0):
-        yield replace(table(pending), first_row=first)
 
 
 def commonest_length(lengths: Iterable[int]) -> int:

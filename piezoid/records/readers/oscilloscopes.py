@@ -69,7 +69,6 @@ def read_tektronix(source: Source) -> RawTable:
     return replace(
         table,
         columns=(columns[0], *columns[1::2]),
-        metadata=settings,
         statements=(*truncated, *table.statements),
     )
 

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from piezoid.records.readers.named_arrays import table_of, tables_of_pieces
+from piezoid.records.readers.named_arrays import table_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_columns, check_growth
-from piezoid.records.table import RawTable
+from piezoid.records.table import Column, RawTable
 
 _BUFFER = 1 << 20  # bytes of a column chunk in memory while reading in chunks; 0: all of it
 
@@ -35,16 +35,23 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
     with source.open() as stream:
         file = ParquetFile(stream, buffer_size=_BUFFER, pre_buffer=False)
         numbers = (types.is_floating, types.is_integer)
-        units = _checked_units(source, file, numbers, in_memory=False)
-        pieces = (
-            {name: batch.column(name).to_numpy(zero_copy_only=False) for name in units}
-            for batch in file.iter_batches(batch_size=rows, columns=list(units), use_threads=False)
-        )
-        yield from tables_of_pieces(source, pieces, rows, units=units)
+        units = _checked_units(source, file, numbers)
+        batches = file.iter_batches(batch_size=rows, columns=list(units), use_threads=False)
+        for batch in batches:
+            columns = (
+                Column(
+                    number=k,
+                    label=name,
+                    declared_unit=unit,
+                    values=batch.column(name).to_numpy(zero_copy_only=False),
+                )
+                for k, (name, unit) in enumerate(units.items(), 1)
+            )
+            yield RawTable(columns=tuple(columns))
 
 
 def _checked_units(
-    source: Source, file: Any, kinds: Iterable[Callable[[Any], bool]], *, in_memory: bool = True
+    source: Source, file: Any, kinds: Iterable[Callable[[Any], bool]]
 ) -> dict[str, str]:
     """Return the units of the columns of some types by name; empty for an unknown unit.
 
@@ -57,9 +64,9 @@ def _checked_units(
     }
     metadata = file.metadata
     check_columns(source.name, metadata.num_columns)
-    check_growth(source, 8 * metadata.num_rows * len(units), in_memory=in_memory)
+    check_growth(source, 8 * metadata.num_rows * len(units))
     groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
-    check_growth(source, sum(group.total_byte_size for group in groups), in_memory=in_memory)
+    check_growth(source, sum(group.total_byte_size for group in groups))
     return units
 
 

@@ -20,14 +20,12 @@ class Reader:
                      formats are similar)
     read             returns the table, without the file's name, digest and format; a damaged file
                      raises ``UnreadableFileError``
-    read_chunks      yields the table in chunks of about the given number of rows; None if the
-                     format is only read as a whole. Every chunk begins with the last row of the
-                     previous one, so that a gap between two chunks lies inside one of them.
-    reads_gzip       whether ``read_chunks`` also reads files compressed by gzip: from front to
-                     back, without seeking
+    read_chunks      yields the table in chunks of at most about the given number of rows; None if
+                     the format is only read as a whole
     library          whether a library reads the format; its errors then mean a damaged file
     extra            the extra of the installation that contains the library, empty for none
-    has_text_layout  whether ``separator``, ``decimal`` and ``heading_row`` of lab.toml apply
+    has_text_layout  whether ``separator``, ``decimal`` and ``heading_row`` of lab.toml apply;
+                     ``read_chunks`` then also reads files compressed by gzip, front to back
     """
 
     name: str
@@ -35,7 +33,6 @@ class Reader:
     recognises: Callable[[Source], bool]
     read: Callable[[Source], RawTable]
     read_chunks: Callable[[Source, int], Iterator[RawTable]] | None = None
-    reads_gzip: bool = False
     library: bool = False
     extra: str = ""
     has_text_layout: bool = False

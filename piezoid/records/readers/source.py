@@ -76,6 +76,7 @@ class Source:
     head          the first bytes of the content, decompressed
     is_gzip       whether the file as a whole is compressed by gzip
     decompressed  the content of a compressed file if it is in memory, else None
+    in_memory     whether the file is read as a whole; otherwise in chunks, of any size
     text          layout of a text table, as declared in lab.toml
     """
 
@@ -85,6 +86,7 @@ class Source:
     head: bytes
     is_gzip: bool
     decompressed: bytes | None
+    in_memory: bool = True
     text: TextFormat = TextFormat()
 
     @property
@@ -94,13 +96,13 @@ class Source:
 
     def open(self) -> BinaryIO:
         """Open the content as a binary stream."""
-        in_memory = self.decompressed
-        return self.path.open("rb") if in_memory is None else io.BytesIO(in_memory)
+        content = self.decompressed
+        return self.path.open("rb") if content is None else io.BytesIO(content)
 
     def size(self) -> int:
         """Return the number of bytes of the content."""
-        in_memory = self.decompressed
-        return self.path.stat().st_size if in_memory is None else len(in_memory)
+        content = self.decompressed
+        return self.path.stat().st_size if content is None else len(content)
 
 
 def open_source(path: Path, *, in_memory: bool = True) -> Source:
@@ -150,6 +152,7 @@ def open_source(path: Path, *, in_memory: bool = True) -> Source:
         head=head,
         is_gzip=is_gzip,
         decompressed=decompressed if in_memory else None,
+        in_memory=in_memory,
     )
 
 
@@ -172,14 +175,11 @@ def growth_limit(size: int, *, in_memory: bool = True) -> int:
     return min(SIZE_LIMIT, grown) if in_memory else grown
 
 
-def check_growth(source: "Source", size: int, *, in_memory: bool = True) -> None:
-    """Refuse content of ``size`` bytes with an implausibly high compression ratio.
-
-    in_memory  True: also refuse content that does not fit into memory
-    """
-    limit = growth_limit(source.path.stat().st_size, in_memory=in_memory)
+def check_growth(source: Source, size: int) -> None:
+    """Refuse content of ``size`` bytes that grew implausibly or does not fit into memory."""
+    limit = growth_limit(source.path.stat().st_size, in_memory=source.in_memory)
     check_size(source.name, size, limit)
-    if in_memory:
+    if source.in_memory:
         check_memory(source.name, size)
 
 

@@ -1,9 +1,10 @@
 """LabVIEW ``.tdms``: channels of groups, with unit and clock among their properties."""
 
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any
 
-from piezoid.records.readers.named_arrays import commonest_length, table_of, tables_of_pieces
+from piezoid.records.readers.named_arrays import commonest_length, table_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
 from piezoid.records.table import RawTable, rate_of
@@ -28,16 +29,12 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         channels = _named_channels(source, file)
         length = commonest_length(len(c) for c in channels.values() if len(c) > 1)
         columns = {name: c for name, c in channels.items() if len(c) == length}
-        check_growth(source, 8 * length * len(columns), in_memory=False)
-        pieces = (
-            {
-                name: channel.read_data(offset=first, length=min(rows, length - first))
-                for name, channel in columns.items()
-            }
-            for first in range(0, length, rows)
-        )
+        check_growth(source, 8 * length * len(columns))
         units, rate_Hz = _units_and_rate_Hz(source, channels)
-        yield from tables_of_pieces(source, pieces, rows, units=units, sampling_rate_Hz=rate_Hz)
+        for first, stop in pairwise([*range(0, max(length - rows, 1), rows), length]):
+            count = stop - first
+            arrays = {n: c.read_data(offset=first, length=count) for n, c in columns.items()}
+            yield table_of(source, arrays, units=units, sampling_rate_Hz=rate_Hz)
 
 
 def _open_file(stream: object) -> Any:

@@ -1,6 +1,5 @@
 """Layout of a text table: its first row, separator and decimal mark, headings and units."""
 
-import json
 import re
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -11,6 +10,7 @@ import numpy as np
 from piezoid.errors import LabFileError
 from piezoid.numerics.arrays import Array
 from piezoid.records.column_roles import meaning_of
+from piezoid.records.lab_tables import entry_text
 from piezoid.records.readers.source import TextFormat, check_columns, unreadable
 from piezoid.records.readers.text_numbers import Layout, cells_of, number_of, refuse_prefix, split
 from piezoid.records.units import heading_of, unit_of
@@ -137,8 +137,7 @@ def _refuse_other_fields_than_headings(lines: list[str], start: TableStart, name
     remedy = "Export with decimal points, or with semicolons between the columns"
     if heading_count < layout.fields - 1:
         remedy += (
-            "; or declare the layout of the rows in lab.toml:\n\n[[recording]]\n"
-            f"file = {json.dumps(name)}\n{entry}\n"
+            f"; or declare the layout of the rows in lab.toml:\n\n{entry_text(name, entry)}\n"
         )
     raise unreadable(
         name,
@@ -170,8 +169,8 @@ def _refuse_possible_thousands(lines: list[str], start: TableStart, name: str) -
                 f"column {k + 1} holds {example!r} beside whole numbers below a thousand: does "
                 "the comma mark decimals or thousands?",
                 needed="one meaning of the comma",
-                remedy="Write into lab.toml which character marks decimals:\n\n[[recording]]\n"
-                f'file = {json.dumps(name)}\ndecimal = "."\n',
+                remedy="Write into lab.toml which character marks decimals:\n\n"
+                + entry_text(name, 'decimal = "."\n'),
             )
 
 

@@ -6,15 +6,16 @@ Cells may hold complex numbers: ``0.2-0.03i``, ``(0.2-0.03j)``, ``0.2+-0.03j``.
 import gzip
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import BinaryIO
+from typing import Any
 
 import numpy as np
 
 from piezoid.records.readers.named_arrays import complex_statement
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import (
+    FREE_SIZE,
     Source,
     check_growth,
     encoding_of,
@@ -101,23 +102,13 @@ def _read_numbers(source: Source, text: str) -> RawTable:
     """Read a table of real numbers."""
     start = find_table(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
     body = text.split("\n", start.row)[-1] if start.row else text
-    line = start.row + 1
-    block, segment_starts, statements = parse_rows(body, start, source.name, line)
-    start = with_headings_beside_row_numbers(start, block.columns[0])
-    table = _table(start, body, line, block, segment_starts)
-    return replace(
-        table, statements=(*statements, *block.statements, *_statements_of_file(start, block))
-    )
+    return next(_tables(source, start, [body]))
 
 
 def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
-    """Yield a text table in chunks; layout and headings are those of the file's beginning.
-
-    Columns of text at the beginning are left out throughout; other columns are NaN in chunks in
-    which they hold only text.
-    """
+    """Yield a text table in chunks; layout and headings are those of the file's beginning."""
     with source.path.open("rb") as raw:
-        packed = io.BufferedReader(_BoundedGzip(source, raw)) if source.is_gzip else raw
+        packed: Any = gzip.GzipFile(fileobj=raw) if source.is_gzip else raw
         # ``text_of`` decodes in the same way, except for errors behind the file's beginning.
         stream = io.TextIOWrapper(packed, encoding=encoding_of(source.head), errors="replace")
         lines: list[str] = []
@@ -130,36 +121,53 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
         stream.seek(0)
         for _ in range(start.row):
             stream.readline()
-        textual: frozenset[int] | None = None
-        line, first_row = start.row + 1, 0
-        for text in _line_chunks(stream, rows, source):
-            block, segment_starts, statements = parse_rows(text, start, source.name, line)
-            if block.stamped:
-                raise unreadable(
-                    source.name,
-                    f"column {min(block.stamped) + 1} holds dates from line {line} on",
-                    needed="times in seconds, if a file is read in chunks",
-                    remedy="Write the time as seconds, or state sampling_rate_Hz for the file in "
-                    "lab.toml and name its other columns there.",
-                    line=line,
-                )
-            if textual is None:
-                start = with_headings_beside_row_numbers(start, block.columns[0])
-                textual = block.textual
-                statements = (*statements, *_statements_of_file(start, block))
-            block = replace(
-                block,
-                textual=textual,
-                columns=tuple(
-                    np.full_like(values, np.nan) if k in block.textual else values
-                    for k, values in enumerate(block.columns)
-                ),
+        yield from _tables(source, start, _line_chunks(stream, rows, source))
+
+
+def _tables(source: Source, start: TableStart, bodies: Iterable[str]) -> Iterator[RawTable]:
+    """Yield the columns of numbers of a text in one or more parts, each under its heading.
+
+    Columns of text in the first part are left out throughout; other columns are NaN in parts in
+    which they hold only text.
+    """
+    textual: frozenset[int] | None = None
+    line = start.row + 1
+    for body in bodies:
+        block, segment_starts = parse_rows(body, start, source.name, line)
+        statements = block.statements
+        if block.stamped and not source.in_memory:
+            raise unreadable(
+                source.name,
+                f"column {min(block.stamped) + 1} holds dates from line {line} on",
+                needed="times in seconds, if a file is read in chunks",
+                remedy="Write the time as seconds, or state sampling_rate_Hz for the file in "
+                "lab.toml and name its other columns there.",
+                line=line,
             )
-            table = _table(start, text, line, block, segment_starts)
-            statements = (*statements, *block.statements)
-            yield replace(table, first_row=first_row, statements=statements)
-            line += text.rstrip("\n").count("\n")
-            first_row += len(block.columns[0]) - 1
+        if textual is None:
+            start = with_headings_beside_row_numbers(start, block.columns[0])
+            textual = block.textual
+            statements = (*statements, *_statements_of_file(start, block))
+        columns = tuple(
+            Column(
+                number=k + 1,
+                label=start.labels[k],
+                declared_unit="s" if k in block.stamped else start.units[k].strip(UNIT_BRACKETS),
+                values=np.full_like(values, np.nan) if k in block.textual else values,
+            )
+            for k, values in enumerate(block.columns)
+            if k not in textual
+        )
+        has_other_lines = "\n\n" in body.rstrip("\n") or bool(without_comments(body, line)[1])
+        yield RawTable(
+            columns=columns,
+            # With other lines between the rows the line of a row is unknown.
+            first_line=0 if has_other_lines or segment_starts else line,
+            segment_starts=segment_starts,
+            metadata=metadata_of(start.above),
+            statements=statements,
+        )
+        line += body.count("\n")
 
 
 def table_under(
@@ -176,30 +184,6 @@ def table_under(
         for k, ((label, unit), values) in enumerate(zip(headings, block.columns, strict=False))
     )
     return RawTable(columns=columns, first_line=line, statements=block.statements)
-
-
-def _table(
-    start: TableStart, body: str, line: int, block: NumberTable, segment_starts: tuple[int, ...]
-) -> RawTable:
-    """Return the columns of numbers, each under its heading."""
-    columns = tuple(
-        Column(
-            number=k + 1,
-            label=start.labels[k],
-            declared_unit="s" if k in block.stamped else start.units[k].strip(UNIT_BRACKETS),
-            values=values,
-        )
-        for k, values in enumerate(block.columns)
-        if k not in block.textual
-    )
-    has_other_lines = "\n\n" in body.rstrip("\n") or bool(without_comments(body, line)[1])
-    return RawTable(
-        columns=columns,
-        # With other lines between the rows the line of a row is unknown.
-        first_line=0 if has_other_lines or segment_starts else line,
-        segment_starts=segment_starts,
-        metadata=metadata_of(start.above),
-    )
 
 
 def _statements_of_file(start: TableStart, block: NumberTable) -> list[Statement]:
@@ -220,31 +204,30 @@ def _statements_of_file(start: TableStart, block: NumberTable) -> list[Statement
 
 def parse_rows(
     body: str, start: TableStart, name: str, line: int
-) -> tuple[NumberTable, tuple[int, ...], tuple[Statement, ...]]:
+) -> tuple[NumberTable, tuple[int, ...]]:
     """Return the numbers of a table, without comments and headings among its rows.
 
     line      of the first row
-    returned  block, first rows behind each repeated heading, statements about removed lines
+    returned  block, with statements about removed lines; first rows behind each repeated heading
 
     Raises ``UnreadableFileError`` for other headings among the rows, which change the meaning of
     the columns.
     """
     rows, remarks = without_comments(body, line)
     block = parse_numbers(rows, start.layout, name, line)
-    if not remarks and not any(
-        statement.quantity == "not_a_number" for statement in block.statements
-    ):
-        return block, (), ()
+    if not remarks and all(s.quantity != "not_a_number" for s in block.statements):
+        return block, ()
     body, segment_starts, heading_lines = drop_repeated_headings(body, start, name, line)
-    if not heading_lines:
-        return block, (), remarks
-    rows, remarks = without_comments(body, line)
-    text = (
-        f"the headings are repeated at {len(heading_lines)} places, as in a file of several runs: "
-        "each has a separate initial state"
-    )
-    statement = finding("repeated_heading", text, place=f"line {heading_lines[0]}")
-    return parse_numbers(rows, start.layout, name, line), segment_starts, (*remarks, statement)
+    if heading_lines:
+        rows, remarks = without_comments(body, line)
+        text = (
+            f"the headings are repeated at {len(heading_lines)} places, as in a file of several "
+            "runs: each has a separate initial state"
+        )
+        location = f"line {heading_lines[0]}"
+        remarks = (*remarks, finding("repeated_heading", text, place=location))
+        block = parse_numbers(rows, start.layout, name, line)
+    return replace(block, statements=(*remarks, *block.statements)), segment_starts
 
 
 def metadata_of(lines: Sequence[str]) -> dict[str, str]:
@@ -259,26 +242,10 @@ def metadata_of(lines: Sequence[str]) -> dict[str, str]:
     return metadata
 
 
-class _BoundedGzip(gzip.GzipFile):
-    """A gzip stream that is refused if its compression ratio is implausible."""
-
-    def __init__(self, source: Source, packed: BinaryIO) -> None:
-        super().__init__(fileobj=packed)
-        self._source = source
-
-    def read(self, size: int | None = -1) -> bytes:
-        content = super().read(size)
-        check_growth(self._source, self.tell(), in_memory=False)
-        return content
-
-
-def _line_chunks(stream: io.TextIOWrapper, rows: int, source: Source) -> Iterator[str]:
-    """Yield whole lines of about ``rows`` rows; each begins with the last line of the previous.
-
-    A short remainder belongs to the last chunk.
-    """
+def _line_chunks(stream: "io.TextIOWrapper[Any]", rows: int, source: Source) -> Iterator[str]:
+    """Yield whole lines of about ``rows`` rows; a short remainder belongs to the last chunk."""
     text = stream.readline(MAX_LINE)
-    characters = max(rows, 2) * len(text)
+    characters = min(rows * len(text), FREE_SIZE)
     text += _whole_lines(stream, characters, source)
     while text:
         next_text = _whole_lines(stream, characters, source)
@@ -286,12 +253,12 @@ def _line_chunks(stream: io.TextIOWrapper, rows: int, source: Source) -> Iterato
             yield text + next_text
             return
         yield text
-        lines = text.rstrip("\n")
-        text = lines[lines.rfind("\n") + 1 :] + "\n" + next_text
+        text = next_text
 
 
-def _whole_lines(stream: io.TextIOWrapper, characters: int, source: Source) -> str:
+def _whole_lines(stream: "io.TextIOWrapper[Any]", characters: int, source: Source) -> str:
     text, end_of_line = stream.read(characters), ""
+    check_growth(source, stream.buffer.tell())
     if text and not text.endswith("\n"):
         end_of_line = stream.readline(MAX_LINE)
     if "\x00" in text:
@@ -324,6 +291,5 @@ READER = Reader(
     recognises=recognises,
     read=lambda source: read_text(source, text_of(source)),
     read_chunks=read_chunks,
-    reads_gzip=True,
     has_text_layout=True,
 )

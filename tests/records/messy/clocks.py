@@ -28,8 +28,6 @@ from tests.records.messy.writers import (
     with_rows,
 )
 
-WRAPPED = frozenset({"wrapped_clock"})
-
 
 def counter(first: int, bits: int, heading: str, ticks: int, low: int = 0) -> Write:
     """Write stamps of a counter of so many bits, ``ticks`` a sample, under its heading."""
@@ -43,26 +41,13 @@ FILES: tuple[Messy, ...] = (
         "newest_first.csv",
         "the newest row first",
         with_rows(lambda rows: [rows[0], *rows[:0:-1]]),
-        refused="the newest row is the first",
         lines="reverse = true\n",
     ),
-    Messy(
-        "rows_twice.csv",
-        "60 rows written twice",
-        with_rows(twice),
-        problems=frozenset({"repeated_rows"}),
-    ),
-    Messy(
-        "block_twice.csv",
-        "a block of 60 rows written again",
-        with_rows(lambda rows: [*rows[:161], *rows[101:161], *rows[161:]]),
-        problems=frozenset({"repeated_rows"}),
-    ),
+    Messy("rows_twice.csv", "60 rows written twice", with_rows(twice)),
     Messy(
         "jitter.csv",
         "stamps that scatter by 5 %",
         clocked(TIME_s + np.random.default_rng(3).normal(0, 5e-5, SAMPLES), "{:.6f}".format),
-        problems=frozenset({"jitter"}),
     ),
     Messy(
         "gap.csv",
@@ -70,13 +55,11 @@ FILES: tuple[Messy, ...] = (
         text(lines(table=columns(at(*range(150, 190))))),
         kept=at(*range(150, 190)),
         breaks=1,
-        problems=frozenset({"gap"}),
     ),
     Messy(
         "stall.csv",
         "a clock that stands and catches up",
         clocked(np.where((EVERY > 99) & (EVERY < 110), TIME_s[100], TIME_s)),
-        problems=frozenset({"duplicate_time"}),
     ),
     Messy(
         "coarse_clock.csv",
@@ -120,40 +103,20 @@ FILES: tuple[Messy, ...] = (
         "random_clock.csv",
         "no uniform clock",
         clocked(np.cumsum(np.random.default_rng(4).uniform(0, 2e-3, SAMPLES)), "{:.6f}".format),
-        refused="Needed: samples at a uniform rate",
     ),
-    Messy(
-        "two_rates.csv",
-        "256 Hz, then 2048 Hz",
-        two_rates,
-        problems=frozenset({"several_rates"}),
-        kept=np.zeros(0, dtype=int),
-    ),
+    Messy("two_rates.csv", "256 Hz, then 2048 Hz", two_rates, kept=np.zeros(0, dtype=int)),
     Messy(
         "bursts.csv",
         "bursts of 100 samples, a second between",
         clocked(TIME_s + EVERY // 100),
         breaks=3,
-        problems=frozenset({"gap"}),
-    ),
-    Messy(
-        "micros.csv",
-        "a 32-bit counter of microseconds that begins anew",
-        counter(2**32 - 150_200, 32, "time [us]", 1000),
-        problems=WRAPPED,
     ),
     Messy(
         "signed.csv",
         "a 32-bit counter with a sign, which turns negative",
         counter(2**31 - 150_200, 32, "time (µs)", 1000, low=-(2**31)),
-        problems=WRAPPED,
     ),
-    Messy(
-        "millis.csv",
-        "a 16-bit counter of milliseconds",
-        counter(65_400, 16, "t [ms]", 1),
-        problems=WRAPPED,
-    ),
+    Messy("millis.csv", "a 16-bit counter of milliseconds", counter(65_400, 16, "t [ms]", 1)),
     Messy(
         "noon.csv",
         "times with AM and PM, across noon",
@@ -169,13 +132,11 @@ FILES: tuple[Messy, ...] = (
                 written="{:.6f}".format,
             )
         ),
-        refused="are both a time",
     ),
     Messy(
         "rate_in_comment.csv",
         "the rate only in a comment",
         text(["# fs = 1000 Hz", *lines(table=columns()[:, 1:], names=NAMES[1:])]),
-        refused="states no sampling rate",
         lines="sampling_rate_Hz = 1000.0\n",
     ),
 )

@@ -55,24 +55,18 @@ FILES: tuple[Messy, ...] = (
         with_rows(lambda rows: [rows[0], *(f"{k},{row}" for k, row in enumerate(rows[1:]))]),
     ),
     Messy(
-        "no_heading.csv",
-        "no headings at all",
-        with_rows(lambda rows: rows[1:]),
-        refused="no column is a drive voltage or a displacement",
-        lines=BY_NUMBER,
+        "no_heading.csv", "no headings at all", with_rows(lambda rows: rows[1:]), lines=BY_NUMBER
     ),
     Messy(
         "far_heading.csv",
         "headings above other words",
         with_rows(lambda rows: [rows[0], "first run", "after lunch", *rows[1:]]),
-        refused="no column is a drive voltage or a displacement",
         lines="heading_row = 1\n",
     ),
     Messy(
         "no_units.csv",
         "headings without units",
         text(lines(names=("t", "U", "position"))),
-        refused="is a time without a unit",
         lines='columns = { time = "t", voltage = "U", displacement = "position" }\n' + UNITS,
     ),
     Messy(
@@ -84,7 +78,6 @@ FILES: tuple[Messy, ...] = (
                 *(f"{row},{k}" for k, row in enumerate(rows[1:])),
             ]
         ),
-        refused="both claim to be the displacement",
         lines="columns = { time = 1, voltage = 2, displacement = 3 }\n",
     ),
     Messy(
@@ -101,20 +94,17 @@ FILES: tuple[Messy, ...] = (
         "comments.csv",
         "comments between the rows",
         with_rows(lambda rows: [*rows[:200], "# paused to drink coffee", *rows[200:]]),
-        problems=frozenset({"comment_lines"}),
     ),
     Messy(
         "footer.csv",
         "words behind the last row",
         with_rows(lambda rows: [*rows, "", "end of data"]),
-        problems=frozenset({"not_a_number", "missing_values"}),
     ),
     Messy(
         "cut_row.csv",
         "the last row cut in its middle",
         with_rows(lambda rows: [*rows[:-1], rows[-1][:8]]),
         kept=EVERY[:-1],
-        problems=frozenset({"missing_values"}),
     ),
     Messy(
         "words.csv",
@@ -122,7 +112,6 @@ FILES: tuple[Messy, ...] = (
         with_last_cells("OVERLOAD", 50, 51, 52),
         kept=at(49, 50, 51),
         breaks=1,
-        problems=frozenset({"not_a_number", "missing_values"}),
     ),
     Messy(
         "holes.csv",
@@ -130,13 +119,11 @@ FILES: tuple[Messy, ...] = (
         with_last_cells("", 50, 51, 300, 301),
         kept=at(49, 50, 299, 300),
         breaks=2,
-        problems=frozenset({"missing_values"}),
     ),
     Messy(
         "run_twice.csv",
         "a whole run pasted twice, heading and all",
         with_rows(lambda rows: [*rows, *rows]),
-        problems=frozenset({"repeated_heading", "repeated_rows"}),
     ),
     Messy(
         "two_runs.csv",
@@ -144,7 +131,6 @@ FILES: tuple[Messy, ...] = (
         text([*lines(), *lines(table=np.column_stack([TIME_s[:300], columns()[100:, 1:]]))]),
         kept=np.concatenate([EVERY, EVERY[100:]]),
         breaks=1,
-        problems=frozenset({"repeated_heading", "time_reversed"}),
     ),
     Messy(
         "quoted_headings.csv",
@@ -161,19 +147,16 @@ FILES: tuple[Messy, ...] = (
         "the heading once more in the middle",
         with_rows(lambda rows: [*rows[:MIDDLE], rows[0], *rows[MIDDLE:]]),
         breaks=1,
-        problems=frozenset({"repeated_heading"}),
     ),
     Messy(
         "other_unit.csv",
         "a second heading in the middle, in millivolts",
         headed_anew(columns() * [1, 1e3, 1], ("time [s]", "voltage [mV]", "position [um]")),
-        refused="line 202 heads the columns anew",
     ),
     Messy(
         "other_comment.csv",
         "a comment in the middle that heads millivolts",
         headed_anew(columns() * [1, 1e3, 1], ("# time [s]", "voltage [mV]", "position [um]")),
-        refused="line 202 heads the columns anew",
     ),
     Messy(
         "put_together.csv",
@@ -186,18 +169,10 @@ FILES: tuple[Messy, ...] = (
             ]
         ),
         breaks=1,
-        problems=frozenset({"repeated_heading"}),
     ),
     Messy(
         "other_order.csv",
         "a second heading in the middle, its columns exchanged",
         headed_anew(columns()[:, [0, 2, 1]], [NAMES[k] for k in (0, 2, 1)]),
-        refused="line 202 heads the columns anew",
-    ),
-    Messy(
-        "statistics.csv",
-        "mean and standard deviation below the rows",
-        with_rows(lambda rows: [*rows, "mean,50.0,9.0", "std,28.3,5.7"]),
-        problems=frozenset({"not_a_number", "missing_values"}),
     ),
 )

@@ -1,4 +1,7 @@
-"""What a messy file is, and the writers that several of them share."""
+"""What a messy file is, and the writers that several of them share.
+
+``docs/messy_files.md`` holds what happens to each: the reason of its refusal, or what is told.
+"""
 
 import io
 import struct
@@ -34,12 +37,9 @@ class Messy:
     name      of the file; its suffix may matter
     wrong     what is wrong with it, for people
     write     writes it
-    kept      the samples of the truth that must come out if it is read; None for other values
-    refused   what the refusal must say
-    problems  the kinds of problems that must be told, these and no others
+    kept      the samples of the truth that must come out if it is read; none for other values
     breaks    how often memory is interrupted
-    lines     of its entry in lab.toml, with which a refused file is read
-    mended    the problems told then
+    lines     of its entry in lab.toml, with which its values are the true ones
     beside    whether it is inspected beside the clean file
     """
 
@@ -47,12 +47,9 @@ class Messy:
     wrong: str
     write: Write
     _: KW_ONLY
-    kept: np.ndarray | None = field(default_factory=lambda: EVERY)
-    refused: str = ""
-    problems: frozenset[str] = frozenset()
+    kept: np.ndarray = field(default_factory=lambda: EVERY)
     breaks: int = 0
     lines: str = ""
-    mended: frozenset[str] = frozenset()
     beside: bool = False
 
 
@@ -275,8 +272,6 @@ def at(*places: int) -> np.ndarray:
     return np.setdiff1d(EVERY, places)
 
 
-FIT = frozenset({"does_not_fit"})
-COPY = frozenset({"copy"})
 COUNTS = "scale = { displacement = 1e-10 }\n"
 UNITS = 'units = { time = "s", voltage = "V", displacement = "um" }\n'
 BY_NUMBER = "columns = { time = 1, voltage = 2, displacement = 3 }\n" + UNITS
