@@ -167,7 +167,7 @@ STAGES: Mapping[str, Callable[[], tuple[Recording, ...]]] = {
 
 
 # Extended together with loop shape; for a periodic error: test_loop_shape.py.
-WITH_LOOP_SHAPE = ("gain_change", "creep", "delay")
+WITH_LOOP_SHAPE = ("gain_change", "delay")
 
 
 @cache
@@ -313,7 +313,8 @@ def test_an_amplifier_many_times_too_slow_is_found_and_is_no_butterfly() -> None
     """The fastest recording goes against its drive; slow ones say that the ceramic does not."""
     limit_V_per_s = 12.5
     step = limit_V_per_s / (5.0 * RATE_Hz)
-    recordings = recorded(SPEEDS, reaches=lambda drive: slewed(drive, step), law="sum of plays")
+    drives = {name: SPEEDS[name] for name in ("loops", "fast", "slow")}
+    recordings = recorded(drives, reaches=lambda drive: slewed(drive, step), law="sum of plays")
     (finding,) = effects_of(diagnose(recordings))
     assert finding.effect == "slew_limit"
     assert finding.size.value == pytest.approx(limit_V_per_s, rel=2e-3)
