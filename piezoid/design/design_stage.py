@@ -323,16 +323,16 @@ def _unknown_rate(model: ActuatorModel, lab: Lab, *, needs_pole: bool = False) -
 
     needs_pole  whether the model has no pole either, which a rate alone does not mend
     """
-    found = f"stage {model.stage}: the fit had no sampling rate of the controller"
+    problem = f"stage {model.stage}: the fit had no sampling rate of the controller"
     needed = "the rate at which the controller will run"
     rate_Hz = lab.acquisition.sampling_rate_Hz
     if rate_Hz is not None:
-        found += f", which {lab.place} now states as {rate_Hz:g} Hz"
+        problem += f", which {lab.place} now states as {rate_Hz:g} Hz"
         remedy = f"Fit again with {lab.place}"
     else:
         remedy = "Write sampling_rate_Hz under [acquisition] in lab.toml and fit again"
     if needs_pole:
-        found += ", and no pole of the stage"
+        problem += ", and no pole of the stage"
         needed += ", and a pole that limits the speed of the stage"
         remedy += (
             ", with bandwidth_Hz of [amplifier] or [sensor] or with a recording that excites the "
@@ -340,4 +340,4 @@ def _unknown_rate(model: ActuatorModel, lab: Lab, *, needs_pole: bool = False) -
         )
     else:
         remedy += ", or run `piezoid design FOLDER --rate HZ`."
-    return DesignError(found, needed=needed, remedy=remedy)
+    return DesignError(problem, needed=needed, remedy=remedy)

@@ -296,13 +296,13 @@ def _no_pole(axis: AxisModel, rate_Hz: float) -> DesignError:
         )
     rig = axis.rig
     is_declared = (rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz) != (None, None)
-    found = "no pole is declared, and none was fitted"
+    problem = "no pole is declared, and none was fitted"
     remedy = "Declare bandwidth_Hz of [amplifier] or [sensor] in lab.toml, or add a recording"
     if is_declared:
-        found = "the declared poles are too fast to matter, and no slower one was fitted"
+        problem = "the declared poles are too fast to matter, and no slower one was fitted"
         remedy = "Choose a higher rate, or add a recording"
     return DesignError(
-        f"axis {axis.axis} at {rate_Hz:g} Hz: {found}{note}",
+        f"axis {axis.axis} at {rate_Hz:g} Hz: {problem}{note}",
         needed="a pole that limits the speed of the stage: without it any gain would look safe",
         remedy=f"{remedy} that excites the dynamics (a small chirp) and fit again.",
     )

@@ -194,11 +194,14 @@ def clocks_of(table: RawTable) -> list[Column]:
 def missing_column(table: RawTable, lab: Lab, key: str, name_or_number: str | int) -> LabFileError:
     """Return the error for a column that lab.toml names and the file does not have."""
     columns = ", ".join(f"{c.number} {c.label!r}" for c in table.columns[:20])
+    remedy = f"Correct 'columns' of the entry for {table.name}."
+    if isinstance(name_or_number, str) and name_or_number.isdigit():
+        remedy = f"Write column numbers without quotes: {key} = {name_or_number}."
     return LabFileError(
         f"{lab.place}: {table.name} has no column {name_or_number!r} of its own for {key!r}, only "
         f"{columns}",
         needed="one column of the file, by heading or by number from 1, for each name",
-        remedy=f"Correct 'columns' of the entry for {table.name}.",
+        remedy=remedy,
     )
 
 

@@ -26,6 +26,7 @@ from piezoid.records.response_ingest import ingest_response
 from piezoid.records.table import RawTable
 from piezoid.records.units import unit_of
 
+SCALE_NOTE = "If a recording has the high voltage, add the scale 1 / gain to its entry below."
 HEAD = f"""\
 # Description of the rig, drafted by `piezoid init` from the recordings below. Lines that begin
 # with # are comments. Everything is optional: complete the values that you know, remove the #,
@@ -34,7 +35,7 @@ HEAD = f"""\
 [rig]
 # name = "stage 42"              # heads the report
 
-{fill(DRIVE_VOLTAGE_NOTE, 98, initial_indent="# ", subsequent_indent="# ")}
+{fill(f"{DRIVE_VOLTAGE_NOTE} {SCALE_NOTE}", 98, initial_indent="# ", subsequent_indent="# ")}
 
 [amplifier]                      # between the controller's output and the piezo
 # gain_V_per_V = 15
