@@ -104,8 +104,8 @@ def _reason(verification: Verification) -> str:
     return (
         f"its own verification failed, {len(failed)} of {len(verification.verdicts)} checks: "
         f"{described}{omitted}. Figures for study are in refused/; read there which scenario "
-        "fails, record what the model lacks (a chirp or multisine through the first resonance, "
-        "sampled at three times its frequency, and slow full loops), and fit again"
+        "fails. Record what the model lacks, slow full loops and a chirp or multisine through the "
+        "first resonance, sampled at three times its frequency. Then fit again"
     )
 
 
