@@ -49,8 +49,8 @@ def fitted(folder: Path, field: Array, reading_um: Array) -> AxisModel:
 
 
 def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
-    field = triangles(1, 900)
-    sweep = write(tmp_path / "sweep.csv", field, 10 * LAWS["preisach"](field) + noise_um(900))
+    field = triangles(1, 600)
+    sweep = write(tmp_path / "sweep.csv", field, 10 * LAWS["preisach"](field) + noise_um(600))
     (tmp_path / "lab.toml").write_text(
         "[acquisition]\nsampling_rate_Hz = 20000\n[amplifier]\nbandwidth_Hz = 1000\n"
         "[actuator]\nbandwidth_Hz = 500\n"
