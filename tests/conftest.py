@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 # As the command line does, before numpy is loaded: small matrices, one thread, the same bits.
@@ -55,3 +56,12 @@ def realdata() -> Path:
     if not REALDATA.is_dir():
         pytest.skip("recordings made by other people are not on this machine (shared/realdata)")
     return REALDATA
+
+
+@pytest.fixture(scope="module", autouse=True)
+def drop_cached_stages(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Drop what cached functions of a test file hold: a worker kept 2 GB of stages."""
+    yield
+    for value in list(vars(request.module).values()):
+        if getattr(value, "__module__", "") == request.module.__name__:
+            getattr(value, "cache_clear", lambda: None)()

@@ -1,6 +1,6 @@
 """Campaigns of the laboratory that several tests look at, recorded once."""
 
-from functools import cache
+from functools import lru_cache
 
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
 from piezoid_datasets.virtual_lab.stage import Rows
@@ -8,7 +8,7 @@ from piezoid_datasets.virtual_lab.stage import Rows
 EVERYTHING = ("sweep", "check", "rates", "staircase", "chirp", "other_axis", "long_hold")
 
 
-@cache
+@lru_cache(maxsize=4)
 def campaign(seed: int, name: str | None = None, size: float | None = None) -> Campaign:
     sizes = {} if name is None else {name: size}
     return draw_campaign(seed, effects=sizes, truth="preisach", plans=EVERYTHING)
