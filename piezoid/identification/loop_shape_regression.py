@@ -322,7 +322,9 @@ def regression_of(
     step = numbers.step / size
     slope = np.concatenate(slopes)[:, None]
     blocks = (np.concatenate(class_tables), block_diag(*histories), block_diag(*zeros))
-    linear = np.hstack([slope * block for block in blocks])
+    linear = np.hstack(blocks)
+    if (slope != 1.0).any():  # of a sensor without errors it is 1
+        linear *= slope
     weights = () if is_first else estimate.weights
     zero = np.concatenate(estimate.zeros) / scale_m
     wide = estimate.wide * columns.scale if has_class else np.zeros(0)
@@ -334,7 +336,7 @@ def regression_of(
     change = np.eye(count)
     change[: len(wide), : len(wide)] = columns.change[: len(wide), : len(wide)]
     return Regression(
-        design=np.hstack([linear, by_numbers / size]),
+        design=np.hstack([linear, by_numbers / size]) if len(step) else linear,
         target=error_m / scale_m + linear @ present,
         error_m=error_m,
         family=(*columns.family[: len(wide)], *names),
