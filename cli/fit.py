@@ -148,7 +148,7 @@ def show(calibration: "Calibration") -> None:
 
     console, model, controllers = Console(), calibration.model, calibration.controllers
     console.print(_table(calibration))
-    legend = "; error: of the model; closure: error / noise; guaranteed: of the loop, proven"
+    legend = "; error: model on held-out data; closure: error / noise; guaranteed: loop, proven"
     lines = budget_lines(calibration.diagnoses, legend)
     if (tip := model.tunnelling) is not None:
         of_tip = [] if tip.gap_law is None else [barrier_sentence(tip.gap_law)]

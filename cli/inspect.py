@@ -112,13 +112,14 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
 
 def _clock_line(inspection: "Inspection") -> str:
     from piezoid.raw_counts import in_counts
+    from piezoid_reports.parts import count_of
 
     line = (
         f"  axis {inspection.axis}, {inspection.sampling_rate_Hz:.9g} Hz for "
         f"{inspection.duration_s:.6g} s"
     )
     if inspection.breaks:
-        line += f", {inspection.breaks} gap" + "s" * (inspection.breaks > 1)
+        line += f", {count_of(inspection.breaks, 'gap')}"
     if inspection.reversals is not None:
         line += f", {inspection.reversals} reversals of the drive"
     if inspection.levels_V:

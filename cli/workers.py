@@ -91,8 +91,8 @@ class WorkerPool:
     def close(self) -> None:
         """Kill the workers and wait for the executor's thread.
 
-        A thread that still ran at the end of Python printed a traceback in one of thirty refusals:
-        only the first call of ``shutdown`` can wait for it.
+        A thread that still ran at the end of Python printed a traceback below a refusal. Only the
+        first call of ``shutdown`` can wait for it.
         """
         for process in active_children():
             process.kill()

@@ -53,6 +53,16 @@ def stage_statements(
     statements += [_limit(Level.ACTION, "not_diagnosed", text) for text in undiagnosed]
     if undesigned:
         statements.append(_limit(Level.ACTION, "not_designed", undesigned))
+    of_recordings = {
+        f"{recording.name}: {fact.text}": fact
+        for recording in recordings
+        for fact in recording.statements
+    }
+    for text in model.remarks:
+        fact = of_recordings.pop(text, None)
+        quantity = "recordings" if fact is None else fact.quantity
+        statements.append(_limit(Level.ACTION, quantity, text))
+    statements += [_limit(fact.level, fact.quantity, text) for text, fact in of_recordings.items()]
     for axis in model.axes.values():
         statements += record_in_counts(fit_statements(axis), axis.counted)
     for diagnosis in diagnoses:
@@ -72,18 +82,6 @@ def stage_statements(
             "the calibration of the height."
         )
         statements.append(_limit(Level.ACTION, "barrier", text, "z"))
-    of_recordings = {
-        f"{recording.name}: {fact.text}": fact
-        for recording in recordings
-        for fact in recording.statements
-    }
-    for text in model.remarks:
-        fact = of_recordings.pop(text, None)
-        quantity = "recordings" if fact is None else fact.quantity
-        statements.append(_limit(Level.ACTION, quantity, text))
-    statements += [_limit(fact.level, fact.quantity, text) for text, fact in of_recordings.items()]
-    # Models of single axes mean nothing if several drives move each displacement.
-    statements.sort(key=lambda statement: statement.quantity != "coupled_drives")
     return tuple(dict.fromkeys(statements))
 
 

@@ -82,15 +82,13 @@ class ActuatorModel(Summarised):
             quality, grade = axis.quality, grade_of(axis).value
             modes_Hz = () if axis.dynamics is None else axis.dynamics.mode_frequency_Hz
             low_V, high_V = axis.voltage_V
-            plays = sum(width_V > 0.0 for width_V in axis.hysteresis.plays.threshold)
-            zones = len(axis.hysteresis.dead_zones.weight) - 1
             row = (
                 axis.axis,
                 f"{with_unit(quality.held_out_rms_m, 'm')} rms, "
                 f"{quality.held_out_rms_percent:.2f} %",
                 f"{quality.noise_bound}{with_unit(quality.noise_rms_m, 'm')} rms",
                 f"{significant(low_V)} to {significant(high_V)} V",
-                f"{plays} plays, {zones} dead zones",
+                axis.order,
                 ", ".join(with_unit(mode_Hz, "Hz") for mode_Hz in modes_Hz) or "none identified",
                 grade,
             )

@@ -19,7 +19,7 @@ MAX_WIDTH_ERRORS = 10.0  # half interval over the held-out error, which contains
 MIN_BLOCKS = 10  # of cycles, from which intervals are computed
 POOR_SCORE, ACTION_SCORE, GOOD_SCORE = 50, 70, 90  # of `Limit.most`
 
-MAX_EXCLUDED = 0.1  # of a recording: a larger part that was excluded is a warning
+MAX_EXCLUDED = 0.1  # of a piece of a recording: a larger part that was excluded is a warning
 
 ZERO_DRIFT = "baseline_drift"  # quantity of the notes on fitted drift of the zero
 DYNAMICS = "dynamics"  # quantity of the notes on poles, resonances and delay
@@ -109,9 +109,9 @@ def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
         if start.first > 0:
             level = Level.WARNING if start.first > MAX_EXCLUDED * start.last else Level.NOTE
             text = (
-                f"The first {start.first} of {start.last} samples of {start.recording} were "
-                "excluded: no initial state of the hysteresis explains them. Record again after "
-                "several full cycles of the drive."
+                f"The first {start.first} of {start.last} samples of {start.recording}, or of a "
+                "piece of it behind a gap, were excluded: no initial state of the hysteresis "
+                "explains them. Record again after several full cycles of the drive."
             )
             statements.append(
                 _limit(axis, level, "excluded", text, float(start.first), "", start.recording)

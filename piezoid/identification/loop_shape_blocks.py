@@ -30,7 +30,9 @@ FULL_SPAN = 0.99  # of the range of a drive: above the noise of a measured drive
 # stage had a residual of 18 times the noise there.
 VARIANCE_DIVISORS = tuple(10.0 ** (k / 2) for k in range(11))
 SIMILAR = 1.03  # error over the minimum
-TOO_LARGE = 1.5  # error over the minimum, above which no larger divisor is tried
+# Error over the minimum, above which no larger divisor is tried. On stages of six laws and the
+# bundled ones the divisor is that of all eleven trials.
+TOO_LARGE = 1.5
 UNPENALISED = ("zero", "number", "step")
 
 

@@ -137,9 +137,7 @@ class AxisModel(Summarised):
         held-out error ...
         """
         quality, (low_V, high_V) = self.quality, self.voltage_V
-        plays = sum(width_V > 0.0 for width_V in self.hysteresis.plays.threshold)
-        zones = len(self.hysteresis.dead_zones.weight) - 1
-        parts = [f"{plays} plays, {zones} dead zones"]
+        parts = [self.order]
         parts += ["loop shape"] if self.loop_shape is not None else []
         parts += [words(extension.kind) for extension in self.extensions]
         lag = self.lag
@@ -157,6 +155,16 @@ class AxisModel(Summarised):
             ("lag", delay),
         )
         return Summary(title=f"Axis {self.axis}", rows=rows, counted=self.counted)
+
+    @property
+    def order(self) -> str:
+        """Number of plays of some width and of dead zones, as text.
+
+        >>> model["x"].order.endswith("dead zones")
+        True
+        """
+        plays = sum(width_V > 0.0 for width_V in self.hysteresis.plays.threshold)
+        return f"{plays} plays, {len(self.hysteresis.dead_zones.weight) - 1} dead zones"
 
     @property
     def operator(self) -> ModifiedPrandtlIshlinskii | PreisachPlays:

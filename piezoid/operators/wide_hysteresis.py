@@ -249,7 +249,7 @@ def smooth_columns(drive: Array, states: States) -> Array:
     stop = POLYNOMIAL
     for group, exponents in FAMILIES.values():
         z = groups[group]
-        powers = {1: z, 2: z * z}  # ``z**3`` takes ten times as long as two products
+        powers = {1: z, 2: z * z}  # ``z**3`` takes 28 times as long as two products
         powers[3] = powers[2] * z
         for n, m in exponents:
             first_column, stop = stop, stop + z.shape[1]

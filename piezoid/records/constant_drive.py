@@ -1,15 +1,12 @@
 """Decide whether a drive is constant, and whether a response follows the steps of a drive."""
 
 from math import sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import white_noise_rms
-
-if TYPE_CHECKING:
-    from piezoid.records.recording import Recording
+from piezoid.records.recording import Recording
 
 NOISE_RANGE = 10.0  # standard deviations: a range that Gaussian noise does not reach
 # A white drive has the differences of noise, but the sensor follows it. Behind a lag of ten
@@ -24,7 +21,7 @@ MIN_SPREAD, MIN_AT_ONCE, MAX_WHITE = 0.03, 0.3, -0.4
 LAGS = 64  # samples: largest delay of the response
 
 
-def is_at_rest(recording: "Recording", axis: str) -> bool:
+def is_at_rest(recording: Recording, axis: str) -> bool:
     """Return whether the drive of an axis is constant within the noise of its reading."""
     voltage_V = recording.voltage_V(axis)
     if not np.ptp(voltage_V) > 0.0:

@@ -55,7 +55,8 @@ def render(page: Page) -> Section | None:
         anchor="error-budget",
         title="Error budget",
         lead="Held-out error of the base model (hysteresis operator and lag), split into its "
-        "causes. The squares of the parts add up, so bars show the steps of the total.",
+        "causes. The squares of the parts add up: a bar is a step of the total, its number the "
+        "rms of that part.",
         parts=tuple(waterfalls),
     )
 

@@ -217,3 +217,12 @@ def test_a_remark_of_the_model_about_a_recording_is_one_statement_that_needs_act
     assert needed["controller_rate"] == f"{odd.name}: {rate.text}"
     assert needed["recordings"] == "no junction"
     assert len({fact.text for fact in facts}) == len(facts)
+
+
+def test_what_is_wrong_with_the_recordings_comes_before_the_rejected_model_that_it_causes() -> (
+    None
+):
+    rejected = stage_model(axis_model(reason="the loop opens the wrong way"))
+    model = replace(rejected, remarks=("Several drives move one displacement.",))
+    first, second, *_ = select(stage_statements(model), minimum=Level.ACTION)
+    assert (first.quantity, second.quantity) == ("recordings", "model_class")

@@ -167,7 +167,7 @@ STAGES: Mapping[str, Callable[[], tuple[Recording, ...]]] = {
 
 
 # Extended together with loop shape; for a periodic error: test_loop_shape.py.
-WITH_LOOP_SHAPE = ("gain_change", "delay")
+WITH_LOOP_SHAPE = ("gain_change", "creep", "delay")
 
 
 @cache

@@ -291,3 +291,21 @@ def test_columns_that_are_nearly_dependent_are_solved_for(rng: np.random.Generat
     columns = np.column_stack([columns, columns[:, 0] + 1e-10 * rng.normal(size=30)])
     target = columns @ np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(eliminate(columns, target).residual, 0.0, atol=1e-12)
+
+
+def test_the_gradient_is_the_steepest_cosine_that_no_bound_holds(rng: np.random.Generator) -> None:
+    J, r = rng.normal(size=(9, 3)) * [1e-3, 1.0, 1e3], rng.normal(size=9)
+    cosine = J.T @ r / np.linalg.norm(J, axis=0) / np.linalg.norm(r)
+    order = np.argsort(-np.abs(cosine))
+    far = np.full(3, np.inf)
+    for model in both_forms(J, r):
+        assert model.gradient(-far, far) == pytest.approx(np.abs(cosine).max())
+        lower, upper = -far, far.copy()
+        for held, steepest in zip(order, [*np.abs(cosine[order[1:]]), 0.0], strict=True):
+            # A bound on the side to which the cost falls holds a number, one behind it does not.
+            ahead, behind = (lower, upper) if cosine[held] > 0.0 else (upper, lower)
+            behind[held] = 0.0
+            assert model.gradient(lower, upper) == pytest.approx(abs(cosine[held]))
+            behind[held] = -np.inf if behind is lower else np.inf
+            ahead[held] = 0.0
+            assert model.gradient(lower, upper) == pytest.approx(steepest)

@@ -128,3 +128,9 @@ def test_noise_is_told_from_what_is_smooth_and_from_jumps(rng: np.random.Generat
     jumps = 40.0 * (k > 5000) - 90.0 * (k > 12_000)
     assert white_noise_rms(smooth + noise + jumps) == pytest.approx(0.3, rel=0.02)
     assert white_noise_rms(smooth) < 1e-6
+
+
+def test_fewer_than_eight_samples_tell_no_noise() -> None:
+    zigzag = np.array([1.0, -1.0] * 4)
+    assert white_noise_rms(zigzag[:7]) == 0.0
+    assert white_noise_rms(zigzag) > 1.0

@@ -14,6 +14,15 @@ from piezoid.statement import Statement, finding
 # Gain per volt: tubes some nm, stacks 0.1 to 1 um, levers and benders 10 um; an objective 40 um
 # per volt at the amplifier's input.
 MIN_GAIN_m_per_V, MAX_GAIN_m_per_V = 1e-10, 5e-5
+# A sensor is held by feedback or by a fault if block means over a hundredth of the recording stay
+# within the noise of single samples, although the drive moves far enough to displace the stage
+# visibly at the gain of the rest of the recording.
+BLOCKS = 100
+MIN_HELD_BLOCKS = 10
+MIN_MISSING_NOISE = 5.0  # standard deviations of the noise
+# Of the drive's range, if the gain is unknown for lack of motion; 0.57 in the hold of an approach.
+MIN_DRIVE_SHARE = 0.3
+MIN_THROUGHOUT = 0.9  # of the samples; the loop settles in the others. 0.98 in the same hold
 
 
 def check_gain(recording: Recording, axis: str) -> list[Statement]:
@@ -94,17 +103,6 @@ def check_missing_channels(recording: Recording, _lab: Lab) -> list[Statement]:
         for quantity in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
         if quantity not in recorded
     ]
-
-
-# A sensor is held by feedback or by a fault if block means over a hundredth of the recording stay
-# within the noise of single samples, although the drive moves far enough to displace the stage
-# visibly at the gain of the rest of the recording.
-BLOCKS = 100
-MIN_HELD_BLOCKS = 10
-MIN_MISSING_NOISE = 5.0  # standard deviations of the noise
-# Of the drive's range, if the gain is unknown for lack of motion; 0.57 in the hold of an approach.
-MIN_DRIVE_SHARE = 0.3
-MIN_THROUGHOUT = 0.9  # of the samples; the loop settles in the others. 0.98 in the same hold
 
 
 def check_feedback(recording: Recording, axis: str) -> list[Statement]:

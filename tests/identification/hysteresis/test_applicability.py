@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.identification.fit import fit
-from piezoid.identification.hysteresis.applicability import loops_of
+from piezoid.identification.hysteresis.applicability import POINTS, loops_of
 from tests.identification.hysteresis.stages import (
     RATE_Hz,
     decaying,
@@ -137,3 +137,14 @@ def test_a_gain_that_changes_over_the_cycles_makes_no_lag_of_a_loop(
     found = fit([recorded(tmp_path, field, response_um + noise_um)])["x"]
     assert "phase lag" not in found.verdict.reason
     assert any("the sensitivity changes by +" in said for said in found.verdict.remarks)
+
+
+def test_a_branch_is_as_quiet_at_its_ends_as_between() -> None:
+    drive = through([0.0, -1.0, 1.0, -1.0, 0.0], 1000)
+    response = play_sum(drive, np.array([0.0, 0.3]), np.array([1.0, 0.5]), np.full(2, drive[0]))
+    zigzag = 0.1 * (-1.0) ** np.arange(len(drive))
+    (loop,), (still,) = (loops_of(drive, y, 0.01) for y in (response + zigzag, response))
+    assert len(loop.drive) == POINTS
+    few = 2000 / (POINTS + 1) - 1  # samples around each point, of which pairs cancel
+    np.testing.assert_allclose(loop.rise, still.rise, atol=0.1 / few)
+    np.testing.assert_allclose(loop.opening, still.opening, atol=2 * 0.1 / few)
