@@ -1,10 +1,22 @@
-"""Read TOML files of users, and reject text for which the parser would need minutes."""
+"""Read TOML files of users, and write strings for them.
 
+Text for which the parser would need minutes is rejected.
+"""
+
+import json
 import tomllib
 from typing import Any
 
 # The time of the parser grows with the square of the number of parts of a key.
 _MAX_WORK = 4_000_000
+
+
+def toml_string(text: str) -> str:
+    """Return a text as a TOML string with its quotes.
+
+    A JSON string is a TOML string if it has no surrogate escapes and no delete character.
+    """
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 
 def read_toml(text: str) -> dict[str, Any]:

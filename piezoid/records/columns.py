@@ -5,7 +5,6 @@ ambiguity.
 """
 
 import itertools
-import json
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from piezoid.records.recording import Quantity
 from piezoid.records.table import Column, RawTable
 from piezoid.records.units import Dimension, Unit, unit_of
 from piezoid.statement import Statement, finding
+from piezoid.toml_files import toml_string
 
 QUANTITIES = {quantity.name.lower(): quantity for quantity in Quantity}
 _LOOP_QUANTITIES = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
@@ -397,7 +397,7 @@ def entry_template(table: RawTable) -> str:
     columns, units = [], []
     clocks = clocks_of(table)
     if clocks:
-        columns.append(f"time = {json.dumps(clocks[0].label)}")
+        columns.append(f"time = {toml_string(clocks[0].label)}")
         units += [] if clocks[0].heading.unit else ['time = "..."']
     columns += ['voltage = "..."', 'displacement = "..."']
     is_counted = any(

@@ -1,11 +1,11 @@
 """Tables of lab.toml: every key, with its unit, its meaning and its admissible numbers."""
 
-import json
 from typing import Literal
 
 import msgspec
 
 from piezoid.errors import LabFileError
+from piezoid.toml_files import toml_string
 
 # Limits of all quantities; squares and quotients of larger or smaller numbers would overflow.
 _SMALLEST, _LARGEST = 1e-30, 1e30
@@ -243,7 +243,7 @@ def check_range(location: str, name: str, low: float | None, high: float | None)
 
 def entry_text(file: str, *lines: str) -> str:
     """Return a ``[[recording]]`` entry about a file, as TOML."""
-    return "\n".join(["[[recording]]", f"file = {json.dumps(file)}", *lines])
+    return "\n".join(["[[recording]]", f"file = {toml_string(file)}", *lines])
 
 
 def lab_error(problem: str, needed: str) -> LabFileError:

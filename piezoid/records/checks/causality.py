@@ -17,8 +17,6 @@ is the share of the turn made L samples early, less the curvature of the branch.
 for a centred window of 2 L samples, and 1 for a drive stamped L samples late.
 """
 
-import json
-
 import numpy as np
 
 from piezoid.formatting import with_unit
@@ -27,6 +25,7 @@ from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.statement import Statement, finding
+from piezoid.toml_files import toml_string
 
 # Share of their box that loops enclose: 4.3 to 7.7 % for thirteen published laws (negative with
 # exchanged columns), 3.4 to 7.8 % for the bundled stage; a lag makes loops wider.
@@ -54,7 +53,7 @@ def check_loop_direction(recording: Recording, axis: str) -> list[Statement]:
     if area > -MIN_AREA:
         return []
     drive_label, response_label = (
-        json.dumps(channel.label)
+        toml_string(channel.label)
         for quantity in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
         if (channel := recording.find(quantity, axis)) is not None
     )
