@@ -25,6 +25,7 @@ from piezoid.operators.wide_hysteresis import (
     EDGES,
     HysteresisStates,
     States,
+    smooth_families,
     smooth_response,
 )
 
@@ -76,12 +77,17 @@ class LoopShape:
     reach_V: float
     density_m: Array
     smooth_m: Array
-    plays_weight: float = 1.0
+    plays_weight: float
     plain: FitWithoutShape
 
     def __post_init__(self) -> None:
         freeze(self, "smooth_m")
         freeze(self, "density_m", ndim=2)
+        if len(self.smooth_m) != len(smooth_families()):
+            raise ValueError(
+                f"loop shape has {len(self.smooth_m)} coefficients, expected "
+                f"{len(smooth_families())}"
+            )
 
     def scaled(self, voltage_V: Array) -> Array:
         """Scale a drive to half ranges, clipped to the recorded range."""
