@@ -1,4 +1,4 @@
-"""The play operator is its definition, on drives and thresholds of every kind."""
+"""The play operator follows its definition for all drives and thresholds."""
 
 import itertools
 
@@ -22,19 +22,19 @@ def by_definition(drive: Array, threshold: Array, memory: Array) -> Array:
     return states
 
 
-@given(st.data(), banks(), drives(least=2))
-def test_states_are_those_of_the_definition_however_a_drive_is_cut_and_sampled(
+@given(st.data(), banks(), drives(min_samples=2))
+def test_play_states_follow_their_definition_in_any_chunks_and_sampling(
     data: st.DataObject, threshold: Array, drive: Array
 ) -> None:
     memory, cut = data.draw(memories(threshold)), data.draw(st.integers(0, len(drive)))
     expected = by_definition(drive, threshold, memory)
-    first, between = play_columns(drive[:cut], threshold, memory)
-    second, after = play_columns(drive[cut:], threshold, between)
+    first, middle_memory = play_columns(drive[:cut], threshold, memory)
+    second, final_memory = play_columns(drive[cut:], threshold, middle_memory)
     np.testing.assert_array_equal(np.vstack([first, second]), expected)
-    np.testing.assert_array_equal(after, expected[-1])
+    np.testing.assert_array_equal(final_memory, expected[-1])
     rows = data.draw(st.integers(1, 50))
-    begins, blocks = zip(*play_blocks(drive, threshold, memory, rows), strict=True)
-    assert begins == tuple(range(0, len(drive), rows))
+    starts, blocks = zip(*play_blocks(drive, threshold, memory, rows), strict=True)
+    assert starts == tuple(range(0, len(drive), rows))
     np.testing.assert_array_equal(np.vstack(blocks), expected)
     denser = [np.linspace(a, b, 4)[1:] for a, b in itertools.pairwise(drive)]
     finer, _ = play_columns(np.concatenate([drive[:1], *denser]), threshold, memory)
@@ -58,7 +58,7 @@ def test_a_play_of_any_size_is_followed(data: st.DataObject, values: list[float]
 
 
 @given(banks(), drives())
-def test_from_the_forgetting_sample_on_every_start_gives_the_same_and_not_before(
+def test_the_initial_memory_matters_only_before_the_forgetting_sample(
     threshold: Array, drive: Array
 ) -> None:
     low, high = (

@@ -1,4 +1,4 @@
-"""Every operator on signals of no, one, two and three samples, constant ones, and one turn."""
+"""Every operator on signals of zero to three samples, constant signals, and a single turn."""
 
 from collections.abc import Callable
 

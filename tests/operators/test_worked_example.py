@@ -1,4 +1,4 @@
-"""The worked example of a small model, every number exact to its printed digits."""
+"""Worked example of a small model, exact to the printed digits."""
 
 import numpy as np
 import pytest
@@ -59,12 +59,12 @@ def test_threshold_zero_is_required_of_both_parts() -> None:
 
 
 @pytest.mark.parametrize(
-    ("part", "last", "told"),
+    ("part", "weight", "message"),
     [(PrandtlIshlinskii, -0.7, "W_1 is -0.2"), (DeadZones, -1.0, "0.5"), (DeadZones, -0.5, "0")],
 )
 def test_a_slope_that_is_not_positive_has_no_inverse(
-    part: type[PrandtlIshlinskii | DeadZones], last: float, told: str
+    part: type[PrandtlIshlinskii | DeadZones], weight: float, message: str
 ) -> None:
-    with pytest.raises(NotInvertibleError, match=told):
-        part(threshold=np.array([0.0, 1]), weight=np.array([0.5, last])).inverse()
+    with pytest.raises(NotInvertibleError, match=message):
+        part(threshold=np.array([0.0, 1]), weight=np.array([0.5, weight])).inverse()
     part(threshold=np.array([0.0, 1]), weight=np.array([0.5, -0.499])).inverse()
