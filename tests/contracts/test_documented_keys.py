@@ -1,4 +1,4 @@
-"""Tables of keys in the documentation list every key that is read, and no other."""
+"""Tables of keys in the documentation list exactly the keys that are read."""
 
 import re
 from dataclasses import fields

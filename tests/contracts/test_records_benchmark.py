@@ -1,4 +1,4 @@
-"""The Bouc-Wen benchmark is met on its own data; absent records are passed over, a line each."""
+"""The Bouc-Wen benchmark reaches its published error; absent records are skipped."""
 
 from pathlib import Path
 

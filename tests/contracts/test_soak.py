@@ -1,4 +1,4 @@
-"""The soak draws the same stage again and says how to reproduce a fault."""
+"""The soak draws reproducible stages and names the command that reproduces a fault."""
 
 from pathlib import Path
 
