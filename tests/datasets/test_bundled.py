@@ -1,4 +1,4 @@
-"""The bundled recordings are what their manifest says and what their seed makes."""
+"""The bundled recordings agree with their manifest and their seed."""
 
 import hashlib
 import tomllib
@@ -15,12 +15,12 @@ LATERAL = [entry for entry in ENTRIES if "displacement" in entry["columns"]]
 
 
 def test_the_seed_makes_the_same_bytes_again() -> None:
-    made = bundled.rebuild()
-    assert sorted(made) == sorted(path.name for path in stage_files())
-    assert all(path.read_bytes() == made[path.name] for path in stage_files())
+    files = bundled.rebuild()
+    assert sorted(files) == sorted(path.name for path in stage_files())
+    assert all(path.read_bytes() == files[path.name] for path in stage_files())
 
 
-def test_every_bundled_table_stands_in_the_manifest() -> None:
+def test_every_bundled_table_is_in_the_manifest() -> None:
     assert {path.name for path in FOLDER.glob("*.csv")} == {path.name for path in recordings()}
     assert {path.name for path in FOLDER.glob("*.dat")} == {stage_files()[-1].name}
     assert sum(path.stat().st_size for path in stage_files()) < ALL_BYTES

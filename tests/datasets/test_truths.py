@@ -1,4 +1,4 @@
-"""The ceramics that are drawn solve their equations; what every law does: test_zoo.py."""
+"""The drawn ceramics solve their equations; test_zoo.py has the properties of every law."""
 
 from types import SimpleNamespace
 

@@ -57,7 +57,7 @@ def mat73(path: Path) -> None:
     import h5py
 
     with h5py.File(path, "w", userblock_size=512) as file:
-        for name, values in _named().items():
+        for name, values in columns_by_name().items():
             dataset = file.create_dataset(name, data=values[None, :])
             dataset.attrs["MATLAB_class"] = np.bytes_("double")
     content = bytearray(path.read_bytes())
@@ -65,7 +65,7 @@ def mat73(path: Path) -> None:
     path.write_bytes(bytes(content))
 
 
-def _named() -> dict[str, np.ndarray]:
+def columns_by_name() -> dict[str, np.ndarray]:
     return {"time_s": TIME_s, "voltage_V": VOLTAGE_V, "displacement_um": DISPLACEMENT_um}
 
 
@@ -74,7 +74,7 @@ def hdf5(path: Path) -> None:
 
     with h5py.File(path, "w") as file:
         group = file.create_group("run 1")
-        for (name, values), unit in zip(_named().items(), ("s", "V", "um"), strict=True):
+        for (name, values), unit in zip(columns_by_name().items(), ("s", "V", "um"), strict=True):
             group.create_dataset(name.rsplit("_", 1)[0], data=values).attrs["unit"] = unit
 
 
@@ -170,8 +170,8 @@ def npy(path: Path) -> None:
     np.save(path, COLUMNS)
 
 
-# Files whose own headings are enough.
-SPEAKING: dict[str, Callable[[Path], None]] = {
+# Files whose headings suffice.
+DESCRIBED: dict[str, Callable[[Path], None]] = {
     "run.csv": csv,
     "run.csv.gz": csv_gz,
     "run.tsv": tsv_comma,
@@ -188,8 +188,8 @@ SPEAKING: dict[str, Callable[[Path], None]] = {
     "recorder.dat": gcs,
     "logger.csv": logger,
 }
-# Files that need lab.toml to be a recording.
-SILENT: dict[str, Callable[[Path], None]] = {
+# Files that need lab.toml.
+UNDESCRIBED: dict[str, Callable[[Path], None]] = {
     "rigol.csv": rigol,
     "tek.csv": tektronix,
     "tek2.csv": tektronix_above,

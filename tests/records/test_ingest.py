@@ -1,4 +1,4 @@
-"""From files to recordings: nothing guessed, every refusal with its remedy."""
+"""From files to recordings: units, axes, and refusals with a remedy."""
 
 import json
 import re
@@ -29,7 +29,7 @@ def test_units_are_converted_to_si(tmp_path: Path) -> None:
     assert first[4] == pytest.approx(0.4)
 
 
-def test_two_axes_keep_their_channels_apart(tmp_path: Path) -> None:
+def test_two_axes_have_separate_channels(tmp_path: Path) -> None:
     recording = collect([table(
             tmp_path, "time [s],voltage_x [V],voltage_y [V],pos_x [um],pos_y [um]",
             TIME_s, VOLTAGE_V, 0.1 * VOLTAGE_V, RESPONSE, 0.1 * RESPONSE,
@@ -38,12 +38,12 @@ def test_two_axes_keep_their_channels_apart(tmp_path: Path) -> None:
     assert recording.axis == "x"
     assert [p.quantity for p in recording.statements] == ["several_axes"]
     np.testing.assert_allclose(recording.voltage_V("y"), 0.1 * VOLTAGE_V, rtol=1e-8)
-    # A column without an axis belongs to the only one that is named.
+    # A column without an axis belongs to the only named axis.
     path = table(tmp_path, "time [s],voltage [V],position_z [um]", TIME_s, VOLTAGE_V, RESPONSE)
     assert collect([path])[0].complete_axes == ("z",)
 
 
-def test_a_second_drive_does_not_take_the_nameless_columns_with_it(tmp_path: Path) -> None:
+def test_a_second_drive_does_not_claim_columns_without_axis(tmp_path: Path) -> None:
     path = table(
         tmp_path, "time [s],voltage [V],displacement [um],voltage_y [V]",
         TIME_s, VOLTAGE_V, RESPONSE, RESPONSE,
@@ -63,7 +63,7 @@ def test_a_second_drive_does_not_take_the_nameless_columns_with_it(tmp_path: Pat
         ("voltage_y [V]", False, False),  # the axis of the declared columns is not stated
     ],
 )
-def test_drives_of_other_axes_are_read_beside_declared_columns(
+def test_drives_of_other_axes_are_read_with_declared_columns(
     tmp_path: Path, heading: str, has_axis: bool, is_read: bool
 ) -> None:
     path = table(
@@ -94,7 +94,7 @@ def test_drives_of_other_axes_are_read_beside_declared_columns(
         ("time [s],voltage [V],sensor voltage [V]", r"\[sensor\]\ngain_V_per_m"),
     ],
 )
-def test_what_is_ambiguous_is_refused_with_the_lines_to_write(
+def test_an_ambiguous_heading_is_refused_with_the_lines_to_write(
     headings: str, reason: str, tmp_path: Path
 ) -> None:
     headings = headings.replace("time2", "elapsed")
@@ -102,7 +102,7 @@ def test_what_is_ambiguous_is_refused_with_the_lines_to_write(
         collect([table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE)])[0]
 
 
-def test_columns_and_units_of_the_laboratory_replace_the_headings(tmp_path: Path) -> None:
+def test_columns_and_units_of_lab_toml_replace_the_headings(tmp_path: Path) -> None:
     path = table(tmp_path, "time [s],U,pos", TIME_s, VOLTAGE_V, RESPONSE)
     lab = lab_with(
         axis="y",
@@ -122,7 +122,7 @@ def test_volts_of_a_sensor_become_a_displacement_by_its_gain(tmp_path: Path) -> 
     np.testing.assert_allclose(recording.displacement_m(), RESPONSE / 2e5, rtol=1e-8)
 
 
-def test_a_table_without_time_takes_the_rate_of_the_laboratory(tmp_path: Path) -> None:
+def test_a_table_without_time_has_the_rate_of_lab_toml(tmp_path: Path) -> None:
     path = table(tmp_path, "voltage [V],displacement [um]", VOLTAGE_V, RESPONSE)
     lab = Lab(acquisition=Acquisition(sampling_rate_Hz=20000))
     (recording,) = collect([path], lab)
@@ -141,7 +141,7 @@ def test_a_table_without_time_takes_the_rate_of_the_laboratory(tmp_path: Path) -
     ("headings", "completed"),
     [("time,voltage,position", ("s", "V", "um")), ("voltage [V],position [um]", ("V", "um"))],
 )
-def test_the_entry_of_a_refusal_can_be_pasted_and_completed(
+def test_the_entry_of_a_refusal_is_valid_once_completed(
     tmp_path: Path, headings: str, completed: tuple[str, ...]
 ) -> None:
     columns = (TIME_s, VOLTAGE_V, RESPONSE)[-len(completed) :]
@@ -164,7 +164,7 @@ def test_a_rate_that_contradicts_the_time_column_is_refused(tmp_path: Path) -> N
         collect([path], lab_with(sampling_rate_Hz=20000))[0]
 
 
-def test_a_part_of_a_recording_can_be_used(tmp_path: Path) -> None:
+def test_a_time_range_of_a_recording_is_read(tmp_path: Path) -> None:
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
     recording = collect([path], lab_with(start_s=0.1, stop_s=0.2))[0]
     assert recording.samples == 101
@@ -173,7 +173,7 @@ def test_a_part_of_a_recording_can_be_used(tmp_path: Path) -> None:
         collect([path], lab_with(start_s=9.0))[0]
 
 
-def test_columns_that_mean_nothing_do_not_hinder(tmp_path: Path) -> None:
+def test_unknown_columns_are_ignored(tmp_path: Path) -> None:
     path = table(
         tmp_path, "time [s],voltage [V],pos [um],setpoint [um],force [N],monitor [V]",
         TIME_s, VOLTAGE_V, RESPONSE, RESPONSE + 1, RESPONSE + 2, RESPONSE + 3,
@@ -181,7 +181,7 @@ def test_columns_that_mean_nothing_do_not_hinder(tmp_path: Path) -> None:
     assert len(collect([path])[0].channels) == 2
 
 
-def test_a_column_that_lab_toml_names_must_be_there(tmp_path: Path) -> None:
+def test_a_missing_column_of_lab_toml_is_refused(tmp_path: Path) -> None:
     path = table(tmp_path, "time [s],U [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
     for columns in ({"voltage": "Umon"}, {"voltage": 9}, {"voltage": 2, "displacement": 2}):
         with pytest.raises(LabFileError, match=r"run\.csv has no column"):
@@ -192,7 +192,7 @@ def test_a_column_that_lab_toml_names_must_be_there(tmp_path: Path) -> None:
         collect([path], lab_with(units={"displacement": "furlong"}))[0]
 
 
-def test_one_file_may_hold_several_recordings(tmp_path: Path) -> None:
+def test_a_file_may_have_several_recordings(tmp_path: Path) -> None:
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
     entries = (
         RecordingEntry(file="run.csv", stop_s=0.1),
@@ -203,17 +203,17 @@ def test_one_file_may_hold_several_recordings(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("unit", "factor", "said"),
+    ("unit", "factor", "message"),
     [
         ("nm", 1e-6, "In m or mm it would be usual"),  # metres, labelled nm
         ("um", 1e24, "to 1 m"),
         ("um", 1e-310, "to 1 m"),
     ],
 )
-def test_a_motion_of_a_size_that_no_stage_has_is_refused_with_the_usual_unit(
-    unit: str, factor: float, said: str, tmp_path: Path
+def test_an_implausible_displacement_is_refused_with_the_usual_unit(
+    unit: str, factor: float, message: str, tmp_path: Path
 ) -> None:
     rows = "".join(f"{k / 100},{k % 20},{1.7 * (k % 20) * factor!r}\n" for k in range(200))
     (tmp_path / "s.csv").write_text(f"time [s],voltage [V],position [{unit}]\n{rows}")
-    with pytest.raises(UnitError, match=said):
+    with pytest.raises(UnitError, match=message):
         collect([tmp_path / "s.csv"])[0]

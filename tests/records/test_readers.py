@@ -1,4 +1,4 @@
-"""Every format gives back the one known recording, channels and units included."""
+"""Every format gives the known recording with its channels and units."""
 
 import importlib
 import sys
@@ -14,7 +14,7 @@ from piezoid.records.collection import collect
 from piezoid.records.lab import Lab, RecordingEntry, Sensor
 from piezoid.records.readers import READERS, read_table
 from piezoid.records.readers.reader import Reader
-from tests.records.formats import SAMPLES, SPEAKING, VOLTAGE_V, DISPLACEMENT_um, RATE_Hz
+from tests.records.formats import DESCRIBED, SAMPLES, VOLTAGE_V, DISPLACEMENT_um, RATE_Hz
 
 # The files print six decimals of a micrometre at most.
 ATOL_m = 1e-12
@@ -26,28 +26,28 @@ def test_every_reader_of_the_folder_is_registered() -> None:
         importlib.import_module(f"{readers.__name__}.{path.stem}")
         for path in Path(readers.__file__).parent.glob("*.py")
     ]
-    defined = {id(held) for m in modules for held in vars(m).values() if isinstance(held, Reader)}
+    defined = {
+        id(value) for m in modules for value in vars(m).values() if isinstance(value, Reader)
+    }
     assert defined == set(map(id, READERS))
     assert len({reader.name for reader in READERS}) == len(READERS)
 
 
-@pytest.mark.parametrize("name", SPEAKING)
-def test_the_same_recording_comes_out_of_every_format(
-    name: str, write: Callable[[str], Path]
-) -> None:
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_every_format_gives_the_same_recording(name: str, write: Callable[[str], Path]) -> None:
     recording = collect([write(name)])[0]
     assert recording.sampling_rate_Hz == RATE_Hz
     assert recording.axis == "x"
     if name == "run73.mat":  # HDF5 keeps no order
         assert next(channel.quantity.name for channel in recording.channels) == "DISPLACEMENT"
-    # A column of words beside the numbers is said to be left out, and is the only oddity.
+    # Only the exclusion of a text column is reported.
     assert {problem.quantity for problem in recording.statements} <= {"text_column"}
     np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V, rtol=0, atol=ATOL_V)
     np.testing.assert_allclose(recording.displacement_m(), DISPLACEMENT_um * 1e-6, atol=ATOL_m)
 
 
 @pytest.mark.parametrize("name", ["rigol.csv", "tek.csv", "tek2.csv"])
-def test_oscilloscopes_give_volts_that_the_sensor_gain_makes_a_displacement(
+def test_volts_of_an_oscilloscope_become_a_displacement_by_the_gain(
     name: str, write: Callable[[str], Path]
 ) -> None:
     lab = Lab(
@@ -71,7 +71,7 @@ def test_an_array_without_names_is_read_by_column_numbers(write: Callable[[str],
     np.testing.assert_array_equal(recording.voltage_V(), VOLTAGE_V)
 
 
-def test_an_array_on_its_side_is_turned_where_nobody_has_so_many_channels(tmp_path: Path) -> None:
+def test_an_array_with_many_columns_is_transposed(tmp_path: Path) -> None:
     path = tmp_path / "side.npy"
     np.save(path, np.arange(1500.0).reshape(3, 500))
     table = read_table(path)
@@ -102,7 +102,7 @@ def test_a_missing_reader_package_is_named_with_its_extra(
     ],
     ids=["nameless first column", "no heading", "preamble", "unit row", "row numbers"],
 )
-def test_headings_are_found_however_they_are_written(
+def test_headings_are_located_in_every_notation(
     text: str, labels: tuple[str, ...], first_line: int, tmp_path: Path
 ) -> None:
     path = tmp_path / "run.csv"
@@ -118,7 +118,7 @@ def test_preamble_lines_become_metadata(tmp_path: Path) -> None:
     assert dict(read_table(path).metadata) == {"Operator": "Ada", "gain": "15"}
 
 
-def test_a_reading_out_of_range_is_no_number(tmp_path: Path) -> None:
+def test_a_reading_out_of_range_is_nan(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("time [s],U [V]\n0,1\n1,9.9E37\n2,1e308\n3,inf\n4,5\n")
     assert np.isnan(read_table(path).si("U")).tolist() == [False, True, True, True, False]

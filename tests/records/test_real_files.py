@@ -1,4 +1,4 @@
-"""Recordings other people made: understood, channels and units, or refused for a true reason."""
+"""Real recordings are read with channels and units, or refused for a true reason."""
 
 import re
 from pathlib import Path
@@ -35,7 +35,7 @@ REASONS = {
 }
 
 
-def test_all_files_of_the_folder_are_listed(realdata: Path) -> None:
+def test_every_file_of_the_folder_is_listed(realdata: Path) -> None:
     assert {path.name for path in (realdata / "formats").iterdir()} == set(FORMATS)
     assert {name for name, _, _ in FORMATS.values()} <= {reader.name for reader in READERS}
 
@@ -65,7 +65,7 @@ def test_segments_without_headers_of_their_own_are_found(realdata: Path) -> None
     assert table.segment_starts == (8192,)
 
 
-def test_bytes_that_are_no_utf8_are_read(realdata: Path) -> None:
+def test_bytes_that_are_not_utf_8_are_read(realdata: Path) -> None:
     table = read_table(realdata / "formats" / "with_comments.lvm")
     assert [column.label for column in table.columns][1:3] == [
         "Pressão ABS. (MPa)",
@@ -87,7 +87,7 @@ ACTUATOR = RecordingEntry(
 )
 
 
-def test_the_flexure_needs_columns_and_rate_from_the_laboratory(realdata: Path) -> None:
+def test_the_flexure_needs_columns_and_rate_of_lab_toml(realdata: Path) -> None:
     path = realdata / "flexure" / "Model_Vi_Do.dat"
     with pytest.raises(UnitError, match=r'file = "Model_Vi_Do.dat"'):
         collect([path])[0]
