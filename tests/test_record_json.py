@@ -64,14 +64,14 @@ def through_text(value: Any) -> Any:
 
 
 @pytest.mark.parametrize("layouts", [(), (HEAVY,)])
-def test_a_record_is_read_to_its_last_bit(layouts: tuple[RecordLayout, ...]) -> None:
+def test_a_record_is_read_to_its_last_bit(layouts):
     read = from_json(Machine, through_text(to_json(MACHINE, layouts)), layouts)
     np.testing.assert_array_equal(read.curve, MACHINE.curve)
     assert {**fields_of(read), "curve": 0} == {**fields_of(MACHINE), "curve": 0}
     assert to_json(read, layouts) == to_json(MACHINE, layouts)
 
 
-def test_only_numbers_that_may_be_infinite_are_null() -> None:
+def test_only_numbers_that_may_be_infinite_are_null():
     written = to_json(replace(MACHINE, slowest_Hz=inf, parts=(Part(mass_kg=inf),)))
     assert (written["speed_Hz"], written["slowest_Hz"]) == ([1.0, None], None)
     assert written["parts"][0]["mass_kg"] == inf
@@ -96,13 +96,13 @@ def test_only_numbers_that_may_be_infinite_are_null() -> None:
         ("colour", "red"),
     ],
 )
-def test_an_entry_of_another_type_is_refused_with_the_file(entry: str, value: Any) -> None:
+def test_an_entry_of_another_type_is_refused_with_the_file(entry, value):
     sealed = seal("piezoid.mill/1", {**to_json(MACHINE), entry: value})
     with pytest.raises(ParameterFileError, match=r"mill\.json.*Turn the mill"):
         read_sealed(Machine, sealed, "piezoid.mill/1", "mill.json", remedy="Turn the mill.")
 
 
-def test_a_missing_entry_has_its_default() -> None:
+def test_a_missing_entry_has_its_default():
     fields = to_json(MACHINE)
     del fields["spare"], fields["slowest_Hz"]
     assert from_fields(Machine, fields).spare is None

@@ -78,7 +78,7 @@ def _run(name: str, namespace: dict[str, Any]) -> int:
     return failures
 
 
-def test_every_public_function_and_method_has_an_example() -> None:
+def test_every_public_function_and_method_has_an_example():
     assert len(DOCUMENTED) > 50
     without = [
         name for name, function in DOCUMENTED.items() if ">>> " not in (function.__doc__ or "")
@@ -88,9 +88,7 @@ def test_every_public_function_and_method_has_an_example() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_the_examples_of_all_docstrings_run(
-    names: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_examples_of_all_docstrings_run(names, monkeypatch):
     monkeypatch.chdir(names["folder"])
     monkeypatch.setattr(piezoid, "calibrate", cache(piezoid.calibrate))
     failed = []

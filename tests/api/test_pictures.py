@@ -41,7 +41,7 @@ def draw(axes) -> Figure:
     return axes.figure
 
 
-def test_a_recording_draws_its_loop_and_its_time_series() -> None:
+def test_a_recording_draws_its_loop_and_its_time_series():
     sweep, _ = fitted()
     loop = piezoid.plot(sweep)
     draw(loop)
@@ -51,7 +51,7 @@ def test_a_recording_draws_its_loop_and_its_time_series() -> None:
     draw(piezoid.plot(sweep, "time"))
 
 
-def test_a_model_draws_its_loops_its_response_and_an_unseen_recording() -> None:
+def test_a_model_draws_its_loops_its_response_and_an_unseen_recording():
     _, model = fitted()
     loops = piezoid.plot(model)
     draw(loops)
@@ -64,7 +64,7 @@ def test_a_model_draws_its_loops_its_response_and_an_unseen_recording() -> None:
     draw(piezoid.plot(model, "error", recording=unseen))
 
 
-def test_a_diagnosis_draws_findings_and_detection_limits() -> None:
+def test_a_diagnosis_draws_findings_and_detection_limits():
     diagnosis = diagnosed(finding("creep", share=2.5e-3))
     absent = tuple(effect for effect in diagnosis.not_detected if effect.effect == "slew_limit")
     reduced = replace(diagnosis, stroke_m=1e-5, not_detected=absent)
@@ -75,7 +75,7 @@ def test_a_diagnosis_draws_findings_and_detection_limits() -> None:
     assert bar.get_x() + bar.get_width() == pytest.approx(25.0)  # nm: 0.25 % of 10 um
 
 
-def test_a_design_draws_its_loops(design) -> None:
+def test_a_design_draws_its_loops(design):
     axes = piezoid.plot(design)
     draw(axes)
     draw(piezoid.plot(design, axis="x"))
@@ -83,7 +83,7 @@ def test_a_design_draws_its_loops(design) -> None:
         piezoid.plot(design, axis="q")
 
 
-def test_a_verification_draws_methods_and_verdicts(shipping) -> None:
+def test_a_verification_draws_methods_and_verdicts(shipping):
     verification = shipping.verification
     axes = piezoid.plot(verification)
     draw(axes)
@@ -95,7 +95,7 @@ def test_a_verification_draws_methods_and_verdicts(shipping) -> None:
     assert len(verdicts.patches) == sum(verdict.limit > 0.0 for verdict in verification.verdicts)
 
 
-def test_a_closed_loop_draws_reference_and_position(design) -> None:
+def test_a_closed_loop_draws_reference_and_position(design):
     model = known_model()
     reference_m = model["x"].zero_m + 1e-7 * np.sin(np.linspace(0.0, 20.0, 2000))
     loop = piezoid.simulate_loop(model, reference_m, design)
@@ -106,7 +106,7 @@ def test_a_closed_loop_draws_reference_and_position(design) -> None:
     assert loop.rms_error == pytest.approx(float(np.sqrt(np.mean(frame["error"] ** 2))))
 
 
-def test_a_plot_uses_the_given_axes(design) -> None:
+def test_a_plot_uses_the_given_axes(design):
     sweep, model = fitted()
     figure = Figure()
     for record, panel in zip((sweep, model, design), figure.subplots(3), strict=True):
@@ -114,7 +114,7 @@ def test_a_plot_uses_the_given_axes(design) -> None:
     figure.savefig("/dev/null", format="png")
 
 
-def test_unknown_kinds_and_foreign_axes_are_refused() -> None:
+def test_unknown_kinds_and_foreign_axes_are_refused():
     sweep, model = fitted()
     with pytest.raises(PictureError, match=r"kind 'spiral'\. Needed: one of loop, time"):
         piezoid.plot(sweep, "spiral")

@@ -45,7 +45,7 @@ def diagnosis(axis: str) -> piezoid.Diagnosis:
     return replace(diagnosed(finding("creep")), axis=axis)
 
 
-def test_every_sealed_file_writes_the_same_bytes_again(design, shipping, tmp_path) -> None:
+def test_every_sealed_file_writes_the_same_bytes_again(design, shipping, tmp_path):
     records = {
         "model.json": fitted(),
         "design.json": design,
@@ -61,7 +61,7 @@ def test_every_sealed_file_writes_the_same_bytes_again(design, shipping, tmp_pat
     assert isinstance(piezoid.load(str(tmp_path)), piezoid.ActuatorModel)
 
 
-def test_diagnoses_are_read_for_each_axis(tmp_path) -> None:
+def test_diagnoses_are_read_for_each_axis(tmp_path):
     path = tmp_path / "diagnosis.json"
     piezoid.save(diagnosis("x"), path)
     assert piezoid.load(path) == (diagnosis("x"),)
@@ -70,13 +70,13 @@ def test_diagnoses_are_read_for_each_axis(tmp_path) -> None:
     assert path.read_bytes() == write_diagnosis(diagnosis("x"), further_axes=[diagnosis("y")])
 
 
-def test_a_repeated_verification_has_the_same_bytes(lab, shipping) -> None:
+def test_a_repeated_verification_has_the_same_bytes(lab, shipping):
     assert shipping.verification.passed
     repeated = piezoid.verify(shipping, fitted(), lab=lab)
     assert repeated.to_json() == shipping.verification.to_json()
 
 
-def test_a_design_of_another_model_is_not_exported(lab, design) -> None:
+def test_a_design_of_another_model_is_not_exported(lab, design):
     copied = fitted().with_axis(fitted()["x"])
     assert piezoid.export(copied, design, lab=lab).parameters is not None  # the same numbers
     renamed = piezoid.ActuatorModel(stage="other", axes=copied.axes, sources={})
@@ -84,7 +84,7 @@ def test_a_design_of_another_model_is_not_exported(lab, design) -> None:
         piezoid.export(renamed, design, lab=lab)
 
 
-def test_the_report_needs_records_only(lab, design, shipping) -> None:
+def test_the_report_needs_records_only(lab, design, shipping):
     page = piezoid.report(fitted(), design=design, shipping=shipping, lab=lab)
     assert page.lower().startswith("<!doctype html")
     assert shipping.verification.parameters_digest[:19] in page
@@ -94,13 +94,13 @@ def test_the_report_needs_records_only(lab, design, shipping) -> None:
     "content",
     [b"", b"[]", b'"model"', b'{"schema": "piezoid.summary/1"}', b"\xff\xfe", b"[" * 5000],
 )
-def test_an_unknown_file_is_refused(tmp_path, content: bytes) -> None:
+def test_an_unknown_file_is_refused(tmp_path, content):
     (tmp_path / "odd.json").write_bytes(content)
     with pytest.raises(ParameterFileError, match=r"odd\.json has"):
         piezoid.load(tmp_path / "odd.json")
 
 
-def test_a_changed_digit_is_refused(tmp_path) -> None:
+def test_a_changed_digit_is_refused(tmp_path):
     record = json.loads(sealed(fitted()))
     record["stage"] = "somebody else's"
     (tmp_path / "model.json").write_text(json.dumps(record))
@@ -109,19 +109,19 @@ def test_a_changed_digit_is_refused(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("value", [3, None, [], "model.json", object()])
-def test_a_value_without_a_file_format_is_not_saved(tmp_path, value) -> None:
+def test_a_value_without_a_file_format_is_not_saved(tmp_path, value):
     with pytest.raises(ParameterFileError, match="has no sealed file"):
         piezoid.save(value, tmp_path / "x.json")
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("value", [3, "sweep.csv", ["sweep.csv"], None, {"a": 1}])
-def test_a_value_that_is_no_recording_is_refused(value) -> None:
+def test_a_value_that_is_no_recording_is_refused(value):
     with pytest.raises(RecordingError, match="given as a recording"):
         piezoid.fit(value)
 
 
-def test_reading_nothing_is_refused() -> None:
+def test_reading_nothing_is_refused():
     with pytest.raises(RecordingError, match="no file is given"):
         piezoid.read()
     with pytest.raises(RecordingError, match="int given as a path"):

@@ -86,11 +86,11 @@ def mypy_output(folder: Path, script: str) -> str:
     return run.stdout + run.stderr
 
 
-def test_a_users_script_passes_mypy_strict(folder: Path) -> None:
+def test_a_users_script_passes_mypy_strict(folder):
     assert mypy_output(folder, SCRIPT) == ""
 
 
-def test_mypy_finds_a_misspelt_field_and_argument(folder: Path) -> None:
+def test_mypy_finds_a_misspelt_field_and_argument(folder):
     complaints = mypy_output(folder, MISTAKES)
     assert 'has no attribute "held_out_rms_nm"' in complaints
     assert 'Unexpected keyword argument "sampling_rate_kHz"' in complaints

@@ -9,7 +9,7 @@ import pytest
 from piezoid.calibration.controllers import Controllers, controllers_of
 from piezoid.design.design import AxisDesign
 from piezoid.design.design_stage import AxisDesignResult, design_axes
-from piezoid.errors import DesignError, PiezoidError, RuntimeLibraryError, TemplateError
+from piezoid.errors import DesignError, RuntimeLibraryError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import write_model
@@ -53,9 +53,7 @@ def controllers(
     )
 
 
-def test_a_failed_loop_with_damping_is_replaced_by_a_loop_below_the_mode(
-    design_x: AxisDesign,
-) -> None:
+def test_a_failed_loop_with_damping_is_replaced_by_a_loop_below_the_mode(design_x):
     """The fast loop overshoots by 18 % instead of 5 %; the slow loop ships with a remark."""
     fast = with_reference(design_x, (9.0, -8.0), bandwidth_Hz=155.0)
     result = controllers(fitted(), AxisDesignResult(axis="x", design=fast, slower=design_x))
@@ -72,7 +70,7 @@ def test_a_failed_loop_with_damping_is_replaced_by_a_loop_below_the_mode(
     assert not any(name.startswith("refused/") for name in result.files)
 
 
-def test_an_axis_that_does_not_ship_is_reported_and_the_others_ship(design_x: AxisDesign) -> None:
+def test_an_axis_that_does_not_ship_is_reported_and_the_others_ship(design_x):
     """Axis y moves against the direction of its design."""
     x = fitted()["x"]
     result = controllers(
@@ -88,7 +86,7 @@ def test_an_axis_that_does_not_ship_is_reported_and_the_others_ship(design_x: Ax
     assert not result.passed
 
 
-def test_a_missing_declaration_is_no_failure_but_an_infeasible_limit_is() -> None:
+def test_a_missing_declaration_is_no_failure_but_an_infeasible_limit_is():
     unknown = AxisDesignResult(axis="x", obstacle=DesignError("no pole is declared", **ADVICE))
     missed = AxisDesignResult(axis="x", refusal=TemplateError("missed by 3 dB", **ADVICE))
     assert controllers(fitted(), unknown).passed
@@ -97,7 +95,7 @@ def test_a_missing_declaration_is_no_failure_but_an_infeasible_limit_is() -> Non
 
 
 @pytest.mark.parametrize("kind", [DesignError, RuntimeLibraryError])
-def test_a_refused_design_states_its_reason(kind: type[PiezoidError]) -> None:
+def test_a_refused_design_states_its_reason(kind):
     result = controllers(fitted(), fault=kind("9 N", **ADVICE))
     assert result.reason == "9 N. Needed: 8 N. Push less."
     assert not result.has_crashed
@@ -116,9 +114,7 @@ def test_a_refused_design_states_its_reason(kind: type[PiezoidError]) -> None:
     ],
     ids=STEPS[1:],
 )
-def test_a_refusal_after_the_design_keeps_the_design(
-    polarity: int, lab: Lab, reason: str, design_x: AxisDesign
-) -> None:
+def test_a_refusal_after_the_design_keeps_the_design(polarity, lab, reason, design_x):
     axis = replace(fitted()["x"], polarity=polarity)
     result = controllers(stage(axis), AxisDesignResult(axis="x", design=design_x), lab=lab)
     assert reason in result.reason
@@ -129,7 +125,7 @@ def test_a_refusal_after_the_design_keeps_the_design(
 
 
 @pytest.mark.parametrize("step", STEPS)
-def test_an_internal_error_is_named_and_nothing_ships(step: str, design_x: AxisDesign) -> None:
+def test_an_internal_error_is_named_and_nothing_ships(step, design_x):
     """An empty filter breaks the export, and unknown parameters break the verification."""
     axis = fitted()["x"]
     unknown = replace(axis.uncertainty, names=tuple("abcdefghijkl"))

@@ -50,14 +50,12 @@ def axis_at_single_speed(score: int) -> AxisModel:
         (with_uncertainty(loop_width_m=(1e-6, 3e-7)), "loop_width", Level.WARNING),
     ],
 )
-def test_each_limitation_of_a_fit_is_stated_with_its_level(
-    axis: AxisModel, quantity: str, level: Level
-) -> None:
+def test_each_limitation_of_a_fit_is_stated_with_its_level(axis, quantity, level):
     assert quantity not in levels(axis_model())
     assert levels(axis)[quantity] is level
 
 
-def test_a_noise_above_the_error_of_the_model_is_an_upper_limit() -> None:
+def test_a_noise_above_the_error_of_the_model_is_an_upper_limit():
     quality = replace(axis_model().quality, rms_m=0.5 * NOISE_m, held_out_rms_m=0.6 * NOISE_m)
     bounded = with_noise_bound(quality)
     assert bounded.noise_rms_m == quality.explained_rms_m
@@ -69,14 +67,14 @@ def test_a_noise_above_the_error_of_the_model_is_an_upper_limit() -> None:
     assert with_noise_bound(larger) is larger
 
 
-def test_an_interval_that_contradicts_the_held_out_error_is_not_stated() -> None:
+def test_an_interval_that_contradicts_the_held_out_error_is_not_stated():
     axis = with_uncertainty(loop_width_m=(5.1e-6, 7.2e-6))
     (fact,) = (fact for fact in fit_statements(axis) if fact.quantity == "loop_width")
     assert "7.2" not in fact.text
     assert "held-out error, 30.0 nm rms" in fact.text
 
 
-def test_a_baseline_that_drifts_is_stated_with_its_size() -> None:
+def test_a_baseline_that_drifts_is_stated_with_its_size():
     (drift,) = {
         (fact.value, fact.recording)
         for fact in fit_statements(axis_model())
@@ -96,13 +94,11 @@ def test_a_baseline_that_drifts_is_stated_with_its_size() -> None:
         ({"limits": (Limit(lack="speed", reason="one speed", most=50),)}, Grade.LIMITED),
     ],
 )
-def test_the_grade_follows_error_noise_and_limits(
-    changes: dict[str, object], grade: Grade
-) -> None:
+def test_the_grade_follows_error_noise_and_limits(changes, grade):
     assert grade_of(with_quality(**changes)) is grade
 
 
-def test_an_inapplicable_model_class_is_the_first_action() -> None:
+def test_an_inapplicable_model_class_is_the_first_action():
     axis = axis_model(reason="the loop opens the wrong way")
     assert grade_of(axis) is Grade.REJECTED
     first = select(stage_statements(stage_model(axis)))[0]
@@ -110,7 +106,7 @@ def test_an_inapplicable_model_class_is_the_first_action() -> None:
 
 
 @pytest.mark.parametrize("effect", [effect.name for effect in EFFECTS])
-def test_confounded_effects_request_their_experiment(effect: str) -> None:
+def test_confounded_effects_request_their_experiment(effect):
     diagnosis = diagnosed(
         finding(effect, rivals=("thermal_drift",), experiment="Record a staircase.")
     )
@@ -119,7 +115,7 @@ def test_confounded_effects_request_their_experiment(effect: str) -> None:
     assert fact.text.endswith("Record a staircase.")
 
 
-def test_an_unexplained_error_without_findings_requests_a_recording() -> None:
+def test_an_unexplained_error_without_findings_requests_a_recording():
     diagnosis = replace(diagnosed(), budget=())
     (fact,) = diagnosis_statements(diagnosis)
     assert (fact.quantity, fact.level, fact.value) == (
@@ -132,7 +128,7 @@ def test_an_unexplained_error_without_findings_requests_a_recording() -> None:
     assert diagnosis_statements(replace(diagnosed(finding("delay")), budget=())) == ()
 
 
-def test_a_diagnosis_without_tests_states_the_reason() -> None:
+def test_a_diagnosis_without_tests_states_the_reason():
     diagnosis = diagnosed()
     untested = tuple(
         replace(effect, upper_bound_m=None, detection_limit_m=None, reason="the loop is open")
@@ -148,7 +144,7 @@ def test_a_diagnosis_without_tests_states_the_reason() -> None:
 @pytest.mark.parametrize(
     ("part", "level"), [("loop_shape", Level.WARNING), ("extrapolation", Level.ACTION)]
 )
-def test_the_dominant_part_of_the_remaining_error_is_stated(part: str, level: Level) -> None:
+def test_the_dominant_part_of_the_remaining_error_is_stated(part, level):
     large = BudgetPart(part=part, rms_m=2.9e-8, is_explained=False, text="What it is.")
     diagnosis = replace(diagnosed(finding("delay")), budget=(large,))
     (fact,) = diagnosis_statements(diagnosis)
@@ -159,7 +155,7 @@ def test_the_dominant_part_of_the_remaining_error_is_stated(part: str, level: Le
     assert diagnosis_statements(noise_level) == ()
 
 
-def test_an_unexplained_finding_is_first_only_if_it_is_the_largest() -> None:
+def test_an_unexplained_finding_is_first_only_if_it_is_the_largest():
     large, small = (finding(SOMETHING_ELSE, share=share) for share in (5e-3, 1e-3))
     creep = finding("creep", share=3e-3)
     assert largest_first(diagnosed(creep, large))[0].effect == SOMETHING_ELSE
@@ -186,7 +182,7 @@ def verification(value: float) -> Verification:
     )
 
 
-def test_a_failed_verdict_and_an_axis_that_does_not_ship_need_action_once() -> None:
+def test_a_failed_verdict_and_an_axis_that_does_not_ship_need_action_once():
     model, failed = stage_model(axis_model()), verification(0.9)
 
     def actions_of(result: Verification, **reasons: Any) -> set[tuple[str, str]]:
@@ -200,7 +196,7 @@ def test_a_failed_verdict_and_an_axis_that_does_not_ship_need_action_once() -> N
     assert actions_of(failed, unshipped={"x": reason}) == {("x", "not_shipped")}
 
 
-def test_no_statement_is_made_twice() -> None:
+def test_no_statement_is_made_twice():
     facts = stage_statements(
         stage_model(axis_model()),
         recordings=[recording()],
@@ -210,7 +206,7 @@ def test_no_statement_is_made_twice() -> None:
     assert len({fact.text for fact in facts}) == len(facts)
 
 
-def test_a_remark_of_the_model_about_a_recording_is_one_statement_that_needs_action() -> None:
+def test_a_remark_of_the_model_about_a_recording_is_one_statement_that_needs_action():
     rate = finding_of_recording("controller_rate", "No time column.")
     remarked = replace(recording(), statements=(rate,))
     model = replace(
@@ -223,7 +219,7 @@ def test_a_remark_of_the_model_about_a_recording_is_one_statement_that_needs_act
     assert len({fact.text for fact in facts}) == len(facts)
 
 
-def test_a_fault_of_the_recordings_precedes_the_rejected_model() -> None:
+def test_a_fault_of_the_recordings_precedes_the_rejected_model():
     rejected = stage_model(axis_model(reason="the loop opens the wrong way"))
     model = replace(rejected, remarks=("Several drives move one displacement.",))
     first, second, *_ = select(stage_statements(model), minimum=Level.ACTION)

@@ -42,9 +42,7 @@ def write_lab(folder: Path, axes: str) -> Lab:
     return read_lab(folder / "lab.toml")
 
 
-def test_two_processes_write_the_bytes_of_a_single_process(
-    tmp_path: Path,
-) -> None:
+def test_two_processes_write_the_bytes_of_a_single_process(tmp_path):
     files = [write_butterfly(tmp_path / "x.csv", 5.0), write_butterfly(tmp_path / "y.csv", 4.0)]
     write_lab(tmp_path, "xy")
     lab = tmp_path / "lab.toml"
@@ -63,9 +61,7 @@ def test_two_processes_write_the_bytes_of_a_single_process(
 @pytest.mark.parametrize(
     ("processes", "axes", "threads"), [(1, "x", 1), (2, "x", 2), (2, "xy", 1), (5, "xy", 2)]
 )
-def test_idle_cores_become_threads_of_the_axes(
-    tmp_path: Path, processes: int, axes: str, threads: int
-) -> None:
+def test_idle_cores_become_threads_of_the_axes(tmp_path, processes, axes, threads):
     lab = write_lab(tmp_path, axes)
     recordings = collect([write_butterfly(tmp_path / f"{axis}.csv", 5.0) for axis in axes], lab)
     _, jobs = jobs_of(recordings, lab, processes)

@@ -74,9 +74,7 @@ def run(
         return earlier, {stage.name: stage.state for stage in stages}
 
 
-def test_a_second_start_calibrates_only_stages_without_a_record(
-    client: Client, night: Path, results: str, tmp_path: Path
-) -> None:
+def test_a_second_start_calibrates_only_stages_without_a_record(client, night, results, tmp_path):
     tasks, log = find_stages(night, results), tmp_path / "log"
     work = partial(write_digests, log=log)
     assert run(client, tasks, work) == (0, {f"unit-{k}": PASSED for k in range(COUNT)})
@@ -94,9 +92,7 @@ def test_a_second_start_calibrates_only_stages_without_a_record(
     assert log.read_text() == f"{BAD}\n"
 
 
-def test_changed_inputs_are_refused_before_any_calibration(
-    client: Client, night: Path, results: str, tmp_path: Path
-) -> None:
+def test_changed_inputs_are_refused_before_any_calibration(client, night, results, tmp_path):
     tasks, log = find_stages(night, results), tmp_path / "log"
     work = partial(write_digests, log=log)
     run(client, tasks, work)
@@ -110,9 +106,7 @@ def test_changed_inputs_are_refused_before_any_calibration(
     assert log.read_text() == f"{BAD}\n"
 
 
-def test_a_failing_stage_does_not_stop_the_others(
-    client: Client, night: Path, results: str
-) -> None:
+def test_a_failing_stage_does_not_stop_the_others(client, night, results):
     def fail_at_bad_stage(task: StageTask, inputs: Mapping[str, str]) -> object:
         if task.name == BAD:
             raise OSError("the disk is away")
@@ -124,13 +118,13 @@ def test_a_failing_stage_does_not_stop_the_others(
     assert len(states) == COUNT - 1
 
 
-def test_a_worker_without_access_to_the_results_is_reported(tmp_path: Path, night: Path) -> None:
+def test_a_worker_without_access_to_the_results_is_reported(tmp_path, night):
     (task, *_) = find_stages(night, str(tmp_path / "elsewhere"))
     with pytest.raises(OSError, match=r"does not see .*elsewhere.*s3://"):
         run_task(task, write_digests)
 
 
-def test_the_summary_does_not_depend_on_the_order_of_the_stages(night: Path, results: str) -> None:
+def test_the_summary_does_not_depend_on_the_order_of_the_stages(night, results):
     files, root = fsspec.core.url_to_fs(results)
     contents = []
     for order in (1, -1):

@@ -23,7 +23,7 @@ def examples(verb: str) -> list[str]:
 
 
 @pytest.mark.parametrize("verb", [verb.__name__ for verb in VERBS])
-def test_every_verb_accepts_its_examples(verb: str) -> None:
+def test_every_verb_accepts_its_examples(verb):
     assert isinstance(COMMAND, click.Group | typer.core.TyperGroup)
     lines = examples(verb)
     assert lines
@@ -34,7 +34,7 @@ def test_every_verb_accepts_its_examples(verb: str) -> None:
         command.make_context(verb, words)
 
 
-def test_every_verb_has_a_summary_of_a_line() -> None:
+def test_every_verb_has_a_summary_of_a_line():
     for verb in VERBS:
         summary = (verb.__doc__ or "").partition("\n")[0]
         assert summary.endswith(".")
@@ -42,7 +42,7 @@ def test_every_verb_has_a_summary_of_a_line() -> None:
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
-def test_shells_can_complete_the_verbs(shell: str) -> None:
+def test_shells_can_complete_the_verbs(shell):
     environment = {
         "_PIEZOID_COMPLETE": f"complete_{shell}",
         "_TYPER_COMPLETE_ARGS": "piezoid d",
@@ -55,7 +55,7 @@ def test_shells_can_complete_the_verbs(shell: str) -> None:
     assert "verify" not in result.output
 
 
-def test_linear_algebra_has_a_single_thread_in_any_environment() -> None:
+def test_linear_algebra_has_a_single_thread_in_any_environment():
     code = "import os, piezoid_cli.main; print(os.environ['OPENBLAS_NUM_THREADS'])"
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "4"}
     result = subprocess.run(
@@ -64,7 +64,7 @@ def test_linear_algebra_has_a_single_thread_in_any_environment() -> None:
     assert result.stdout == "1\n"
 
 
-def test_an_unknown_verb_is_answered_with_the_known_verbs() -> None:
+def test_an_unknown_verb_is_answered_with_the_known_verbs():
     result = invoke("fitt", columns=300)
     assert result.exit_code == 2
     assert "there is no command 'fitt'. Needed: one of inspect, init, fit" in result.output
@@ -72,7 +72,7 @@ def test_an_unknown_verb_is_answered_with_the_known_verbs() -> None:
     assert "See piezoid --help." in invoke("qqq").output
 
 
-def test_the_help_shows_tables_of_lab_toml_and_every_exit_code() -> None:
+def test_the_help_shows_tables_of_lab_toml_and_every_exit_code():
     assert "default: [verification] of lab.toml" in invoke("verify", "--help").output
     summary = " ".join(invoke("--help").output.split())
     for status in ("0 success", "1 a verdict", "2 wr", "3 unus", "4 no", "70 internal", "130 int"):

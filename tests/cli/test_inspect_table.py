@@ -15,7 +15,7 @@ def inspected_lines(path: Path, columns: int) -> list[str]:
     return invoke("inspect", path, columns=columns).output.splitlines()
 
 
-def test_headings_and_numbers_are_unbroken_at_eighty_columns() -> None:
+def test_headings_and_numbers_are_unbroken_at_eighty_columns():
     lines = inspected_lines(SWEEP, 80)
     (row,) = [line for line in lines if line.startswith("3 ")]
     for cell in ("displacement [um]", "displacement of x", "1.071 µm", "33.17 µm", "9.236 nm"):
@@ -23,7 +23,7 @@ def test_headings_and_numbers_are_unbroken_at_eighty_columns() -> None:
     assert max(map(len, lines)) <= 80
 
 
-def test_the_noise_of_a_clock_and_of_a_computed_ramp_is_no_rounding_error() -> None:
+def test_the_noise_of_a_clock_and_of_a_computed_ramp_is_no_rounding_error():
     (clock,) = [line for line in inspected_lines(SWEEP, 80) if line.startswith("1 ")]
     assert clock.split() == ["1", "time", "[s]", "time", "s", "0", "s", "14.35", "s"]
     ramp = inspected_lines(LAB.parent / "z_spectroscopy.dat", 80)
@@ -31,7 +31,7 @@ def test_the_noise_of_a_clock_and_of_a_computed_ramp_is_no_rounding_error() -> N
 
 
 @pytest.mark.parametrize("columns", [60, 70, 80, 200])
-def test_no_text_is_truncated_at_any_width(tmp_path: Path, columns: int) -> None:
+def test_no_text_is_truncated_at_any_width(tmp_path, columns):
     heading = "position_of_the_stage_behind_its_filter_um"
     path = tmp_path / "run.csv"
     rows = SWEEP.read_text().splitlines()[1:400]

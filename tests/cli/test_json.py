@@ -1,7 +1,6 @@
 """Output of the verbs for scripts: --json prints a document with a schema, --quiet nothing."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -13,14 +12,14 @@ CHECK = LAB.parent / "x_check.csv"
 
 
 @pytest.mark.parametrize("verb", [verb.__name__ for verb in VERBS])
-def test_every_verb_has_json_and_quiet_and_no_negated_switch(verb: str) -> None:
+def test_every_verb_has_json_and_quiet_and_no_negated_switch(verb):
     help_text = invoke(verb, "--help").output
     assert "--json" in help_text
     assert "--quiet" in help_text
     assert "--no-" not in help_text
 
 
-def test_a_simulation_lists_its_files(tmp_path: Path) -> None:
+def test_a_simulation_lists_its_files(tmp_path):
     words = ("simulate", "--out", tmp_path / "made", "--seed", 3)
     document = json.loads(invoke(*words, "--json").output)
     assert document["schema"] == "piezoid.simulated/1"
@@ -29,7 +28,7 @@ def test_a_simulation_lists_its_files(tmp_path: Path) -> None:
     assert invoke(*words, "--force", "--quiet").output == ""
 
 
-def test_a_draft_names_incomplete_entries(tmp_path: Path) -> None:
+def test_a_draft_names_incomplete_entries(tmp_path):
     incomplete = tmp_path / "run.csv"
     incomplete.write_text("a,b\n1,2\n2,3\n")
     path = tmp_path / "lab.toml"
@@ -42,7 +41,7 @@ def test_a_draft_names_incomplete_entries(tmp_path: Path) -> None:
     }
 
 
-def test_a_quiet_inspection_prints_only_refusals(tmp_path: Path) -> None:
+def test_a_quiet_inspection_prints_only_refusals(tmp_path):
     empty = tmp_path / "empty.csv"
     empty.write_bytes(b"")
     result = invoke("inspect", CHECK, "--quiet")

@@ -2,12 +2,10 @@
 
 import time
 
-import pytest
-
 from piezoid_cli.progress import VERBOSE, Log, REPEAT_s, show_progress
 
 
-def test_a_log_has_at_most_a_line_per_period() -> None:
+def test_a_log_has_at_most_a_line_per_period():
     lines: list[str] = []
     with Log(lines.append).at_intervals(0.05) as report:
         for k in range(12):
@@ -19,13 +17,13 @@ def test_a_log_has_at_most_a_line_per_period() -> None:
     assert len(lines) <= 6  # nothing is written after the end
 
 
-def test_short_work_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_short_work_writes_nothing(capsys):
     with show_progress(quiet=False) as report:
         report("reading")
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_long_step_is_not_repeated_within_30_seconds() -> None:
+def test_a_long_step_is_not_repeated_within_30_seconds():
     lines: list[str] = []
     with Log(lines.append).at_intervals(0.02) as report:
         report("refitting")
@@ -34,9 +32,7 @@ def test_a_long_step_is_not_repeated_within_30_seconds() -> None:
     assert REPEAT_s > 30.0
 
 
-def test_verbose_logs_every_step_and_quiet_none(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_verbose_logs_every_step_and_quiet_none(capsys):
     token = VERBOSE.set(True)
     try:
         with show_progress(quiet=False) as report:
@@ -55,9 +51,7 @@ def test_verbose_logs_every_step_and_quiet_none(
     ]
 
 
-def test_a_verb_sets_the_time_to_its_first_line(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_verb_sets_the_time_to_its_first_line(capfd):
     with show_progress(quiet=False, interval_s=0.05) as report:
         report("reading big.csv")
         time.sleep(0.4)

@@ -1,7 +1,6 @@
 """Files of a stage: types, sizes, and messages about missing files."""
 
 import os
-from pathlib import Path
 
 import pytest
 
@@ -10,9 +9,7 @@ from piezoid_cli.init import init
 from piezoid_cli.stage_files import content_of, text_of
 
 
-def test_a_pipe_or_device_instead_of_a_sealed_file_is_refused(
-    tmp_path: Path,
-) -> None:
+def test_a_pipe_or_device_instead_of_a_sealed_file_is_refused(tmp_path):
     os.mkfifo(tmp_path / "model.json")
     (tmp_path / "params.json").symlink_to("/dev/zero")
     for name in ("model.json", "params.json"):
@@ -20,7 +17,7 @@ def test_a_pipe_or_device_instead_of_a_sealed_file_is_refused(
             content_of(tmp_path / name)
 
 
-def test_a_file_above_the_size_limit_is_refused(tmp_path: Path) -> None:
+def test_a_file_above_the_size_limit_is_refused(tmp_path):
     """The files are sparse and need no disk space."""
     path = tmp_path / "model.json"
     path.write_bytes(b"x" * 100)
@@ -34,7 +31,7 @@ def test_a_file_above_the_size_limit_is_refused(tmp_path: Path) -> None:
             content_of(path)
 
 
-def test_a_text_may_begin_with_a_byte_order_mark_and_must_be_utf_8(tmp_path: Path) -> None:
+def test_a_text_may_begin_with_a_byte_order_mark_and_must_be_utf_8(tmp_path):
     path = tmp_path / "design.toml"
     path.write_bytes("\ufeffgrün".encode())
     assert text_of(path) == "grün"
@@ -53,24 +50,17 @@ def test_a_text_may_begin_with_a_byte_order_mark_and_must_be_utf_8(tmp_path: Pat
         ("verification.json", "piezoid verify"),
     ],
 )
-def test_a_missing_file_is_named_with_the_verb_that_writes_it(
-    tmp_path: Path, name: str, verb: str
-) -> None:
+def test_a_missing_file_is_named_with_the_verb_that_writes_it(tmp_path, name, verb):
     with pytest.raises(ParameterFileError) as refusal:
         content_of(tmp_path / name)
     assert str(refusal.value).startswith(f"{tmp_path} contains no {name}. Needed: ")
     assert f"Run `{verb} {tmp_path}` first." in str(refusal.value)
 
 
-def test_missing_parameters_of_a_fitted_stage_request_a_design(
-    tmp_path: Path,
-) -> None:
+def test_missing_parameters_are_explained_by_the_other_files_of_the_stage(tmp_path):
     (tmp_path / "model.json").write_text("{}")
     with pytest.raises(ParameterFileError, match=f"Run `piezoid design {tmp_path}`"):
         content_of(tmp_path / "params.json")
-
-
-def test_a_stage_with_refused_controllers_names_their_verification(tmp_path: Path) -> None:
     (tmp_path / "refused").mkdir()
     with pytest.raises(ParameterFileError, match="failed its verification") as refusal:
         content_of(tmp_path / "params.json")
@@ -78,7 +68,7 @@ def test_a_stage_with_refused_controllers_names_their_verification(tmp_path: Pat
     assert "piezoid export" not in str(refusal.value)
 
 
-def test_a_missing_folder_and_a_file_in_its_place_have_different_messages(tmp_path: Path) -> None:
+def test_a_missing_folder_and_a_file_in_its_place_have_different_messages(tmp_path):
     (tmp_path / "page.html").write_text("")
     with pytest.raises(ParameterFileError, match="nowhere does not exist"):
         content_of(tmp_path / "nowhere" / "model.json")
@@ -88,7 +78,7 @@ def test_a_missing_folder_and_a_file_in_its_place_have_different_messages(tmp_pa
         text_of(tmp_path / "limits.toml")
 
 
-def test_no_draft_is_written_for_a_missing_recording(tmp_path: Path) -> None:
+def test_no_draft_is_written_for_a_missing_recording(tmp_path):
     draft = tmp_path / "lab.toml"
     with pytest.raises(FileNotFoundError, match=r"nowhere\.csv"):
         init([tmp_path / "nowhere.csv"], draft)

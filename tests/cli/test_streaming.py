@@ -25,9 +25,7 @@ def files(tmp_path: Path) -> list[Path]:
     return [tmp_path / "x_sweep.csv", tmp_path / "x_check.csv"]
 
 
-def test_a_fit_in_chunks_writes_model_and_report_without_diagnosis(
-    files: list[Path],
-) -> None:
+def test_a_fit_in_chunks_writes_model_and_report_without_diagnosis(files):
     messages: list[str] = []
     result = calibrate_streamed(files, None, messages.append)
     assert {"model.json", "report.html"} <= set(result.files)
@@ -38,15 +36,13 @@ def test_a_fit_in_chunks_writes_model_and_report_without_diagnosis(
     assert result.model["x"].quality.held_out_kind != IN_SAMPLE
 
 
-def test_recordings_without_thinning_have_the_fit_from_memory(files: list[Path]) -> None:
+def test_recordings_without_thinning_have_the_fit_from_memory(files):
     check = files[1]
     chunked = fit(read_thinned([check], chunk_rows=1024))
     assert write_model(chunked) == write_model(fit(read(check)))
 
 
-def test_a_thinned_recording_gives_the_known_stage(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_thinned_recording_gives_the_known_stage(tmp_path, rng):
     """The stage has two plays, 5 nm of noise and a lag of half a sample after thinning."""
     rate_Hz, cycles = 2000.0, 40
     t = np.arange(round(cycles * rate_Hz)) / rate_Hz

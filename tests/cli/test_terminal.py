@@ -4,7 +4,6 @@ import ast
 import io
 from pathlib import Path
 
-import pytest
 from rich.console import Console
 
 import piezoid_cli
@@ -22,9 +21,7 @@ def printed(*parts: object) -> str:
     return stream.getvalue()
 
 
-def test_control_codes_are_escaped_and_brackets_kept(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_control_codes_are_escaped_and_brackets_kept(capsys):
     say(f"{CONTROL_CODES}[red]\n")
     say(CONTROL_CODES, err=True)
     output = capsys.readouterr()
@@ -35,18 +32,18 @@ def test_control_codes_are_escaped_and_brackets_kept(
     )
 
 
-def test_raw_output_has_every_byte(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
+def test_raw_output_has_every_byte(capsysbinary):
     print_raw(b'{"name": "\xc2\x9b"}\n')
     print_raw('{"files": []}')
     assert capsysbinary.readouterr().out == b'{"name": "\xc2\x9b"}\n{"files": []}\n'
 
 
-def test_a_progress_bar_takes_no_markup_from_a_name() -> None:
+def test_a_progress_bar_takes_no_markup_from_a_name():
     task = type("Task", (), {"description": "reading [red]a.csv[/red]"})()
     assert step_column().render(task).plain == "reading [red]a.csv[/red]"
 
 
-def test_only_the_terminal_module_prints() -> None:
+def test_only_the_terminal_module_prints():
     """`rich` draws tables and bars; a single module formats all their texts."""
     for path in FOLDER.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -57,9 +54,7 @@ def test_only_the_terminal_module_prints() -> None:
                 assert source != "from rich.text import Text" or path.name == "main.py", path
 
 
-def test_inspect_and_init_escape_headings_and_file_names(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_inspect_and_init_escape_headings_and_file_names(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     name = "a\x1b[2Jb\u202e.csv"
     rows = "\n".join(f"{k},{k % 7},{2 * (k % 7)}" for k in range(40))
@@ -74,7 +69,7 @@ def test_inspect_and_init_escape_headings_and_file_names(
         assert not set(output) & set("\x1b\x07\x9b\x7f\u202e")
 
 
-def test_errors_escape_the_codes_of_a_name(tmp_path: Path) -> None:
+def test_errors_escape_the_codes_of_a_name(tmp_path):
     hostile = "x\x1b[2J"
     for words, status in (
         (["design", hostile], 3),

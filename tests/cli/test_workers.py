@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -71,7 +70,7 @@ def run(*jobs: Job, workers: int, report: Callable[[str], None] = lambda _: None
         return map_jobs(add, jobs, report, pool=pool, cost=lambda job: float(len(job.numbers)))
 
 
-def test_workers_give_the_results_of_a_single_process() -> None:
+def test_workers_give_the_results_of_a_single_process():
     jobs = [Job(numbers=random_numbers(count)) for count in (5, 99, 0, 7)]
     serial, parallel = run(*jobs, workers=0), run(*jobs, workers=2)
     for expected, result in zip(serial, parallel, strict=True):
@@ -84,7 +83,7 @@ def test_workers_give_the_results_of_a_single_process() -> None:
 
 
 @pytest.mark.parametrize("workers", [0, 1])
-def test_the_first_refusal_in_order_is_raised_with_its_numbers(workers: int) -> None:
+def test_the_first_refusal_in_order_is_raised_with_its_numbers(workers):
     jobs = [
         Job(numbers=random_numbers(3)),
         Job(numbers=random_numbers(8), refused="missed by 3 dB"),
@@ -96,7 +95,7 @@ def test_the_first_refusal_in_order_is_raised_with_its_numbers(workers: int) -> 
     assert error.value.exit_status == 4
 
 
-def test_a_killed_worker_loses_no_result() -> None:
+def test_a_killed_worker_loses_no_result():
     jobs = [Job(numbers=random_numbers(count), dies=count == 7) for count in (5, 99, 7, 8)]
     results = run(*jobs, workers=1)
     assert [result.words["sum"] for result in results] == [
@@ -104,7 +103,7 @@ def test_a_killed_worker_loses_no_result() -> None:
     ]
 
 
-def test_jobs_after_a_killed_worker_run_in_this_process() -> None:
+def test_jobs_after_a_killed_worker_run_in_this_process():
     jobs = [Job(numbers=random_numbers(count)) for count in (3, 99, 4)]
     with worker_pool(1, load) as pool:
         assert pool is not None
@@ -115,14 +114,14 @@ def test_jobs_after_a_killed_worker_run_in_this_process() -> None:
     assert [result.is_here for result in results] == [True, True, True]
 
 
-def test_a_worker_that_cannot_load_loses_no_result() -> None:
+def test_a_worker_that_cannot_load_loses_no_result():
     with worker_pool(1, sys.exit) as pool:
         jobs = [Job(numbers=random_numbers(3)), Job(numbers=random_numbers(99))]
         results = map_jobs(add, jobs, print, pool=pool, cost=lambda job: float(len(job.numbers)))
     assert [result.is_here for result in results] == [True, True]
 
 
-def test_workers_report_their_steps() -> None:
+def test_workers_report_their_steps():
     messages: list[str] = []
     run(
         Job(numbers=random_numbers(8)),
@@ -135,9 +134,7 @@ def test_workers_report_their_steps() -> None:
 
 
 @pytest.mark.parametrize("after_s", [0.0, 0.2, 0.6, 1.5])
-def test_ctrl_c_ends_this_process_and_its_workers_with_status_130(
-    after_s: float, tmp_path: Path
-) -> None:
+def test_ctrl_c_ends_this_process_and_its_workers_with_status_130(after_s, tmp_path):
     (tmp_path / "jobs.py").write_text("""
 import time
 def wait(job, report):
@@ -188,7 +185,7 @@ def _blocked_signals(*_: object) -> set[int]:
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no masks of signals here")
-def test_ctrl_c_in_a_terminal_does_not_reach_the_workers_of_a_batch() -> None:
+def test_ctrl_c_in_a_terminal_does_not_reach_the_workers_of_a_batch():
     with cluster_client("", 1) as client:
         assert signal.SIGINT not in _blocked_signals()
         (blocked,) = client.run(_blocked_signals).values()

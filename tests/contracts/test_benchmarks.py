@@ -1,7 +1,5 @@
 """The speed benchmarks run at small sizes and compare equal results."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -17,9 +15,7 @@ SINGLE_RUN = Stopwatch(patience_s=0.0)
 SIZES = ["--patience", "0", "--samples", "800"]
 
 
-def test_every_compared_program_has_the_same_result(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_compared_program_has_the_same_result(tmp_path, capsys):
     ratios.main([str(tmp_path), *SIZES, "--parts", "kernels", "programs"])
     lines = capsys.readouterr().out.splitlines()
     rows = [
@@ -34,7 +30,7 @@ def test_every_compared_program_has_the_same_result(
     assert {path.name for path in tmp_path.iterdir()} == {"growth.svg", "growth.png"}
 
 
-def test_the_closed_loop_of_a_benchmark_is_the_verified_loop() -> None:
+def test_the_closed_loop_of_a_benchmark_is_the_verified_loop():
     loop = Loop(
         plant=lateral(),
         parameters=lateral_parameters(),
@@ -47,7 +43,7 @@ def test_the_closed_loop_of_a_benchmark_is_the_verified_loop() -> None:
     assert (by_samples.size, by_plays.size) == ((25, 100, 400), (4, 8, 16, 32))
 
 
-def test_a_longer_recording_has_the_same_loops() -> None:
+def test_a_longer_recording_has_the_same_loops():
     short, long = made(500, 2), made(2000, 2)
     for long_recording, short_recording in zip(long.recordings, short.recordings, strict=True):
         assert (long_recording.samples, short_recording.samples) == (2000, 500)
@@ -58,9 +54,7 @@ def test_a_longer_recording_has_the_same_loops() -> None:
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_recording_is_fitted_in_memory_and_from_its_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_is_fitted_in_memory_and_from_its_file(tmp_path, capsys):
     million_samples.main(["1500"], watch=SINGLE_RUN)
     assert "residual" in capsys.readouterr().out
     path = tmp_path / "long_5e+03.parquet"

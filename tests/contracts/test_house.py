@@ -33,7 +33,7 @@ def sources() -> dict[Path, ast.Module]:
     return {path: ast.parse(path.read_text(encoding="utf-8")) for path in paths}
 
 
-def test_every_package_folder_is_installed() -> None:
+def test_every_package_folder_is_installed():
     configuration = tomllib.loads((ROOT / "pyproject.toml").read_text())
     installed = set(configuration["tool"]["setuptools"]["packages"])
     present = {
@@ -44,7 +44,7 @@ def test_every_package_folder_is_installed() -> None:
     assert installed == present
 
 
-def test_every_record_is_frozen_and_keyword_only() -> None:
+def test_every_record_is_frozen_and_keyword_only():
     for module in modules():
         for value in vars(module).values():
             if not (isinstance(value, type) and dataclasses.is_dataclass(value)):
@@ -60,13 +60,13 @@ def test_every_record_is_frozen_and_keyword_only() -> None:
             assert all(field.kw_only for field in fields), f"{value.__name__} is positional"
 
 
-def test_every_module_has_a_docstring_and_a_specific_name() -> None:
+def test_every_module_has_a_docstring_and_a_specific_name():
     for path, tree in sources().items():
         assert ast.get_docstring(tree), path
         assert not {path.stem, path.parent.name} & FORBIDDEN, path
 
 
-def test_every_private_name_is_used() -> None:
+def test_every_private_name_is_used():
     defined, referenced = set(), set()
     for tree in sources().values():
         for node in ast.walk(tree):
@@ -82,7 +82,7 @@ def test_every_private_name_is_used() -> None:
     assert private - referenced == set()
 
 
-def test_the_library_neither_prints_nor_reads_clock_or_environment() -> None:
+def test_the_library_neither_prints_nor_reads_clock_or_environment():
     for path, tree in sources().items():
         for node in ast.walk(tree) if path.is_relative_to(ROOT / "piezoid") else ():
             if isinstance(node, ast.Import | ast.ImportFrom):
@@ -92,7 +92,7 @@ def test_the_library_neither_prints_nor_reads_clock_or_environment() -> None:
                 assert node.attr != "environ", path
 
 
-def test_every_error_has_three_parts_and_a_status() -> None:
+def test_every_error_has_three_parts_and_a_status():
     classes = [
         value
         for value in vars(errors).values()

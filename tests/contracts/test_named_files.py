@@ -45,7 +45,7 @@ def missing_in(path: Path) -> list[str]:
     return missing_files(text, existing)
 
 
-def test_files_named_in_docstrings_and_documentation_exist() -> None:
+def test_files_named_in_docstrings_and_documentation_exist():
     missing = {str(path): missing_in(path) for path in (*MODULES, *PAGES)}
     assert {path: names for path, names in missing.items() if names} == {}
 
@@ -59,7 +59,7 @@ def unknown_names(package: Path) -> list[str]:
     return [n for n in names if n not in allowed and not re.search(rf"\b{n}\b", code)]
 
 
-def test_names_in_package_docstrings_exist() -> None:
+def test_names_in_package_docstrings_exist():
     packages = [path for path in MODULES if path.name == "__init__.py"]
     unknown = {str(package): unknown_names(package) for package in packages}
     assert {package: names for package, names in unknown.items() if names} == {}

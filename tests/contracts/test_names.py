@@ -74,7 +74,7 @@ def literal_text(node: ast.expr) -> str:
     return ""
 
 
-def test_no_room_gets_more_bad_names_or_long_sentences() -> None:
+def test_no_room_gets_more_bad_names_or_long_sentences():
     counted: Counter[tuple[str, str]] = Counter()
     for path in sources():
         text, room = path.read_text(encoding="utf-8"), room_of(path)
@@ -87,7 +87,7 @@ def test_no_room_gets_more_bad_names_or_long_sentences() -> None:
     assert exceeded == {}
 
 
-def test_a_bad_name_and_a_long_sentence_are_counted() -> None:
+def test_a_bad_name_and_a_long_sentence_are_counted():
     assert empty_names("found = 1\nfor one in x:\n    residual_m = one\n") == 2
     assert empty_names("found = 1  # name: a quotation\n") == 0
     assert long_sentences(f"raise DesignError('{'word ' * 31}')") == 1

@@ -1,7 +1,6 @@
 """The benchmark of the zoo has reproducible stages and counts its detections."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -41,7 +40,7 @@ def case(
     )
 
 
-def test_a_stage_does_not_depend_on_the_other_stages() -> None:
+def test_a_stage_does_not_depend_on_the_other_stages():
     subset = list(asked_for(["dahl"], ["single", "pair"], 2, 5))
     full_set = list(asked_for([law.name for law in ZOO], list(KINDS), 3, 5))
     assert all(task in full_set for task in subset)
@@ -49,7 +48,7 @@ def test_a_stage_does_not_depend_on_the_other_stages() -> None:
     assert tuple(law.name for law in ZOO) == NAMES
 
 
-def test_every_effect_occurs_at_the_size_of_its_kind() -> None:
+def test_every_effect_occurs_at_the_size_of_its_kind():
     hidden = {name for k in range(len(HIDDEN)) for name in stage("lugre", "single", k, 0).hidden}
     assert hidden == set(HIDDEN)
     full_size, quarter = (stage("lugre", kind, 3, 0).hidden for kind in ("single", "quarter"))
@@ -59,7 +58,7 @@ def test_every_effect_occurs_at_the_size_of_its_kind() -> None:
     ]
 
 
-def test_the_table_counts_detections_false_alarms_and_intervals() -> None:
+def test_the_table_counts_detections_false_alarms_and_intervals():
     cases = [
         case("single", ("delay",), finding("delay", truth=5.5), finding("lag")),
         case("single", ("lag",), finding("lag", truth=7.0), finding("something_else")),
@@ -82,13 +81,13 @@ def test_the_table_counts_detections_false_alarms_and_intervals() -> None:
     assert "healthy: said lag 1, said initial_state 1" in matrix
 
 
-def test_a_share_has_the_interval_of_clopper_and_pearson() -> None:
+def test_a_share_has_the_interval_of_clopper_and_pearson():
     assert share(0, 0) == "-"
     assert share(0, 20) == f"0/20 (0-{100 * (1 - 0.025 ** (1 / 20)):.0f} %)"
     assert share(20, 20) == f"20/20 ({100 * 0.025 ** (1 / 20):.0f}-100 %)"
 
 
-def test_an_interrupted_run_continues(tmp_path: Path) -> None:
+def test_an_interrupted_run_continues(tmp_path):
     path = tmp_path / "zoo.jsonl"
     rows = [case("single", ("delay",), finding("delay", truth=5.5)), case("healthy", ())]
     lines = [json.dumps(row_case.row()) for row_case in rows]

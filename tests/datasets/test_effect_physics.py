@@ -9,13 +9,13 @@ from piezoid_datasets.virtual_lab.effects.ceramic import follow_slowly, freer_en
 from piezoid_datasets.virtual_lab.effects.drive import limited
 from piezoid_datasets.virtual_lab.truths.closed_form import BOUC_WEN
 from piezoid_datasets.virtual_lab.truths.closed_form import WALL_PINNING as WALLS
-from piezoid_datasets.virtual_lab.truths.truth import Ceramic, Truth
+from piezoid_datasets.virtual_lab.truths.truth import Ceramic
 from tests.datasets.campaigns import campaign, number, pair, pairs
 
 Array = NDArray[np.float64]
 
 
-def test_creep_grows_with_the_logarithm_of_time() -> None:
+def test_creep_grows_with_the_logarithm_of_time():
     faulty, sound = pair("long_hold", 4, "creep", 1.0)
     change = change_m(faulty, sound)
     start = np.argmax(sound.time_s > 2.0)  # the hold begins at 2 s, after 1 s up and 1 s back
@@ -26,7 +26,7 @@ def test_creep_grows_with_the_logarithm_of_time() -> None:
     assert abs((creep_m[2] - creep_m[1]) / np.log10(8.0) / expected - 1.0) < 0.25
 
 
-def test_drift_does_not_depend_on_the_drive() -> None:
+def test_drift_does_not_depend_on_the_drive():
     drifts = []
     for truth in ("preisach", "bouc_wen"):
         sizes = {"thermal_drift": 0.5}
@@ -36,7 +36,7 @@ def test_drift_does_not_depend_on_the_drive() -> None:
     assert np.allclose(drifts[0], drifts[1], atol=1e-12)
 
 
-def test_the_lag_of_walls_grows_as_arcsinh_of_the_rate() -> None:
+def test_the_lag_of_walls_grows_as_arcsinh_of_the_rate():
     tau_s, scale = 2e-3, 0.01
     still = np.linspace(0.0, 0.3, 5001)
     for rate_Hz in (50.0, 5e3, 500e3):
@@ -46,7 +46,7 @@ def test_the_lag_of_walls_grows_as_arcsinh_of_the_rate() -> None:
         assert abs(lag - expected) < 1e-3 * expected + one_step
 
 
-def test_the_wall_solves_its_kinetics() -> None:
+def test_the_wall_solves_its_kinetics():
     still, tau_s, scale, rate_Hz = np.linspace(0.0, 0.1, 2001), 0.02, 0.01, 1e4
     wall = 0.0
     for target in still[1:]:
@@ -55,7 +55,7 @@ def test_the_wall_solves_its_kinetics() -> None:
     assert abs(follow_slowly(still, tau_s, scale, rate_Hz)[-1] - wall) < 1e-4
 
 
-def test_a_resonance_is_a_mode_with_its_share_of_the_displacement() -> None:
+def test_a_resonance_is_a_mode_with_its_share_of_the_displacement():
     is_complete = set()
     for seed in (3, 4):
         faulty, sound = pair("chirp", seed, "resonance")
@@ -73,7 +73,7 @@ def test_a_resonance_is_a_mode_with_its_share_of_the_displacement() -> None:
     assert is_complete == {True, False}
 
 
-def test_a_delay_is_constant_in_seconds_or_in_rows() -> None:
+def test_a_delay_is_constant_in_seconds_or_in_rows():
     for seed in (3, 4):
         numbers = campaign(seed, "delay").answer.effects[0].numbers
         for faulty, sound in pairs(seed, "delay")[:3]:
@@ -85,7 +85,7 @@ def test_a_delay_is_constant_in_seconds_or_in_rows() -> None:
             assert np.std(faulty.noise_free_m - delayed_m) < 0.1 * np.std(change_m(faulty, sound))
 
 
-def test_lag_is_a_filter_behind_the_sensor() -> None:
+def test_lag_is_a_filter_behind_the_sensor():
     faulty, sound = pair("rates", 4, "lag", 0.4)
     tau_s = number(4, "lag", "time_constant_s", 0.4)
     speed = np.gradient(faulty.noise_free_m, faulty.time_s)
@@ -93,7 +93,7 @@ def test_lag_is_a_filter_behind_the_sensor() -> None:
     assert np.std(residual_m) < 0.05 * np.std(tau_s * speed)
 
 
-def test_coupling_has_two_paths_and_needs_a_driven_axis() -> None:
+def test_coupling_has_two_paths_and_needs_a_driven_axis():
     paths = set()
     for seed in range(4):
         paths.add(campaign(seed, "cross_coupling").answer.effects[0].numbers["path"])
@@ -103,7 +103,7 @@ def test_coupling_has_two_paths_and_needs_a_driven_axis() -> None:
     assert paths == {"mechanical", "electrical"}
 
 
-def test_mains_interference_is_a_line_of_the_grid() -> None:
+def test_mains_interference_is_a_line_of_the_grid():
     faulty, sound = pair("staircase", 4, "mains_interference")
     change = change_m(faulty, sound)
     lines = np.abs(np.fft.rfft(change * np.hanning(len(change))))
@@ -111,7 +111,7 @@ def test_mains_interference_is_a_line_of_the_grid() -> None:
     assert abs(loudest_Hz - number(4, "mains_interference", "grid_Hz")) < 0.3
 
 
-def test_the_periodic_error_repeats_with_displacement() -> None:
+def test_the_periodic_error_repeats_with_displacement():
     faulty, sound = pair("sweep", 4, "sensor_periodic_error")
     period_m = number(4, "sensor_periodic_error", "period_m")
     turn = np.floor(sound.noise_free_m / period_m * 40.0) % 40.0
@@ -120,7 +120,7 @@ def test_the_periodic_error_repeats_with_displacement() -> None:
     assert within < 0.15 * np.std(change)
 
 
-def test_a_saturated_amplifier_stops_while_the_command_continues() -> None:
+def test_a_saturated_amplifier_stops_while_the_command_continues():
     for seed in (2, 3, 4):
         numbers = campaign(seed, "amplifier_saturation").answer.effects[0].numbers
         faulty, _ = pair("sweep", seed, "amplifier_saturation")
@@ -138,7 +138,7 @@ def alternating_runs(flags: NDArray[np.bool_]) -> list[bool]:
     return [bool(flags[0]), *flags[np.flatnonzero(np.diff(flags)) + 1].tolist()]
 
 
-def test_a_slew_limit_slows_only_fast_drives() -> None:
+def test_a_slew_limit_slows_only_fast_drives():
     command = np.concatenate((np.linspace(0.0, 1.0, 11), np.linspace(1.5, 5.0, 8)))
     followed = limited(command, 0.2)
     assert np.array_equal(followed[:11], command[:11])
@@ -148,7 +148,7 @@ def test_a_slew_limit_slows_only_fast_drives() -> None:
     assert np.array_equal(sweep.displacement_m, sound.displacement_m)
 
 
-def test_the_gain_changes_at_its_instant_and_stays_changed() -> None:
+def test_the_gain_changes_at_its_instant_and_stays_changed():
     gain = number(4, "gain_change", "relative_change")
     order = int(number(4, "gain_change", "recording"))
     for k, (faulty, sound) in enumerate(pairs(4, "gain_change")):
@@ -159,7 +159,7 @@ def test_the_gain_changes_at_its_instant_and_stays_changed() -> None:
         assert np.max(np.abs(wrong)) < 1e-9
 
 
-def test_coarse_readings_lie_on_the_coarse_steps() -> None:
+def test_coarse_readings_lie_on_the_coarse_steps():
     faulty, _ = pair("check", 4, "quantisation")
     step_m = number(4, "quantisation", "step_m")
     codes = faulty.displacement_m / step_m
@@ -167,7 +167,7 @@ def test_coarse_readings_lie_on_the_coarse_steps() -> None:
     assert np.max(np.abs(codes - np.round(codes))) < tolerance
 
 
-def test_a_slip_lasts_and_is_not_in_the_time_column() -> None:
+def test_a_slip_lasts_and_is_not_in_the_time_column():
     kinds = set()
     for seed in (1, 4, 8, 10):
         numbers = campaign(seed, "timestamp_fault").answer.effects[0].numbers
@@ -189,28 +189,28 @@ def test_a_slip_lasts_and_is_not_in_the_time_column() -> None:
     assert kinds == {"lost", "stalled"}
 
 
-def test_outliers_are_single_readings_of_either_sign() -> None:
+def test_outliers_are_single_readings_of_either_sign():
     for faulty, sound in pairs(4, "outliers"):
         hit = np.flatnonzero(change_m(faulty, sound))
         assert 4 <= len(hit) <= 0.002 * len(faulty.time_s)
         assert np.mean(np.diff(np.sort(hit)) > 1) > 0.8
 
 
-def test_an_initial_state_is_forgotten_after_a_full_cycle() -> None:
+def test_an_initial_state_is_forgotten_after_a_full_cycle():
     faulty, sound = pair("rates", 4, "initial_state", 1.0)
     change = np.abs(change_m(faulty, sound))
     cycle = round(faulty.run.sampling_rate_Hz / 2.3)
     assert np.max(change[:cycle]) > 20.0 * np.max(change[cycle:])
 
 
-def test_asymmetry_bends_both_branches_to_one_side() -> None:
+def test_asymmetry_bends_both_branches_to_one_side():
     faulty, sound = pair("sweep", 4, "asymmetry")
     change = change_m(faulty, sound) * np.sign(number(4, "asymmetry", "curvature"))
     inside = (sound.voltage_V > 2.0) & (sound.voltage_V < 8.0)
     assert np.min(change[inside]) > 0.0
 
 
-def test_non_congruence_opens_loops_at_a_single_end() -> None:
+def test_non_congruence_opens_loops_at_a_single_end():
     faulty, sound = pair("rates", 4, "non_congruence", 0.6)
     cycle = slice(0, round(faulty.run.sampling_rate_Hz / 2.3))
     change, volts = change_m(faulty, sound)[cycle], faulty.voltage_V[cycle]
@@ -225,7 +225,7 @@ def test_non_congruence_opens_loops_at_a_single_end() -> None:
 
 
 @pytest.mark.parametrize("truth", [WALLS, BOUC_WEN])
-def test_the_freer_end_of_walls_has_the_narrower_loops(truth: Truth) -> None:
+def test_the_freer_end_of_walls_has_the_narrower_loops(truth):
     for seed in range(3):
         ceramic = truth.draw(np.random.default_rng(seed))
         wide = [loop_width(ceramic, bias) for bias in (-0.5, 0.5)]

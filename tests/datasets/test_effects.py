@@ -33,7 +33,7 @@ NAMES = (
 MAX_RATIO = 1.35
 
 
-def test_the_effects_are_those_of_the_table_and_cite_their_source() -> None:
+def test_the_effects_are_those_of_the_table_and_cite_their_source():
     assert sorted(effect.name for effect in EFFECTS) == sorted(NAMES)
     for effect in EFFECTS:
         assert "\nSource: " in (inspect.getdoc(effect.install) or "")
@@ -41,7 +41,7 @@ def test_the_effects_are_those_of_the_table_and_cite_their_source() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_effect_has_about_the_requested_size(name: str) -> None:
+def test_an_effect_has_about_the_requested_size(name):
     effect = campaign(4, name).answer.effects[0]
     assert 1.0 / MAX_RATIO < effect.measured_percent / effect.asked_percent < MAX_RATIO
     changes = [change_m(*rows) for rows in pairs(4, name)]
@@ -50,7 +50,7 @@ def test_an_effect_has_about_the_requested_size(name: str) -> None:
     assert abs(100.0 * largest / stroke_m - effect.measured_percent) < 1e-9
 
 
-def test_an_effect_of_size_zero_changes_nothing() -> None:
+def test_an_effect_of_size_zero_changes_nothing():
     sizes = ({name: 0.0 for name in NAMES}, {})
     silent, sound = (draw_campaign(4, effects=e, plans=("check", "other_axis")) for e in sizes)
     for rows, expected in zip(silent.recordings, sound.recordings, strict=True):

@@ -29,7 +29,7 @@ def campaign_folder(tmp_path: Path) -> Path:
     return out
 
 
-def test_the_recordings_are_readable_and_do_not_reveal_the_truth(campaign_folder: Path) -> None:
+def test_the_recordings_are_readable_and_do_not_reveal_the_truth(campaign_folder):
     folder = campaign_folder / "recordings"
     lab = read_lab(folder / "lab.toml")
     recordings = collect(sorted(folder.glob("*.csv")), lab).recordings
@@ -40,7 +40,7 @@ def test_the_recordings_are_readable_and_do_not_reveal_the_truth(campaign_folder
     assert "truth" not in words
 
 
-def test_the_truth_names_the_effect_and_its_size(campaign_folder: Path) -> None:
+def test_the_truth_names_the_effect_and_its_size(campaign_folder):
     truth = json.loads((campaign_folder / "truth" / "truth.json").read_text())
     assert truth["schema"] == "piezoid.truth/1"
     (effect,) = truth["effects"]
@@ -52,7 +52,7 @@ def test_the_truth_names_the_effect_and_its_size(campaign_folder: Path) -> None:
     }
 
 
-def test_the_lab_file_declares_the_healthy_rig(campaign_folder: Path) -> None:
+def test_the_lab_file_declares_the_healthy_rig(campaign_folder):
     lab = tomllib.loads((campaign_folder / "recordings" / "lab.toml").read_text())
     assert lab["amplifier"]["bandwidth_Hz"] == 4000.0
     assert lab["acquisition"]["input_range_V"] == [-10.0, 10.0]
@@ -68,18 +68,14 @@ def test_the_lab_file_declares_the_healthy_rig(campaign_folder: Path) -> None:
         (("--effect", "cross_coupling", "--recording", "sweep"), "no other axis is driven"),
     ],
 )
-def test_an_unknown_word_is_a_usage_error_with_the_known_words(
-    arguments: tuple[str, ...], message: str, tmp_path: Path
-) -> None:
+def test_an_unknown_word_is_a_usage_error_with_the_known_words(arguments, message, tmp_path):
     code, output = run("--out", str(tmp_path / "out"), *arguments)
     assert code == 2
     assert message in " ".join(output.replace("│", " ").split())
     assert not (tmp_path / "out").exists()
 
 
-def test_foreign_files_are_kept_and_results_replaced_with_force_only(
-    tmp_path: Path,
-) -> None:
+def test_foreign_files_are_kept_and_results_replaced_with_force_only(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     arguments = ("--recording", "check")
     for words in (arguments, (*arguments, "--force")):

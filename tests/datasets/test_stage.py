@@ -36,7 +36,7 @@ def act(stage_place: Place, change: object) -> Act:
 
 
 @pytest.mark.parametrize("rate_Hz", [500.0, 20e3])
-def test_a_ramp_is_delayed_by_hold_amplifier_and_sensor(rate_Hz: float) -> None:
+def test_a_ramp_is_delayed_by_hold_amplifier_and_sensor(rate_Hz):
     rows = record(STAGE, ramp(rate_Hz, 4.0 if rate_Hz < 1e3 else 80.0, 1000))
     speed_m_per_s = 30e-6 / 10.0 * (4.0 if rate_Hz < 1e3 else 80.0)
     late_s = rows.time_s[500:] - rows.noise_free_m[500:] / speed_m_per_s
@@ -44,7 +44,7 @@ def test_a_ramp_is_delayed_by_hold_amplifier_and_sensor(rate_Hz: float) -> None:
     assert abs(np.mean(late_s) - (HOLD_s + AMPLIFIER_s + SENSOR_s)) < 1e-6 + 0.1 * dac_s
 
 
-def test_the_voltage_column_is_the_command_before_the_amplifier() -> None:
+def test_the_voltage_column_is_the_command_before_the_amplifier():
     clipped = replace(STAGE, acts=(act(Place.OUTPUT, lambda volts: np.minimum(volts, 20.0)),))
     run = ramp(20e3, 80.0)
     sound, faulty = record(STAGE, run), record(clipped, run)
@@ -53,12 +53,12 @@ def test_the_voltage_column_is_the_command_before_the_amplifier() -> None:
     assert abs(np.max(faulty.noise_free_m) - 30e-6 * 20.0 / 150.0) < 1e-9
 
 
-def test_readings_lie_on_the_steps_of_the_converter() -> None:
+def test_readings_lie_on_the_steps_of_the_converter():
     codes = record(STAGE, ramp(20e3, 80.0)).displacement_m / STAGE.rig.adc_step_m
     assert np.max(np.abs(codes - np.round(codes))) < 1e-9
 
 
-def test_noise_has_the_declared_size_and_is_independent_of_effects() -> None:
+def test_noise_has_the_declared_size_and_is_independent_of_effects():
     rig = replace(STAGE.rig, flicker_share=0.0)
     sound = replace(STAGE, rig=rig)
     amplified = replace(sound, acts=(act(Place.MECHANICS, lambda x: 1.1 * x),))
@@ -71,21 +71,21 @@ def noise_of(rows: Rows) -> Array:
     return rows.displacement_m - rows.noise_free_m
 
 
-def test_another_recording_and_another_seed_have_other_noise() -> None:
+def test_another_recording_and_another_seed_have_other_noise():
     run = ramp(500.0, 1.0)
     first = noise_of(record(STAGE, run))
     assert abs(np.corrcoef(first, noise_of(record(STAGE, run, order=1)))[0, 1]) < 0.2
     assert abs(np.corrcoef(first, noise_of(record(replace(STAGE, seed=5), run)))[0, 1]) < 0.2
 
 
-def test_acts_are_applied_in_the_order_of_the_chain() -> None:
+def test_acts_are_applied_in_the_order_of_the_chain():
     add = act(Place.MECHANICS, lambda x: x + 1e-6)
     double = act(Place.CERAMIC, lambda x: 2.0 * x)
     rows = record(replace(STAGE, acts=(add, double)), ramp(500.0, 0.0, 10))
     assert np.allclose(rows.noise_free_m, 1e-6, atol=1e-12)
 
 
-def test_rows_missing_in_the_reading_are_missing_in_every_column() -> None:
+def test_rows_missing_in_the_reading_are_missing_in_every_column():
     short = replace(STAGE, acts=(act(Place.RECORD, lambda x: x[:-7]),))
     rows = record(short, replace(ramp(500.0, 1.0, 50), others_V={"y": np.zeros(50)}))
     columns = (rows.time_s, rows.voltage_V, rows.displacement_m, rows.others_V["y"])

@@ -49,13 +49,13 @@ def ceramics_of(law: Truth) -> list[Ceramic]:
     return [law.draw(np.random.default_rng(seed)) for seed in SEEDS]
 
 
-def test_the_zoo_has_at_least_twelve_laws_and_begins_with_the_truths() -> None:
+def test_the_zoo_has_at_least_twelve_laws_and_begins_with_the_truths():
     assert len({law.name for law in ZOO}) == len(ZOO) >= 12
     assert ZOO[: len(TRUTHS)] == TRUTHS
 
 
 @every_law
-def test_the_major_loop_spans_the_stroke_and_opens_like_a_piezo(law: Truth) -> None:
+def test_the_major_loop_spans_the_stroke_and_opens_like_a_piezo(law):
     for ceramic in ceramics_of(law):
         up, down = np.split(strain(ceramic, walk(-1.0, 1.0, -1.0, points=300)), 2)
         assert abs(up[-1] - up[0] - 1.0) < 0.01  # laws that forget by and by still settle
@@ -64,7 +64,7 @@ def test_the_major_loop_spans_the_stroke_and_opens_like_a_piezo(law: Truth) -> N
 
 
 @every_law
-def test_the_strain_lags_the_field_in_loops_of_every_size(law: Truth) -> None:
+def test_the_strain_lags_the_field_in_loops_of_every_size(law):
     for ceramic in ceramics_of(law):
         for low, high in ((-1.0, 1.0), (-0.6, 0.6), (-0.9, -0.2), (0.2, 0.9), (-0.1, 0.3)):
             rounds = strain(ceramic, walk(-1.0, *(low, high) * 30, low))
@@ -74,14 +74,14 @@ def test_the_strain_lags_the_field_in_loops_of_every_size(law: Truth) -> None:
 
 
 @every_law
-def test_more_field_is_never_less_strain(law: Truth) -> None:
+def test_more_field_is_never_less_strain(law):
     for ceramic in ceramics_of(law):
         field = walk(-1.0, 0.9, -0.7, 0.2, -0.3, 1.0, -0.95, 0.1)
         assert np.all(np.diff(strain(ceramic, field)) * np.sign(np.diff(field)) >= -1e-12)
 
 
 @every_law
-def test_a_law_does_not_depend_on_the_sampling_of_its_path(law: Truth) -> None:
+def test_a_law_does_not_depend_on_the_sampling_of_its_path(law):
     turns = (-1.0, 0.8, -0.4, 0.5, -0.9, 1.0)
     for ceramic in ceramics_of(law):
         slow = strain(ceramic, walk(*turns, points=500))
@@ -91,9 +91,7 @@ def test_a_law_does_not_depend_on_the_sampling_of_its_path(law: Truth) -> None:
 
 
 @every_law
-def test_return_point_laws_wipe_out_turning_points_and_close_loops(
-    law: Truth,
-) -> None:
+def test_return_point_laws_wipe_out_turning_points_and_close_loops(law):
     path, detour = walk(-1.0, 0.7, -0.5, 0.2), walk(-1.0, 0.7, -0.5, 0.2, -0.3, 0.1, -0.1, 0.2)
     memory_error: list[float] = []  # what an inner loop leaves behind
     closure_error: list[float] = []  # of a minor loop
@@ -115,7 +113,7 @@ def test_return_point_laws_wipe_out_turning_points_and_close_loops(
 
 
 @every_law
-def test_no_law_is_a_sum_of_plays(law: Truth) -> None:
+def test_no_law_is_a_sum_of_plays(law):
     """Settled loops of a sum of plays would be equal at every bias."""
     for ceramic in ceramics_of(law):
         low, high = (
@@ -203,7 +201,7 @@ def jiles_slope(e: float, m: float, s: float) -> float:
     return gap / (s * JILES.pinning - JILES.mean_field * gap) if s * gap > 0 else 0.0
 
 
-def test_the_steepest_slope_bounds_a_friction() -> None:
+def test_the_steepest_slope_bounds_a_friction():
     for steepest, output in (
         (BOUC_WEN_STEEPEST, generalised_bouc_wen_memory(PATH, **vars(BOUC_WEN))),
         (LUGRE_STEEPEST, lugre_memory(PATH, **vars(LUGRE))),
@@ -234,17 +232,13 @@ def test_the_steepest_slope_bounds_a_friction() -> None:
     ],
     ids=["generalised_bouc_wen", "lugre", "dahl", "coleman_hodgdon", "duhem"],
 )
-def test_a_law_solves_its_equation(
-    state: Callable[[Array], Array],
-    slope: Callable[[float, float, float], float],
-    error: float,
-) -> None:
+def test_a_law_solves_its_equation(state, slope, error):
     states = state(PATH)
     start = -1.0 if slope in (dahl_slope, duhem_slope) else float(states[0])
     assert np.max(np.abs(states - midpoint(slope, start))) < error
 
 
-def test_jiles_and_atherton_solve_their_equation() -> None:
+def test_jiles_and_atherton_solve_their_equation():
     path = PATH[::20]
     output = jiles_atherton_memory(path, **vars(JILES))
     first = -1.0 + JILES.width / (-FLOOR - JILES.bias + JILES.mean_field)
@@ -262,7 +256,7 @@ def test_jiles_and_atherton_solve_their_equation() -> None:
     assert np.max(np.abs(output - stepped)) < 1e-4
 
 
-def test_a_takacs_branch_is_a_piece_of_its_tangent() -> None:
+def test_a_takacs_branch_is_a_piece_of_its_tangent():
     path = walk(FLOOR, 1.0, -0.5, 0.4)
     output = takacs_memory(path, steepness=1.1, shift=(0.3, 0.4), centre=0.1)
     for piece, shift in ((slice(0, 60), 0.3), (slice(60, 120), -0.4), (slice(120, 180), 0.3)):
@@ -271,7 +265,7 @@ def test_a_takacs_branch_is_a_piece_of_its_tangent() -> None:
         assert np.max(np.abs(np.polyval(fit, shape) - output[piece])) < 1e-9
 
 
-def test_kernels_follow_krasnoselskii_and_pokrovskii() -> None:
+def test_kernels_follow_krasnoselskii_and_pokrovskii():
     rng = np.random.default_rng(1)
     weight = rng.uniform(0.5, 1.0, len(DOWN))
     path = walk(FLOOR, 0.9, -0.6, 0.3, -0.9, 0.5, points=40)
@@ -287,7 +281,7 @@ def test_kernels_follow_krasnoselskii_and_pokrovskii() -> None:
     assert np.allclose(output[1:], summed, atol=1e-9)
 
 
-def test_maxwell_elements_stick_and_slide() -> None:
+def test_maxwell_elements_stick_and_slide():
     law = MaxwellSlip(
         breaks=np.array([0.1, 0.4, 0.9]),
         stiffness=np.array([1.0, 0.7, 0.4]),
@@ -305,7 +299,7 @@ def test_maxwell_elements_stick_and_slide() -> None:
     assert np.allclose(maxwell_slip_memory(law, path), summed, atol=1e-9)
 
 
-def test_the_lorentzian_everett_function_has_the_density_of_its_name() -> None:
+def test_the_lorentzian_everett_function_has_the_density_of_its_name():
     everett = lorentzian_everett((0.2, 0.3), (0.5, 0.7))
     a, b, h = 0.6, -0.2, 0.01
     corners = [
@@ -323,7 +317,7 @@ def test_the_lorentzian_everett_function_has_the_density_of_its_name() -> None:
     assert everett(np.array([0.3]), np.array([0.3]))[0] == 0.0
 
 
-def test_laboratories_differ_in_instruments_histories_and_zeros() -> None:
+def test_laboratories_differ_in_instruments_histories_and_zeros():
     """Two laboratories with the same ceramic differ only in declared properties."""
     rng = np.random.default_rng(1)
     laboratories = [draw_laboratory(rng) for _ in range(20)]

@@ -24,7 +24,7 @@ def design_with(lab: Lab):
     )
 
 
-def test_no_output_exceeds_the_highest_code_of_the_converter() -> None:
+def test_no_output_exceeds_the_highest_code_of_the_converter():
     """Sixteen bits from -10 to 10 V end at 32767 steps, although the recordings reach 10 V."""
     step_V = 20.0 / 65536
     lab = Lab(acquisition=Acquisition(dac_bits=16, input_range_V=(-10.0, 10.0)))
@@ -37,7 +37,7 @@ def test_no_output_exceeds_the_highest_code_of_the_converter() -> None:
         assert round(run.voltage_V.max() / step_V) == 32767
 
 
-def test_limits_of_an_amplifier_without_a_gain_are_kept() -> None:
+def test_limits_of_an_amplifier_without_a_gain_are_kept():
     amplifier = Amplifier(slew_V_per_s=0.001, output_min_V=4.0, output_max_V=5.0)
     lab = Lab(amplifier=amplifier)
     assert converters_of(lab, "x").command_slew_V_per_s == 0.001
@@ -45,7 +45,7 @@ def test_limits_of_an_amplifier_without_a_gain_are_kept() -> None:
         design_with(lab)
 
 
-def test_entries_without_effect_on_the_controller_are_reported() -> None:
+def test_entries_without_effect_on_the_controller_are_reported():
     acquisition = Acquisition(adc_bits=16, input_range_V=(-10.0, 200.0))
     lab = Lab(acquisition=acquisition, axes={"X": AxisRig(sensor=Sensor(gain_V_per_m=1e5))})
     outcomes = [AxisDesignResult(axis="x", design=known_design().axis("x"))]

@@ -44,7 +44,7 @@ def sign_of(label: str) -> float:
     return 1.0 if "slow" in label else -1.0
 
 
-def test_a_fitted_pole_moves_by_the_interval_of_its_lag() -> None:
+def test_a_fitted_pole_moves_by_the_interval_of_its_lag():
     axis = lagging("first_order")
     half_s = lag_half_s(axis)
     assert half_s == pytest.approx(1.96 * STD_s, rel=1e-4)
@@ -55,7 +55,7 @@ def test_a_fitted_pole_moves_by_the_interval_of_its_lag() -> None:
         assert time_constants_s(corner) == pytest.approx(expected_s)
 
 
-def test_a_pole_with_a_wide_interval_keeps_a_positive_time_constant() -> None:
+def test_a_pole_with_a_wide_interval_keeps_a_positive_time_constant():
     """The half-width of the interval exceeds the time constant."""
     _, corners = members(lagging("first_order", STD_s))
     assert max(time_constants_s(corners["low gain, fast"])) == pytest.approx(
@@ -67,9 +67,7 @@ def test_a_pole_with_a_wide_interval_keeps_a_positive_time_constant() -> None:
 
 
 @pytest.mark.parametrize(("kind", "time_s"), [("delay", LAG_s), ("none", 0.0)])
-def test_a_delay_moves_by_the_interval_of_its_lag_and_stays_causal(
-    kind: str, time_s: float
-) -> None:
+def test_a_delay_moves_by_the_interval_of_its_lag_and_stays_causal(kind, time_s):
     axis = lagging(kind, time_s)
     nominal, corners = members(axis)
     for label, corner in corners.items():
@@ -90,7 +88,7 @@ def damping(plant: Plant) -> float:
     return float((-s.real / np.abs(s)).min())
 
 
-def test_a_measured_mode_moves_by_its_interval_in_frequency_and_in_damping() -> None:
+def test_a_measured_mode_moves_by_its_interval_in_frequency_and_in_damping():
     axis = rigged(dynamics=one_mode(frequency_Hz=300.0, damping=0.04, delay_s=120e-6))
     _, corners = members(axis)
     assert len(corners) == 8  # gain, speed and sharpness
@@ -105,7 +103,7 @@ def test_a_measured_mode_moves_by_its_interval_in_frequency_and_in_damping() -> 
         assert damping(corner) == pytest.approx(0.04 * 1.2165**-sharper, rel=2e-2)
 
 
-def test_a_mode_from_a_diagnosis_is_in_every_member() -> None:
+def test_a_mode_from_a_diagnosis_is_in_every_member():
     mode = LinearMode(frequency_Hz=640.0, quality=30.0, std=(6.4, 3.0, 0.01))
     nominal, corners = members(rigged(extensions=(mode,)))
     assert natural_Hz(nominal) == pytest.approx(640.0, rel=1e-6)
@@ -115,7 +113,7 @@ def test_a_mode_from_a_diagnosis_is_in_every_member() -> None:
     assert frequencies_Hz[-1] == pytest.approx(640.0 + 1.96 * 6.4, rel=1e-3)
 
 
-def test_a_wide_interval_of_a_mode_has_intermediate_members() -> None:
+def test_a_wide_interval_of_a_mode_has_intermediate_members():
     mode = LinearMode(frequency_Hz=640.0, quality=30.0, std=(16.0, 3.0, 0.01))
     _, corners = members(rigged(extensions=(mode,)))
     frequencies_Hz = sorted(
@@ -125,7 +123,7 @@ def test_a_wide_interval_of_a_mode_has_intermediate_members() -> None:
     assert len(frequencies_Hz) > 2
 
 
-def test_creep_and_rate_dependence_widen_the_interval_of_the_gain() -> None:
+def test_creep_and_rate_dependence_widen_the_interval_of_the_gain():
     nominal, corners = members(rigged())
     creep = CreepLadder(time_s=(0.1, 1.0), share=(0.03, 0.02))
     _, with_creep = members(rigged(extensions=(creep,)))
@@ -140,7 +138,7 @@ def test_creep_and_rate_dependence_widen_the_interval_of_the_gain() -> None:
     assert nominal.gain == pytest.approx(0.5 * (min_slope + max_slope))
 
 
-def test_a_lag_from_hysteresis_is_in_no_corner() -> None:
+def test_a_lag_from_hysteresis_is_in_no_corner():
     """The wide interval of such a lag reaches the modes and would cancel them."""
     dynamics, middle = truth(), 0.5 * sum(fitted()["x"].hysteresis.slope_sector_m_per_V)
     share = dynamics.mode_gain_m_per_V / dynamics.mode_gain_m_per_V.sum()

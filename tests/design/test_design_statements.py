@@ -39,7 +39,7 @@ def design() -> Design:
     )
 
 
-def test_a_loop_without_a_known_resonance_asks_for_a_chirp(design: Design) -> None:
+def test_a_loop_without_a_known_resonance_asks_for_a_chirp(design):
     axis = replace(fitted()["x"], bandwidth=UNKNOWN)
     axis_design, levels = design.axis("x"), levels_of(design, axis)
     limit_Hz = bandwidth_limit_Hz(axis_design, axis)
@@ -48,9 +48,7 @@ def test_a_loop_without_a_known_resonance_asks_for_a_chirp(design: Design) -> No
     assert levels["bandwidth"] is Level.ACTION
 
 
-def test_the_bandwidth_limit_states_the_knowledge_of_the_resonance(
-    design: Design,
-) -> None:
+def test_the_bandwidth_limit_states_the_knowledge_of_the_resonance(design):
     visible = replace(UNKNOWN, kind="resonance", peak_ratio=12.0, peak_Hz=300.0)
     verdicts = {
         "no resonance was recorded": UNKNOWN,
@@ -67,12 +65,12 @@ def test_the_bandwidth_limit_states_the_knowledge_of_the_resonance(
         assert words in text
 
 
-def test_a_resonance_above_the_nyquist_frequency_is_no_limit() -> None:
+def test_a_resonance_above_the_nyquist_frequency_is_no_limit():
     assert bandwidth_limit_Hz(known_design().axis("x"), fitted()["x"]) is None
     assert "bandwidth" not in levels_of(known_design(), fitted()["x"])
 
 
-def test_a_bound_above_a_tenth_of_the_range_is_a_warning() -> None:
+def test_a_bound_above_a_tenth_of_the_range_is_a_warning():
     axis = fitted()["x"]
     certificate = known_design().axis("x").recommended.certificate
     assert certificate is not None

@@ -17,7 +17,7 @@ def loop() -> piezoid.LoopDesign:
     return known_design().axes[0].recommended
 
 
-def test_the_scipy_sensitivity_equals_that_of_the_margins(loop) -> None:
+def test_the_scipy_sensitivity_equals_that_of_the_margins(loop):
     system = loop.to_scipy("sensitivity")
     w = 2 * np.pi * FREQUENCY_Hz / RATE_Hz
     _, response = system.freqresp(w)
@@ -26,7 +26,7 @@ def test_the_scipy_sensitivity_equals_that_of_the_margins(loop) -> None:
     assert system.dt == pytest.approx(1.0 / RATE_Hz)
 
 
-def test_closed_loop_and_sensitivity_follow_from_the_other_parts(loop) -> None:
+def test_closed_loop_and_sensitivity_follow_from_the_other_parts(loop):
     """The closed loop is prefilter R B / P, and sensitivity + R B / P = 1."""
     w = 2 * np.pi * FREQUENCY_Hz / RATE_Hz
     responses = {
@@ -39,7 +39,7 @@ def test_closed_loop_and_sensitivity_follow_from_the_other_parts(loop) -> None:
     assert np.allclose(responses["closed_loop"], responses["prefilter"] * inner, rtol=1e-6)
 
 
-def test_control_has_the_same_loop(loop) -> None:
+def test_control_has_the_same_loop(loop):
     control = pytest.importorskip("control")
     system = loop.to_control("closed_loop")
     w = 2 * np.pi * FREQUENCY_Hz
@@ -47,6 +47,6 @@ def test_control_has_the_same_loop(loop) -> None:
     assert np.allclose(np.squeeze(control.frequency_response(system, w).complex), expected)
 
 
-def test_an_unknown_part_is_refused(loop) -> None:
+def test_an_unknown_part_is_refused(loop):
     with pytest.raises(DesignError, match=r"'motor' is not a part of a loop\. Needed: one of"):
         loop.to_scipy("motor")

@@ -13,7 +13,7 @@ from piezoid.errors import DesignError, LabFileError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
 from piezoid.identification.tunnelling.junction import TunnellingModel
-from piezoid.records.lab import Acquisition, Amplifier, Lab, Tunnelling
+from piezoid.records.lab import Acquisition, Amplifier, Tunnelling
 from tests.design.junction_lab import LAB, loop_plant
 from tests.design.rig import RATE_Hz
 from tests.identification.tunnelling.sweeps import sweep
@@ -21,7 +21,7 @@ from tests.identification.tunnelling.sweeps import sweep
 LOOP = TunnellingModel(gap_law=None, loop_plant=loop_plant())
 
 
-def test_the_sampled_family_equals_the_identified_family() -> None:
+def test_the_sampled_family_equals_the_identified_family():
     """Design and identification sample the same analogue chain independently."""
     family = vertical_task(LOOP, replace(LAB, tunnelling=Tunnelling(set_point_A=1e-9)))[0]
     assert len(family.members) == len(loop_plant().family)
@@ -33,13 +33,13 @@ def test_the_sampled_family_equals_the_identified_family() -> None:
         assert response == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_family_has_the_declared_barriers_with_gains_by_their_root() -> None:
+def test_the_family_has_the_declared_barriers_with_gains_by_their_root():
     gains = [member.gain for member in vertical_task(LOOP, LAB)[0].members]
     assert gains[-2] / gains[0] == pytest.approx(0.5)
     assert gains[-1] / gains[0] == pytest.approx(2.0)
 
 
-def test_the_reading_noise_is_shot_resistor_and_converter_noise() -> None:
+def test_the_reading_noise_is_shot_resistor_and_converter_noise():
     """1 nA, 10 kHz, 1 GOhm, 16 bits over 20 V: 2.24 pA, 0.50 pA (20 C) and 0.088 pA."""
     noise_A = reading_noise_A(loop_plant().plant, LAB, "z")
     assert noise_A == pytest.approx(np.sqrt(2.243**2 + 0.504**2 + 0.0881**2) * 1e-12, rel=2e-3)
@@ -52,7 +52,7 @@ def test_the_reading_noise_is_shot_resistor_and_converter_noise() -> None:
         (replace(LAB, acquisition=Acquisition()), r"`input_range_V = .*` under \[acquisition\]"),
     ],
 )
-def test_a_missing_declaration_is_named_by_its_line(lab: Lab, line: str) -> None:
+def test_a_missing_declaration_is_named_by_its_line(lab, line):
     with pytest.raises(LabFileError, match=line):
         vertical_task(LOOP, lab)
 
@@ -70,12 +70,7 @@ TOP_V = 32767 * 20.0 / 65536  # highest code of 16 bits from -10 to 10 V
         (20.0, (-20.0, None), (-1.0, TOP_V), (-1.0, math.inf)),
     ],
 )
-def test_the_command_keeps_within_converter_and_amplifier(
-    gain: float | None,
-    output_V: tuple[float | None, float | None],
-    command_V: tuple[float, float],
-    unranged_V: tuple[float, float],
-) -> None:
+def test_the_command_keeps_within_converter_and_amplifier(gain, output_V, command_V, unranged_V):
     """Limits hold when other entries are missing, also without the range of the converter."""
     amplifier = Amplifier(gain_V_per_V=gain, output_min_V=output_V[0], output_max_V=output_V[1])
     lab = replace(LAB, amplifier=amplifier)
@@ -85,19 +80,16 @@ def test_the_command_keeps_within_converter_and_amplifier(
     assert (unranged.command_V, unranged.command_step_V) == (unranged_V, 0.0)
 
 
-def test_a_converter_and_an_amplifier_without_a_common_voltage_are_refused() -> None:
+def test_a_rig_without_a_common_voltage_and_a_gap_law_alone_are_refused(rng):
     amplifier = Amplifier(gain_V_per_V=1.0, output_min_V=20.0, output_max_V=150.0)
     with pytest.raises(LabFileError, match="no voltage in common"):
         vertical_task(LOOP, replace(LAB, amplifier=amplifier))
-
-
-def test_a_gap_law_alone_is_not_enough_to_design_a_loop(rng: np.random.Generator) -> None:
     law = fit_barrier([sweep(rng)]).law
     with pytest.raises(DesignError, match="dither"):
         vertical_task(TunnellingModel(gap_law=law, loop_plant=None), LAB)
 
 
-def test_every_member_of_the_family_of_a_tip_holds_its_margins() -> None:
+def test_every_member_of_the_family_of_a_tip_holds_its_margins():
     model = ActuatorModel(stage="tip", axes={}, sources={}, tunnelling=LOOP)
     design = design_stage(model, model_digest="sha256:none", lab=LAB).axis("z")
     loop = design.recommended

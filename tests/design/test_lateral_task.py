@@ -48,9 +48,7 @@ def default() -> Design:
     return design_stage(stage(), model_digest=DIGEST, forms=("inverse",))
 
 
-def test_the_family_spans_the_interval_of_the_gain_and_the_slopes(
-    task: LateralTask,
-) -> None:
+def test_the_family_spans_the_interval_of_the_gain_and_the_slopes(task):
     uncertainty, bounds = rigged().uncertainty, task.bounds["affine"]
     relative_half_width = uncertainty.loading_half_m[-1] / abs(uncertainty.loading_m[-1])
     members = task.families["affine"].members
@@ -61,7 +59,7 @@ def test_the_family_spans_the_interval_of_the_gain_and_the_slopes(
     assert ratios[count:] == pytest.approx([bounds.slope_min, bounds.slope_max])
 
 
-def test_a_gain_with_an_interval_beyond_zero_keeps_its_sign_and_slopes() -> None:
+def test_a_gain_with_an_interval_beyond_zero_keeps_its_sign_and_slopes():
     """The loading curve is uncertain by 160 % at its end, as for a real stage."""
     axis = rigged()
     uncertainty = replace(
@@ -74,16 +72,13 @@ def test_a_gain_with_an_interval_beyond_zero_keeps_its_sign_and_slopes() -> None
     assert max(gains) == pytest.approx(max_slope)
 
 
-def test_a_stage_that_falls_as_the_drive_rises_has_a_negative_plant() -> None:
+def test_the_plant_has_polarity_and_delay_of_the_model(task):
     assert plant_family(rigged(polarity=-1), RATE_Hz).nominal.gain < 0.0
-
-
-def test_a_fitted_delay_delays_the_plant_by_itself(task: LateralTask) -> None:
     B = plant_family(rigged(lag=Lag(kind="delay", time_s=3.0 / RATE_Hz)), RATE_Hz).nominal.B
     assert np.flatnonzero(B)[0] - np.flatnonzero(task.families["inverse"].nominal.B)[0] == 3
 
 
-def test_the_plant_has_mode_and_phase_of_identified_dynamics() -> None:
+def test_the_plant_has_mode_and_phase_of_identified_dynamics():
     """At a third of the mode, the sampled plant lags the dynamics by half a sample."""
     dynamics = one_mode(frequency_Hz=300.0, damping=0.04, delay_s=120e-6)
     axis = rigged(dynamics=dynamics)
@@ -117,7 +112,7 @@ def one_mode(*, frequency_Hz: float, damping: float, delay_s: float) -> LinearDy
     )
 
 
-def test_an_operator_with_an_envelope_has_bounds_and_families_in_both_forms() -> None:
+def test_an_operator_with_an_envelope_has_bounds_and_families_in_both_forms():
     envelope = DeadZones(threshold=np.array([0.0, 2.0]), weight=np.array([1.0, -0.1]))
     axis = rigged(hysteresis=replace(axis_model().hysteresis, envelope=envelope))
     axis_task = lateral_task(axis, RATE_Hz)
@@ -128,9 +123,7 @@ def test_an_operator_with_an_envelope_has_bounds_and_families_in_both_forms() ->
     assert affine.slope_max * affine.gain_m_per_V == pytest.approx(max_slope)
 
 
-def test_replicates_scatter_by_the_stated_uncertainty(
-    rng: np.random.Generator,
-) -> None:
+def test_replicates_scatter_by_the_stated_uncertainty(rng):
     uncertainty = axis_model().uncertainty
     names = (*uncertainty.names, "envelope_weight[0]", "envelope_weight[1]")
     covariance = np.zeros((len(names), len(names)))
@@ -155,7 +148,7 @@ def test_replicates_scatter_by_the_stated_uncertainty(
     assert np.std([o.plays.weight[0] for o in replicates]) == pytest.approx(expected, rel=0.25)
 
 
-def test_an_axis_without_a_pole_is_refused_with_the_known_facts() -> None:
+def test_an_axis_without_a_pole_is_refused_with_the_known_facts():
     unknown = unmeasured(300.0, "nothing was recorded")
     visible = replace(unknown, kind="resonance", peak_ratio=12.0, peak_Hz=280.0)
     verdicts = (
@@ -168,7 +161,7 @@ def test_an_axis_without_a_pole_is_refused_with_the_known_facts() -> None:
             plant_family(replace(axis_model(), bandwidth=verdict), RATE_Hz)
 
 
-def test_the_assumed_first_mode_is_below_a_recorded_resonance() -> None:
+def test_the_assumed_first_mode_is_below_a_recorded_resonance():
     unknown = unmeasured(None, "nothing was recorded")
     visible = replace(unknown, kind="resonance", peak_ratio=12.0, peak_Hz=110.0)
     stated = replace(visible, stated_Hz=630.0)
@@ -197,20 +190,18 @@ def test_the_assumed_first_mode_is_below_a_recorded_resonance() -> None:
     ],
     ids=["no rate", "neither rate nor pole", "no axis", "another class"],
 )
-def test_a_stage_that_cannot_be_designed_is_refused_with_the_reason(
-    model: ActuatorModel, words: str
-) -> None:
+def test_a_stage_that_cannot_be_designed_is_refused_with_the_reason(model, words):
     with pytest.raises(DesignError, match=words):
         design_stage(model, model_digest=DIGEST)
 
 
-def test_a_drive_recorded_outside_the_range_of_the_converter_is_refused() -> None:
+def test_a_drive_recorded_outside_the_range_of_the_converter_is_refused():
     lab = Lab(acquisition=Acquisition(input_range_V=(-1.0, 1.0)))
     with pytest.raises(LabFileError, match=r"recorded from 0 to 10 V.*from -1 to 1 V"):
         design_stage(stage(), model_digest=DIGEST, lab=lab)
 
 
-def test_the_default_design_holds_its_margins_and_is_read_back(default: Design) -> None:
+def test_the_default_design_holds_its_margins_and_is_read_back(default):
     loop = default.axis("x").recommended
     assert loop.method == "mpi_dob"
     assert loop.worst_modulus_margin >= 0.5
@@ -220,7 +211,7 @@ def test_the_default_design_holds_its_margins_and_is_read_back(default: Design) 
     assert design_from_json(default.to_json()).to_json() == default.to_json()
 
 
-def test_a_delay_longer_than_the_states_of_the_controller_is_designed() -> None:
+def test_a_delay_longer_than_the_states_of_the_controller_is_designed():
     lag = Lag(kind="delay", time_s=1.5e-3)
     late_stage = replace(stage_model(rigged(lag=lag)), controller_rate_Hz=RATE_Hz)
     design = design_stage(late_stage, model_digest=DIGEST, forms=("inverse",))
@@ -231,9 +222,7 @@ def test_a_delay_longer_than_the_states_of_the_controller_is_designed() -> None:
     assert values["observer_order"] == 16
 
 
-def test_an_unrecorded_first_mode_limits_the_loop(
-    default: Design,
-) -> None:
+def test_an_unrecorded_first_mode_limits_the_loop(default):
     """A first mode of quality 60 at 200 Hz or above keeps the loop stable."""
     recommended = default.axes[0].recommended
     nominal = recommended.members[0]
@@ -252,7 +241,7 @@ def test_an_unrecorded_first_mode_limits_the_loop(
         assert (loop * peak)[beyond].max() < 1.0
 
 
-def test_a_loop_with_damping_tolerates_a_second_mode_beyond_the_recordings() -> None:
+def test_a_loop_with_damping_tolerates_a_second_mode_beyond_the_recordings():
     """The small gain holds for a second mode of 1.9 times the static gain beyond the band."""
     dynamics = one_mode(frequency_Hz=630.0, damping=0.037, delay_s=50e-6)
     design = design_stage(
@@ -267,7 +256,7 @@ def test_a_loop_with_damping_tolerates_a_second_mode_beyond_the_recordings() -> 
         assert (1.9 * abs(plant.gain) * effort_per_m).max() < 1.0
 
 
-def test_a_declared_resonance_permits_a_faster_loop() -> None:
+def test_a_declared_resonance_permits_a_faster_loop():
     declared = rigged(bandwidth=unmeasured(12e3, "nothing was recorded"))
     slow, fast = (
         lateral_task(axis, RATE_Hz, forms=("inverse",)).specification
@@ -276,7 +265,7 @@ def test_a_declared_resonance_permits_a_faster_loop() -> None:
     assert slow.bandwidth_Hz < 5.0 < 100.0 < fast.bandwidth_Hz
 
 
-def test_axes_that_cannot_be_designed_are_reported_and_the_others_designed() -> None:
+def test_axes_that_cannot_be_designed_are_reported_and_the_others_designed():
     """Axis w has another model class, and axis y an infeasible bandwidth."""
     inapplicable = replace(axis_model(reason="it opens the wrong way"), axis="w")
     demanding = rigged(axis="y", bandwidth=unmeasured(12e3, "nothing was recorded"))
@@ -295,7 +284,7 @@ def test_axes_that_cannot_be_designed_are_reported_and_the_others_designed() -> 
     assert (read.remarks, read.refused) == (design.remarks, design.refused)
 
 
-def test_a_design_without_the_field_refused_is_read(default: Design) -> None:
+def test_a_design_without_the_field_refused_is_read(default):
     record = unseal(default.to_json(), SCHEMA, "design.json")
     fields = {k: v for k, v in record.items() if k not in ("schema", "digest", "refused")}
     assert design_from_json(seal(SCHEMA, fields)).refused == {}

@@ -59,8 +59,8 @@ def test_the_worked_example_has_its_printed_coefficients():
 @settings(max_examples=30)
 @given(st.floats(-9.0, 0.0), st.floats(0.0, 8.0), st.floats(30.0, 3000.0), st.floats(30.0, 3000.0))
 def test_the_static_gain_meets_the_tolerance_of_the_runtime(
-    decades: float, delay_samples: float, feedback_Hz: float, observed_Hz: float
-) -> None:
+    decades, delay_samples, feedback_Hz, observed_Hz
+):
     with_mode = lateral_chain(10.0**decades, delay_samples / RATE_Hz)
     plant = plant_from_chain(replace(with_mode, sections=with_mode.sections[::2]))
     observer = Section(frequency_Hz=observed_Hz)
@@ -86,7 +86,7 @@ def test_closed_loop_poles_are_feedback_and_observer_poles_and_zeros(delay_s):
 
 
 @pytest.mark.parametrize("sensor_Hz", [2.0 * RATE_Hz, 3.0 * RATE_Hz, 5.0 * RATE_Hz])
-def test_the_pole_of_a_fast_sensor_keeps_its_value(sensor_Hz: float):
+def test_the_pole_of_a_fast_sensor_keeps_its_value(sensor_Hz):
     sections = tuple(Section(frequency_Hz=f) for f in (7e3, sensor_Hz, 9e3))
     plant = plant_from_chain(replace(lateral_chain(), sections=sections))
     slow = Section(frequency_Hz=300.0)

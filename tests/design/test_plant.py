@@ -30,7 +30,7 @@ def test_a_pole_below_the_resolution_of_float64_has_no_state(sensor_Hz, order):
     assert len(vertical_task(tip, LAB)[0].nominal.state_matrix) == order
 
 
-def test_a_delay_replaced_by_a_pole_is_the_same_plant_at_low_frequency() -> None:
+def test_a_delay_replaced_by_a_pole_is_the_same_plant_at_low_frequency():
     exact = plant_from_chain(replace(lateral_chain(), delay_s=30.5 / RATE_Hz))
     short = exact.with_delay_pole(25)
     assert len(short.realised()[0]) == len(exact.realised()[0]) - 24

@@ -110,10 +110,13 @@ def test_every_bit_of_the_header_is_that_of_the_packed_parameters(precision, tmp
     assert (folder / "dumped").read_bytes() == b"".join(packed)
 
 
-def test_the_shipped_files_are_the_installed_ones_byte_for_byte():
+def test_the_bundle_has_the_installed_files_and_states_the_version():
     files = stage_bundle()
     assert set(files) == {*SHIPPED, "piezo_params.h", "golden.csv", "README.md"}
     assert all(files[name] == runtime_source(name) for name in SHIPPED)
+    for name in ("piezo_params.h", "README.md"):
+        text = stage_bundle()[name].decode()
+        assert f"Written by piezoid {piezoid.__version__}. " in text
 
 
 def test_a_runtime_of_another_schema_does_not_compile(tmp_path):
@@ -257,12 +260,6 @@ def test_the_digests_of_the_readme_follow_from_its_instructions():
     source = runtime_source("piezoid_runtime.h") + runtime_source("piezoid_runtime.c")
     for content in (zeroed, source):
         assert hashlib.sha256(content).hexdigest() in readme()
-
-
-def test_header_and_readme_state_the_version():
-    for name in ("piezo_params.h", "README.md"):
-        text = stage_bundle()[name].decode()
-        assert f"Written by piezoid {piezoid.__version__}. " in text
 
 
 def test_the_readme_states_the_guards_of_every_axis_and_the_set_point_of_a_tip():

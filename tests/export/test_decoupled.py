@@ -24,7 +24,7 @@ int main(void) {
 """
 
 
-def test_a_matrix_is_read_from_params_json_to_the_last_bit() -> None:
+def test_a_matrix_is_read_from_params_json_to_the_last_bit():
     read = from_json(to_json(FILE), "params.json")
     assert read.decoupled is not None
     assert read.decoupled.axes == ("x", "y", "z")
@@ -32,7 +32,7 @@ def test_a_matrix_is_read_from_params_json_to_the_last_bit() -> None:
     assert digest_of(read) == digest_of(FILE) != digest_of(stage())
 
 
-def test_a_matrix_of_another_shape_is_refused() -> None:
+def test_a_matrix_of_another_shape_is_refused():
     with pytest.raises(ValueError, match="matrix"):
         Decoupled(axes=("x", "y"), matrix=MATRIX)
     broken = to_json(FILE).replace(b'"decoupled"', b'"decoupler"')
@@ -40,7 +40,7 @@ def test_a_matrix_of_another_shape_is_refused() -> None:
         from_json(broken, "params.json")
 
 
-def test_the_header_contains_the_matrix_to_the_last_bit(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_the_header_contains_the_matrix_to_the_last_bit(tmp_path):  # type: ignore[no-untyped-def]
     write_files(tmp_path, bundle(FILE))
     (tmp_path / "dump.c").write_text(MAIN)
     compiler = require_tool("cc", "gcc", "clang")
@@ -50,7 +50,7 @@ def test_the_header_contains_the_matrix_to_the_last_bit(tmp_path) -> None:  # ty
     assert struct.unpack("9d", output) == tuple(MATRIX.ravel())
 
 
-def test_the_readme_explains_the_matrix_only_if_there_is_one() -> None:
+def test_the_readme_explains_the_matrix_only_if_there_is_one():
     readme = bundle(FILE)["README.md"].decode()
     assert "references and their readings by the matrix" in readme
     assert "| x | 1 | -0.125 | 0.333333 |" in readme

@@ -85,14 +85,11 @@ def test_a_disturbance_without_a_constant_is_refused():
         observer_values(replace(placed_observer(), disturbance=fading))
 
 
-def test_the_integrator_is_factored_out_of_s():
+def test_the_integrator_is_factored_out_of_s_and_required():
     values = rst_values(3 * RST_R, 3 * RST_S, 3 * RST_R.sum(keepdims=True), np.ones(1))
     assert np.convolve(values["rst_S"], [1, -1]) == pytest.approx(RST_S, abs=1e-9)
     assert values["rst_R_V"] == pytest.approx(RST_R)
     assert values["rst_T_V"] == pytest.approx(RST_R.sum())
-
-
-def test_a_controller_without_an_integrator_is_refused():
     with pytest.raises(ParameterFileError, match="integrator"):
         rst_values(RST_R, RST_S + 1e-6, RST_R, np.ones(1))
 
@@ -207,9 +204,12 @@ def test_the_exported_inverse_is_that_of_the_model(polarity):
     assert np.abs(started(mpi.values, 5.0, np.nan).run(y, y).voltage_V - u).max() < 1e-10
 
 
-def test_a_design_for_the_other_direction_is_refused():
+def test_a_design_of_another_direction_or_without_observer_is_refused():
     with pytest.raises(ParameterFileError, match="direction"):
         lateral_axis(model(-1), design())
+    mpi_dob, dob = design().loops
+    with pytest.raises(ParameterFileError, match="observer"):
+        lateral_axis(model(), axis_design(replace(mpi_dob, observer=None), dob))
 
 
 def test_a_tip_ships_its_guards_and_polynomials():
@@ -222,9 +222,3 @@ def test_a_tip_ships_its_guards_and_polynomials():
     for letter, polynomial in (("R", RST_R), ("T", RST_R.sum(keepdims=True))):
         count = int(axis.values[f"rst_{letter}_count"])
         assert axis.values[f"rst_{letter}_V"][:count] == pytest.approx(polynomial)
-
-
-def test_a_lateral_loop_without_an_observer_is_refused():
-    mpi_dob, dob = design().loops
-    with pytest.raises(ParameterFileError, match="observer"):
-        lateral_axis(model(), axis_design(replace(mpi_dob, observer=None), dob))

@@ -31,7 +31,7 @@ class Record:
 ROW = np.array([-1e308, 1.0, 1e308])
 
 
-def test_a_record_has_read_only_copies_of_its_arrays() -> None:
+def test_a_record_has_read_only_copies_of_its_arrays():
     row, table = ROW.copy(), np.ones((2, 3)).T
     record = Record(row=row, table=table)
     row[1] = table[0, 0] = 7.0
@@ -51,18 +51,18 @@ def test_a_record_has_read_only_copies_of_its_arrays() -> None:
         ([1.0, 2.0, 2.0], np.ones((3, 2)), r"\[1\] = 2.0, \[2\] = 2.0"),
     ],
 )
-def test_an_invalid_array_is_named(row: Array, table: Array, message: str) -> None:
+def test_an_invalid_array_is_named(row, table, message):
     with pytest.raises(ValueError, match=message):
         Record(row=np.array(row), table=table)
 
 
-def test_unequal_lengths_are_named() -> None:
+def test_unequal_lengths_are_named():
     with pytest.raises(ValueError, match="c has 1 values, a has 2"):
         same_length([("a", np.ones(2)), ("b", np.ones(2)), ("c", np.ones(1))])
 
 
 @pytest.mark.parametrize("max_rows", [1000, 5000, 8000])
-def test_spread_rows_resolve_harmonics_of_mains_hum(max_rows: int) -> None:
+def test_spread_rows_resolve_harmonics_of_mains_hum(max_rows):
     rows = spread_rows(20_000, max_rows)
     assert 0.85 * max_rows < len(rows) <= max_rows
     phase = 2.0 * np.pi * 50.0 * rows / 500.0

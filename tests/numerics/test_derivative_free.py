@@ -9,7 +9,7 @@ from piezoid.numerics.derivative_free import direct_search
 BOX = np.full(2, -5.0), np.full(2, 5.0)
 
 
-def test_a_minimum_at_a_kink_is_found() -> None:
+def test_a_minimum_at_a_kink_is_found():
     def kinked(x: Array) -> float:
         return float(abs(x[0] - 1.0) + 3.0 * abs(x[1] + x[0]))
 
@@ -20,7 +20,7 @@ def test_a_minimum_at_a_kink_is_found() -> None:
     assert value == kinked(x)
 
 
-def test_a_global_search_leaves_a_shallow_valley() -> None:
+def test_a_global_search_leaves_a_shallow_valley():
     def valleys(x: Array) -> float:
         return float(min((x[0] - 4.0) ** 2 + 1.0, 4.0 * (x[0] + 3.0) ** 2))
 
@@ -33,7 +33,7 @@ def test_a_global_search_leaves_a_shallow_valley() -> None:
     assert global_x[0] == pytest.approx(-3.0, abs=1e-3)
 
 
-def test_a_constraint_is_satisfied() -> None:
+def test_a_constraint_is_satisfied():
     x, value = direct_search(
         lambda x: float(-x[0] - x[1]),
         np.full(2, 0.1),
@@ -47,7 +47,7 @@ def test_a_constraint_is_satisfied() -> None:
     assert value == pytest.approx(-np.sqrt(2.0), abs=1e-6)
 
 
-def test_a_search_keeps_its_limit_of_evaluations() -> None:
+def test_a_search_keeps_its_limit_of_evaluations():
     points = []
 
     def bowl(x: Array) -> float:

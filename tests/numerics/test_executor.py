@@ -10,14 +10,14 @@ from piezoid.numerics.executor import SERIAL, Executor, Once
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_results_keep_the_order_of_their_inputs(count) -> None:
+def test_results_keep_the_order_of_their_inputs(count):
     executor = Executor(threads=count)
     assert executor.map(lambda n: n * n, iter([3, 1, 2])) == [9, 1, 4]
     assert executor.map(str, []) == []
     assert executor.run_both(lambda: "one", lambda: 2) == ("one", 2)
 
 
-def test_two_threads_run_at_the_same_time_and_a_serial_executor_in_the_caller() -> None:
+def test_two_threads_run_at_the_same_time_and_a_serial_executor_in_the_caller():
     barrier = threading.Barrier(2, timeout=10.0)
     Executor(threads=2).map(lambda _: barrier.wait(), range(2))
     Executor(threads=2).run_both(barrier.wait, barrier.wait)
@@ -25,7 +25,7 @@ def test_two_threads_run_at_the_same_time_and_a_serial_executor_in_the_caller() 
     assert set(threads) == {threading.get_ident()}
 
 
-def test_threads_report_one_at_a_time() -> None:
+def test_threads_report_one_at_a_time():
     lock, messages = threading.Lock(), []
 
     def report(text: str) -> None:
@@ -40,7 +40,7 @@ def test_threads_report_one_at_a_time() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_an_error_in_a_thread_reaches_the_caller(count) -> None:
+def test_an_error_in_a_thread_reaches_the_caller(count):
     with pytest.raises(ZeroDivisionError):
         Executor(threads=count).map(lambda n: 1 / n, [1, 0, 2])
     with pytest.raises(ZeroDivisionError):
@@ -63,7 +63,7 @@ class Record:
         return [self.number]
 
 
-def test_a_cached_value_is_computed_once_without_blocking_other_records() -> None:
+def test_a_cached_value_is_computed_once_without_blocking_other_records():
     records = [Record(1), Record(2)]
     values = Executor(threads=2).map(lambda record: record.values, records)
     assert values == [[1], [2]]

@@ -116,9 +116,7 @@ CASES = [(problem, start) for problem in PUBLISHED for start in problem.starts]
 
 @pytest.mark.parametrize("form", ["rows", "triangle", "normal"])
 @pytest.mark.parametrize(("problem", "start"), CASES, ids=lambda case: getattr(case, "name", ""))
-def test_certified_minima_are_found_from_their_starts(
-    problem: Published, start: Sequence[float], form: str
-) -> None:
+def test_certified_minima_are_found_from_their_starts(problem, start, form):
     minimum = search(problem.residual, start, form=form)
     assert minimum.converged
     assert minimum.point.cost == pytest.approx(problem.cost, rel=1e-8)
@@ -126,7 +124,7 @@ def test_certified_minima_are_found_from_their_starts(
     assert minimum.gradient < 1e-3
 
 
-def test_a_minimum_on_a_bound_is_exactly_on_it() -> None:
+def test_a_minimum_on_a_bound_is_exactly_on_it():
     """Problem 2 of Hock & Schittkowski (1981): Rosenbrock's valley with x2 >= 1.5."""
     minimum = search(
         lambda x: np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]),
@@ -141,7 +139,7 @@ def test_a_minimum_on_a_bound_is_exactly_on_it() -> None:
     assert minimum.gradient < 1e-6  # the bound blocks the remaining gradient
 
 
-def test_equal_bounds_fix_a_parameter_and_the_start_is_clipped() -> None:
+def test_equal_bounds_fix_a_parameter_and_the_start_is_clipped():
     bounds = np.array([200.0, 1e-3]), np.array([200.0, 1.0])
     minimum = search(PUBLISHED[0].residual, (1.0, 1e-9), bounds=bounds)
     np.testing.assert_array_equal(minimum.x, [200.0, 1e-3])
@@ -154,9 +152,7 @@ def test_equal_bounds_fix_a_parameter_and_the_start_is_clipped() -> None:
     assert (float(highest.x[0]), highest.gradient) == (1.0, 0.0)
 
 
-def test_eliminated_coefficients_are_least_squares_with_their_derivatives(
-    rng: np.random.Generator,
-) -> None:
+def test_eliminated_coefficients_are_least_squares_with_their_derivatives(rng):
     columns, target = rng.normal(size=(30, 3)) * [1e-3, 1.0, 1e3], rng.normal(size=30)
     elimination = eliminate(columns, target)
     np.testing.assert_allclose(
@@ -176,7 +172,7 @@ def test_eliminated_coefficients_are_least_squares_with_their_derivatives(
         eliminate(columns[:, [0, 1, 0]], target)
 
 
-def test_a_parameter_without_a_column_keeps_its_value() -> None:
+def test_a_parameter_without_a_column_keeps_its_value():
     @dataclass(frozen=True, eq=False)
     class PartialModel:
         x: Array
@@ -195,7 +191,7 @@ def test_a_parameter_without_a_column_keeps_its_value() -> None:
     np.testing.assert_allclose(minimum.x, [1.0, 0.25, 3.0], atol=1e-6)
 
 
-def test_every_trial_keeps_the_longest_move_and_the_allowed_range() -> None:
+def test_every_trial_keeps_the_longest_move_and_the_allowed_range():
     points = []
 
     def evaluate(x: Array) -> Curve:
@@ -261,9 +257,7 @@ RULE = Rule(tolerance=1e-5, crawl=1e-3)
         ((0.5, 1e-3), replace(RULE, evaluations=7), "evaluations", 7),
     ],
 )
-def test_a_search_ends_by_its_rule_and_states_the_reason(
-    shares: Sequence[float], rule: Rule, reason: str, iterations: int
-) -> None:
+def test_a_search_ends_by_its_rule_and_states_the_reason(shares, rule, reason, iterations):
     minimum = descend(*shares, rule=rule)
     count = minimum.evaluations if reason == "evaluations" else minimum.iterations
     assert (minimum.reason, count) == (reason, iterations)
@@ -271,7 +265,7 @@ def test_a_search_ends_by_its_rule_and_states_the_reason(
 
 
 @pytest.mark.parametrize("share", [0.0, -0.5, np.nan])
-def test_a_search_without_improvement_is_stationary(share: float) -> None:
+def test_a_search_without_improvement_is_stationary(share):
     minimum = descend(share, rule=RULE)
     assert minimum.converged
     assert (minimum.reason, minimum.iterations, minimum.point.cost) == ("stationary", 1, 1.0)
@@ -283,7 +277,7 @@ def linear_models(J: Array, r: Array) -> tuple[Rows, NormalEquations]:
     return Rows(factor=J, residual=r), NormalEquations(gram=J.T @ J, slope=J.T @ r, cost=r @ r)
 
 
-def test_a_damped_step_is_the_least_squares_of_its_rows(rng: np.random.Generator) -> None:
+def test_a_damped_step_is_the_least_squares_of_its_rows(rng):
     """Columns of any size have the same damping; a column of zeros has no step."""
     J, r = rng.normal(size=(9, 4)) * [1e-3, 1.0, 1e3, 0.0], rng.normal(size=9)
     unbounded = np.full(4, np.inf)
@@ -296,14 +290,14 @@ def test_a_damped_step_is_the_least_squares_of_its_rows(rng: np.random.Generator
             )
 
 
-def test_nearly_dependent_columns_are_solved(rng: np.random.Generator) -> None:
+def test_nearly_dependent_columns_are_solved(rng):
     columns = rng.normal(size=(30, 2))
     columns = np.column_stack([columns, columns[:, 0] + 1e-10 * rng.normal(size=30)])
     target = columns @ np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(eliminate(columns, target).residual, 0.0, atol=1e-12)
 
 
-def test_the_gradient_is_the_largest_cosine_that_no_bound_blocks(rng: np.random.Generator) -> None:
+def test_the_gradient_is_the_largest_cosine_that_no_bound_blocks(rng):
     J, r = rng.normal(size=(9, 3)) * [1e-3, 1.0, 1e3], rng.normal(size=9)
     cosine = J.T @ r / np.linalg.norm(J, axis=0) / np.linalg.norm(r)
     order = np.argsort(-np.abs(cosine))

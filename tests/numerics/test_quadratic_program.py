@@ -1,7 +1,5 @@
 """Small convex programs against independent solvers."""
 
-from typing import Literal
-
 import daqp
 import numpy as np
 import pytest
@@ -38,9 +36,7 @@ def reduced(columns: Array, target: Array) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("plays", [20, 40])
-def test_nonnegative_weights_agree_with_nnls_on_all_rows(
-    rng: np.random.Generator, plays: int
-) -> None:
+def test_nonnegative_weights_agree_with_nnls_on_all_rows(rng, plays):
     columns, target = play_problem(rng, plays)
     reference = nnls(columns, target)[0]
     factor, right = reduced(columns, target)
@@ -53,9 +49,7 @@ def test_nonnegative_weights_agree_with_nnls_on_all_rows(
     np.testing.assert_allclose(bounded_step(factor, right, zero, unbounded), reference, atol=1e-11)
 
 
-def test_the_gap_without_bounds_is_the_gradient_relative_to_zero(
-    rng: np.random.Generator,
-) -> None:
+def test_the_gap_without_bounds_is_the_gradient_relative_to_zero(rng):
     factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
     optimum = np.linalg.lstsq(factor, right)[0]
     unbounded = np.full(4, -np.inf), np.full(4, np.inf)
@@ -67,7 +61,7 @@ def test_the_gap_without_bounds_is_the_gradient_relative_to_zero(
 
 
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
-def test_the_gap_is_the_same_in_other_units(rng: np.random.Generator, unit: float) -> None:
+def test_the_gap_is_the_same_in_other_units(rng, unit):
     factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
     lower, upper = np.full(4, -np.inf), np.full(4, np.inf)
     optimum = bounded_step(factor, right, lower, np.array([0.0, np.inf, -0.1, np.inf]))
@@ -90,9 +84,7 @@ def test_the_gap_is_the_same_in_other_units(rng: np.random.Generator, unit: floa
     spread=st.sampled_from([1.0, 0.3, 1e-2]),
     lowest=st.sampled_from([-0.5, 0.0, 0.2]),
 )
-def test_a_step_in_other_units_is_the_same_step(
-    seed: int, power: int, spread: float, lowest: float
-) -> None:
+def test_a_step_in_other_units_is_the_same_step(seed, power, spread, lowest):
     # With similar columns, an active bound moves other coefficients onto their bounds.
     rng, unit = np.random.default_rng(seed), 10.0**power
     columns = rng.normal(size=(80, 1)) + spread * rng.normal(size=(80, 10))
@@ -106,7 +98,7 @@ def test_a_step_in_other_units_is_the_same_step(
     np.testing.assert_allclose(rescaled_columns * unit, expected, atol=1e-11)
 
 
-def test_a_step_without_a_target_moves_only_to_its_bounds() -> None:
+def test_a_step_without_a_target_moves_only_to_its_bounds():
     unbounded = np.full(2, np.inf)
     factor = np.array([[1.0, 1.0], [0.0, 0.1]])
     for unit in (1e-40, 1.0, 1e40):
@@ -116,7 +108,7 @@ def test_a_step_without_a_target_moves_only_to_its_bounds() -> None:
         assert not bounded_step(factor, np.zeros(2), -abs(lower), unbounded).any()
 
 
-def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Generator) -> None:
+def test_general_constraints_agree_with_an_active_set_solver(rng):
     factor, right = reduced(rng.normal(size=(200, 8)), rng.normal(size=200))
     constraint = rng.normal(size=(5, 8))
     lower, upper = np.full(5, -0.02), np.array([0.02, 0.02, np.inf, 0.01, np.inf])
@@ -140,9 +132,7 @@ def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Gene
 
 @pytest.mark.parametrize("power", [-40, -12, -3, 3, 12, 40])
 @pytest.mark.parametrize("scaled_part", ["target", "columns", "rows"])
-def test_a_constrained_solution_in_other_units_is_the_same_solution(
-    rng: np.random.Generator, power: int, scaled_part: str
-) -> None:
+def test_a_constrained_solution_in_other_units_is_the_same_solution(rng, power, scaled_part):
     factor, right = reduced(rng.normal(size=(200, 8)), rng.normal(size=200))
     constraint, lower, upper = rng.normal(size=(5, 8)), np.full(5, -0.02), np.full(5, 0.01)
     expected = constrained_least_squares(factor, right, constraint, lower, upper).x
@@ -164,9 +154,7 @@ def test_a_constrained_solution_in_other_units_is_the_same_solution(
     np.testing.assert_allclose(solution, expected, atol=1e-9)
 
 
-def test_a_step_along_nearly_equal_columns_is_optimal(
-    rng: np.random.Generator,
-) -> None:
+def test_a_step_along_nearly_equal_columns_is_optimal(rng):
     """R'R does not resolve the columns, so the active set must come from R."""
     columns = rng.normal(size=(300, 1)) + 1e-9 * rng.normal(size=(300, 12))
     factor, right = reduced(columns, columns @ rng.uniform(-1, 1, 12))
@@ -178,7 +166,7 @@ def test_a_step_along_nearly_equal_columns_is_optimal(
     assert (slope[x > lower] < 1e-9).all()
 
 
-def test_contradicting_constraints_are_refused() -> None:
+def test_contradicting_constraints_are_refused():
     constraint = np.array([[1.0], [1.0]])
     with pytest.raises(InfeasibleFitError, match="infeasible"):
         constrained_least_squares(
@@ -186,9 +174,7 @@ def test_contradicting_constraints_are_refused() -> None:
         )
 
 
-def test_a_triangle_gathered_in_chunks_holds_the_norm_of_every_combination(
-    rng: np.random.Generator,
-) -> None:
+def test_a_triangle_gathered_in_chunks_holds_the_norm_of_every_combination(rng):
     rows = rng.normal(size=(1000, 6))
     triangle = empty_triangle(6)
     for chunk in np.array_split(rows, 13):
@@ -201,9 +187,7 @@ def test_a_triangle_gathered_in_chunks_holds_the_norm_of_every_combination(
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_gathered_rows_keep_their_values_unless_they_may_be_spent(
-    rng: np.random.Generator, order: Literal["C", "F"]
-) -> None:
+def test_gathered_rows_keep_their_values_unless_they_may_be_spent(rng, order):
     rows = np.asarray(rng.normal(size=(50, 3)), order=order)
     original = rows.copy()
     triangle = gather(empty_triangle(3), rows)

@@ -7,9 +7,7 @@ from piezoid.numerics.repetition import equal_cycles, find_repetition
 
 
 @pytest.mark.parametrize(("first_count", "second_count"), [(0, 4), (3, 9), (9, 3)])
-def test_the_longest_repetition_is_located(
-    rng: np.random.Generator, first_count: int, second_count: int
-) -> None:
+def test_the_longest_repetition_is_located(rng, first_count, second_count):
     period = rng.standard_normal(200)
     lead = np.concatenate([np.zeros(700), np.linspace(0.0, period[0])])
     signal = np.concatenate(
@@ -30,12 +28,9 @@ def test_the_longest_repetition_is_located(
     )
 
 
-def test_a_chirp_and_a_constant_drive_have_no_repetition() -> None:
+def test_chirps_constant_and_decaying_drives_do_not_repeat():
     assert find_repetition(np.sin(np.linspace(0.0, 30.0, 5000) ** 2)) is None
     assert find_repetition(np.zeros(100)) is None
-
-
-def test_a_decaying_drive_has_no_equal_cycles() -> None:
     turn = np.arange(4800) / 80.37
     shrinking = np.cos(2.0 * np.pi * turn) * (1.0 - 0.05 * turn / turn[-1])
     assert equal_cycles(np.cos(2.0 * np.pi * turn), fewest=8) is not None

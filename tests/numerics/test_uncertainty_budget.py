@@ -1,7 +1,6 @@
 """Uncertainty budgets against closed forms and the worked example of the Guide."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,15 +27,12 @@ def heavy(tail: float, *, is_shared: bool = True) -> Contribution:
     )
 
 
-def test_the_end_gauge_of_the_guide_has_the_guides_numbers() -> None:
+def test_degrees_of_freedom_follow_the_guide():
     # JCGM 100:2008, H.1: contributions in nm and their degrees of freedom; k there is for 99 %.
     gauge = [normal(25.0, 18), normal(9.7, 25.6), normal(2.9, 50), normal(16.6, 2)]
     budget = budget_of(gauge, draws=1000)
     assert budget.combined == pytest.approx(31.7, abs=0.1)
     assert budget.freedom == pytest.approx(16.7, abs=0.1)
-
-
-def test_degrees_of_freedom_are_kept_or_infinite() -> None:
     assert budget_of([normal(3.0, 1)], draws=1000).freedom == pytest.approx(1.0)
     assert budget_of([normal(3.0, 7)], draws=1000).freedom == pytest.approx(7.0)
     budget = budget_of([normal(3.0), normal(4.0)], draws=1000)
@@ -57,9 +53,7 @@ def test_degrees_of_freedom_are_kept_or_infinite() -> None:
         ([heavy(4.0, is_shared=False)], 2.7764 * math.sqrt(0.5)),
     ],
 )
-def test_draws_give_the_interval_that_can_be_written_down(
-    contributions: list[Contribution], half: float
-) -> None:
+def test_draws_give_the_interval_that_can_be_written_down(contributions, half):
     assert budget_of(contributions).propagated == pytest.approx(half, rel=0.01)
 
 
@@ -70,31 +64,26 @@ def test_draws_give_the_interval_that_can_be_written_down(
         (heavy(4.0, is_shared=False), student(4.0, 0.0, math.sqrt(0.5)), 1000),
     ],
 )
-def test_the_largest_of_many_errors_is_its_closed_form(
-    contribution: Contribution, law: Any, positions: int
-) -> None:
+def test_the_largest_of_many_errors_is_its_closed_form(contribution, law, positions):
     budget = budget_of([contribution], positions=positions)
     for probability, reached in zip((0.025, 0.975), budget.largest, strict=True):
         exact = law.ppf((1 + probability ** (1 / positions)) / 2)
         assert reached == pytest.approx(exact, rel=0.02)
 
 
-def test_the_largest_error_equals_that_of_drawing_every_position() -> None:
+def test_the_largest_error_equals_that_of_drawing_every_position():
     rng = np.random.default_rng(1)
     independent = rng.standard_normal((20_000, 50))
     largest = np.abs(1.5 * rng.standard_normal(20_000)[:, None] + independent).max(axis=1)
     budget = budget_of([normal(1.5), normal(1.0, is_shared=False)], positions=50)
     assert budget.largest == pytest.approx(np.quantile(largest, (0.025, 0.975)), rel=0.02)
-
-
-def test_the_largest_error_of_1e18_positions_is_finite() -> None:
     for contribution in (normal(1.0, is_shared=False), heavy(4.0, is_shared=False)):
         budget = budget_of([contribution], positions=10**18, draws=1000)
         assert np.isfinite(budget.largest[1])
         assert budget.largest[0] > 5.0
 
 
-def test_shares_are_fractions_of_the_variance_of_any_size() -> None:
+def test_shares_are_fractions_of_the_variance_of_any_size():
     contributions = [normal(3e-12), normal(0.0), normal(4e-12)]
     budget = budget_of(contributions, draws=1000)
     assert [budget.share(contribution) for contribution in contributions] == pytest.approx(
@@ -105,7 +94,7 @@ def test_shares_are_fractions_of_the_variance_of_any_size() -> None:
 
 
 @pytest.mark.parametrize("tail", [2.5, 4.0, 12.0])
-def test_a_heavy_tail_is_estimated_from_its_quantile(tail: float) -> None:
+def test_a_heavy_tail_is_estimated_from_its_quantile(tail):
     sample = np.random.default_rng(2).standard_t(tail, 400_000) * math.sqrt((tail - 2) / tail)
     ratio = float(np.quantile(np.abs(sample), 0.999))
     estimate = tail_of(ratio)
@@ -117,6 +106,6 @@ def test_a_heavy_tail_is_estimated_from_its_quantile(tail: float) -> None:
     assert heavy_budget.largest[1] > normal_budget.largest[1]
 
 
-def test_a_light_tail_is_normal_and_an_extreme_tail_is_bounded() -> None:
+def test_a_light_tail_is_normal_and_an_extreme_tail_is_bounded():
     assert tail_of(3.0) == math.inf
     assert 2.0 < tail_of(50.0) < 4.0

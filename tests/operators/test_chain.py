@@ -49,9 +49,7 @@ def chain_columns(chain: Chain, drive: Array, rows: Array, cuts: list[int]) -> A
 
 
 @pytest.mark.parametrize("kind", FILTERS)
-def test_rows_in_any_chunks_and_selection_have_the_same_bits(
-    rng: np.random.Generator, kind: str
-) -> None:
+def test_rows_in_any_chunks_and_selection_have_the_same_bits(rng, kind):
     chain, drive = random_chain(rng, kind), random_walk(rng, 900)
     expected = chain_columns(chain, drive, np.arange(900), [])
     rows = np.sort(rng.choice(900, 400))
@@ -59,9 +57,7 @@ def test_rows_in_any_chunks_and_selection_have_the_same_bits(
         np.testing.assert_array_equal(chain_columns(chain, drive, rows, chunks), expected[rows])
 
 
-def test_without_filters_the_reading_is_dead_zones_after_plays_after_the_envelope(
-    rng: np.random.Generator,
-) -> None:
+def test_without_filters_the_reading_is_dead_zones_after_plays_after_the_envelope(rng):
     chain, drive = random_chain(rng, "none"), random_walk(rng, 700)
     envelope_V = chain.envelope.run(drive)
     memory = envelope_V[0] + np.cumsum(chain.gap * chain.memory_slope)
@@ -76,14 +72,14 @@ def test_without_filters_the_reading_is_dead_zones_after_plays_after_the_envelop
     )
 
 
-def test_a_delay_of_zero_changes_nothing(rng: np.random.Generator) -> None:
+def test_a_delay_of_zero_changes_nothing(rng):
     chain, drive = random_chain(rng, "none"), random_walk(rng, 200)
     rows = np.arange(200)
     delayed = chain_columns(replace(chain, share=0.0), drive, rows, [])
     np.testing.assert_array_equal(delayed[:, -1], chain_columns(chain, drive, rows, [])[:, -1])
 
 
-def test_the_memory_is_forgotten_once_every_play_has_moved(rng: np.random.Generator) -> None:
+def test_the_memory_is_forgotten_once_every_play_has_moved(rng):
     chain = random_chain(rng, "delay")
     drive = np.concatenate([np.zeros(10), np.linspace(0.0, 2 * chain.gap.sum() + 1, 50)])
     drive = np.concatenate([drive, -drive])
@@ -93,7 +89,7 @@ def test_the_memory_is_forgotten_once_every_play_has_moved(rng: np.random.Genera
     assert not depends_on_memory[60:].any()
 
 
-def test_an_output_of_the_wrong_shape_or_order_is_refused(rng: np.random.Generator) -> None:
+def test_an_output_of_the_wrong_shape_or_order_is_refused(rng):
     chain, drive = random_chain(rng, "none"), random_walk(rng, 50)
     rows = np.arange(10)
     for out in (np.empty((10, 30)), np.empty((9, 30), order="F"), np.empty((10, 5), order="F")):

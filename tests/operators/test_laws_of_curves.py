@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.dead_zone import DeadZones, from_slopes
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii, worst_case
+from piezoid.operators.dead_zone import from_slopes
+from piezoid.operators.prandtl_ishlinskii import worst_case
 from tests.operators.strategies import (
     GRID,
     REACH,
@@ -22,9 +22,7 @@ from tests.operators.strategies import (
 
 
 @given(st.data(), play_sums(), drives())
-def test_the_inverse_memory_is_the_map_of_the_memory_at_every_time(
-    data: st.DataObject, plays: PrandtlIshlinskii, drive: Array
-) -> None:
+def test_the_inverse_memory_is_the_map_of_the_memory_at_every_time(data, plays, drive):
     memory = data.draw(memories(plays.threshold))
     inverse, backward = plays.inverse(), plays.inverse_memory(memory)
     y, final_memory = plays.run(drive, memory)
@@ -37,14 +35,14 @@ def test_the_inverse_memory_is_the_map_of_the_memory_at_every_time(
 
 
 @given(play_sums())
-def test_the_inverse_of_the_inverse_is_the_operator(plays: PrandtlIshlinskii) -> None:
+def test_the_inverse_of_the_inverse_is_the_operator(plays):
     twice = plays.inverse().inverse()
     assert_close(twice.threshold, plays.threshold, 100 * (1 + plays.threshold[-1]))
     assert_close(twice.slope, plays.slope, 100 * plays.slope.max())
 
 
 @given(kinked_curves(), drives(max_samples=80))
-def test_a_kinked_curve_is_the_sum_of_its_dead_zones(zones: DeadZones, drive: Array) -> None:
+def test_a_kinked_curve_is_the_sum_of_its_dead_zones(zones, drive):
     values, local = zones.run_with_slope(drive)
     size = zones.slope.max() * (REACH + np.abs(zones.threshold).max())
     assert_close(values, zones.columns(drive) @ zones.weight, 10 * size)
@@ -59,7 +57,7 @@ def test_a_kinked_curve_is_the_sum_of_its_dead_zones(zones: DeadZones, drive: Ar
 
 
 @given(kinked_curves(), drives())
-def test_a_kinked_curve_and_its_inverse_undo_each_other(zones: DeadZones, drive: Array) -> None:
+def test_a_kinked_curve_and_its_inverse_undo_each_other(zones, drive):
     inverse = zones.inverse()
     size = zones.slope.max() * (REACH + np.abs(zones.threshold).max()) / zones.slope.min()
     assert_close(inverse.run(zones.run(drive)), drive, size)
@@ -72,12 +70,8 @@ def test_a_kinked_curve_and_its_inverse_undo_each_other(zones: DeadZones, drive:
 
 @given(play_sums(), play_sums(), play_sums(), st.integers(1, 128), drives())
 def test_the_worst_case_is_a_distance_that_only_its_own_drive_attains(
-    first: PrandtlIshlinskii,
-    second: PrandtlIshlinskii,
-    third: PrandtlIshlinskii,
-    top: int,
-    drive: Array,
-) -> None:
+    first, second, third, top, drive
+):
     reach = top / GRID
     distance = worst_case(first, second, reach)
     slack = ROUNDING * (first.slope.max() + second.slope.max()) * 100

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
@@ -22,9 +21,7 @@ def size_of(model: ModifiedPrandtlIshlinskii) -> tuple[float, float]:
 
 
 @given(st.data(), models(), drives())
-def test_model_and_inverse_undo_each_other_from_every_memory(
-    data: st.DataObject, model: ModifiedPrandtlIshlinskii, drive: Array
-) -> None:
+def test_model_and_inverse_undo_each_other_from_every_memory(data, model, drive):
     memory = data.draw(memories(model.plays.threshold))
     y, final_memory = model.run(drive, memory)
     voltage, inverse_memory = model.inverse_run(y, memory)
@@ -38,9 +35,7 @@ def test_model_and_inverse_undo_each_other_from_every_memory(
 
 
 @given(st.data(), st.integers(-9, 9), st.integers(-12, 6))
-def test_units_change_the_numbers_of_a_model_and_not_what_it_does(
-    data: st.DataObject, power_V: int, power_m: int
-) -> None:
+def test_units_change_the_numbers_of_a_model_and_not_what_it_does(data, power_V, power_m):
     model = data.draw(models())
     unit_V, unit_m = 10.0**power_V, 10.0**power_m
     scaled = ModifiedPrandtlIshlinskii(
@@ -67,9 +62,7 @@ def test_units_change_the_numbers_of_a_model_and_not_what_it_does(
 
 
 @given(st.data(), models(), drives(min_samples=2))
-def test_every_increment_lies_in_the_slope_sector(
-    data: st.DataObject, model: ModifiedPrandtlIshlinskii, drive: Array
-) -> None:
+def test_every_increment_lies_in_the_slope_sector(data, model, drive):
     y, _ = model.run(drive, data.draw(memories(model.plays.threshold)))
     # The first sample may still follow from a memory of another voltage.
     rise, step = np.diff(y), np.diff(drive)
@@ -81,8 +74,8 @@ def test_every_increment_lies_in_the_slope_sector(
 
 @given(st.data(), models(), drives())
 def test_an_envelope_is_a_curve_in_front_of_the_plays_and_dead_zones_one_behind(
-    data: st.DataObject, model: ModifiedPrandtlIshlinskii, drive: Array
-) -> None:
+    data, model, drive
+):
     memory = data.draw(memories(model.plays.threshold))
     envelope_V = model.envelope.columns(drive - model.voltage_offset_V) @ model.envelope.weight
     states, final_memory = play_columns(envelope_V, model.plays.threshold, memory)
@@ -95,9 +88,7 @@ def test_an_envelope_is_a_curve_in_front_of_the_plays_and_dead_zones_one_behind(
 
 
 @given(st.data(), models(), st.floats(1e-9, 1e9), drives())
-def test_a_gauge_moves_metres_between_the_parts_and_nothing_else(
-    data: st.DataObject, model: ModifiedPrandtlIshlinskii, c: float, drive: Array
-) -> None:
+def test_a_gauge_moves_metres_between_the_parts_and_nothing_else(data, model, c, drive):
     memory = data.draw(memories(model.plays.threshold))
     rescaled = model.rescaled(c)
     expected, _ = model.run(drive, memory)

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezoid.numerics import zero_order_hold
-from piezoid.numerics.arrays import Array
 from piezoid.operators import linear
 from piezoid.operators.linear import (
     ContinuousSystem,
@@ -44,7 +43,7 @@ def chains(draw: st.DrawFn, delay: bool = True) -> ContinuousSystem:
 
 
 @given(chains())
-def test_both_samplers_give_the_same_samples(system: ContinuousSystem) -> None:
+def test_both_samplers_give_the_same_samples(system):
     linear_response = linear.sample(system, RATE_Hz).impulse_response(40)[:, 0, 0]
     realised = zero_order_hold.sample(
         system.A, system.B[:, 0], system.C[0], 1 / RATE_Hz, system.delay_s
@@ -57,9 +56,7 @@ def test_both_samplers_give_the_same_samples(system: ContinuousSystem) -> None:
 
 
 @given(chains(), chains())
-def test_the_response_of_a_chain_is_the_product_of_its_parts(
-    first: ContinuousSystem, second: ContinuousSystem
-) -> None:
+def test_the_response_of_a_chain_is_the_product_of_its_parts(first, second):
     frequency_Hz = np.geomspace(1.0, 1e5, 7)
     response = cascade(first, second).response(frequency_Hz)[:, 0, 0]
     product = first.response(frequency_Hz)[:, 0, 0] * second.response(frequency_Hz)[:, 0, 0]
@@ -68,9 +65,7 @@ def test_the_response_of_a_chain_is_the_product_of_its_parts(
 
 
 @given(chains(), drives(max_samples=150), drives(150, 150), st.integers(0, 150))
-def test_running_is_linear_causal_and_may_be_cut_anywhere(
-    system: ContinuousSystem, drive: Array, second_drive: Array, cut: int
-) -> None:
+def test_running_is_linear_causal_and_may_be_cut_anywhere(system, drive, second_drive, cut):
     sampled = linear.sample(system, RATE_Hz)
     second_drive = second_drive[: len(drive)]
     output, end_state = sampled.run(drive)

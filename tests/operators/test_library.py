@@ -26,7 +26,7 @@ def polynomials(library: ctypes.CDLL, seed: int) -> bytes:
     return total.tobytes()
 
 
-def test_vector_code_gives_the_bits_of_plain_loops(tmp_path: Path) -> None:
+def test_vector_code_gives_the_bits_of_plain_loops(tmp_path):
     flags = ("-std=c99", "-O3", "-ffp-contract=off", "-DPK_PORTABLE", "-shared", "-fPIC")
     sources = map(str, sorted(SOURCE.glob("*.c")))
     run(require_tool("gcc", "cc"), *flags, *sources, "-o", str(tmp_path / "kernels.so"), "-lm")
@@ -36,7 +36,7 @@ def test_vector_code_gives_the_bits_of_plain_loops(tmp_path: Path) -> None:
         assert polynomials(KERNELS, seed) == polynomials(portable, seed), f"seed {seed}"
 
 
-def test_a_copy_made_for_a_kernel_lives_until_the_kernel_returns() -> None:
+def test_a_copy_made_for_a_kernel_lives_until_the_kernel_returns():
     copy = np.array([1.0, 2.0])
     reference = weakref.ref(copy)
     pointer = address(copy)

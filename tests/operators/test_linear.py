@@ -32,7 +32,7 @@ def fraction(system: ContinuousSystem) -> tuple[Array, Array]:
     ("frequency_Hz", "pole"),
     [(630, 0.820435), (4000, 0.284610), (8500, 0.069228), (20_000, 0.00186744)],
 )
-def test_a_lag_becomes_its_known_discrete_pole(frequency_Hz: float, pole: float) -> None:
+def test_a_lag_becomes_its_known_discrete_pole(frequency_Hz, pole):
     B, A = fraction(first_order(frequency_Hz))
     np.testing.assert_allclose(A, [1, -pole], atol=1e-6)
     np.testing.assert_allclose(B, [0, 1 - pole], atol=1e-6)
@@ -46,9 +46,7 @@ def test_a_lag_becomes_its_known_discrete_pole(frequency_Hz: float, pole: float)
         (0.10, (1, -1.92290707, 0.96118915), (0.01926748, 0.01901460)),
     ],
 )
-def test_a_mode_of_630_hertz_becomes_its_known_fraction(
-    damping: float, den: tuple[float, ...], num: tuple[float, ...]
-) -> None:
+def test_a_mode_of_630_hertz_becomes_its_known_fraction(damping, den, num):
     B, A = fraction(resonance(630, damping))
     np.testing.assert_allclose(A, den, atol=6e-9)
     np.testing.assert_allclose(B, (0, *num), atol=6e-9)
@@ -58,8 +56,8 @@ def test_a_mode_of_630_hertz_becomes_its_known_fraction(
 @pytest.mark.parametrize("damping", [0.02, 1.0, 3.0])
 @pytest.mark.parametrize("lags_Hz", [[], [4000], [4000, 4000]], ids=["none", "one", "two alike"])
 def test_the_sampled_response_from_poles_equals_that_of_the_states(
-    delay_samples: float, damping: float, lags_Hz: list[float]
-) -> None:
+    delay_samples, damping, lags_Hz
+):
     mode, delay_s = resonance(630, damping), delay_samples / RATE_HZ
     delayed_mode = ContinuousSystem(A=mode.A, B=mode.B, C=mode.C, D=mode.D, delay_s=delay_s)
     chain, frequency_Hz = (
@@ -84,7 +82,7 @@ def test_the_sampled_response_from_poles_equals_that_of_the_states(
 
 
 @pytest.mark.parametrize("delay_samples", [0.0, 0.3, 2.0])
-def test_a_pure_delay_has_its_sampled_response(delay_samples: float) -> None:
+def test_a_pure_delay_has_its_sampled_response(delay_samples):
     empty = np.zeros((0, 0))
     direct = ContinuousSystem(
         A=empty, B=empty.T.reshape(0, 1), C=empty.reshape(1, 0), D=np.ones((1, 1)),
@@ -100,15 +98,13 @@ def test_a_pure_delay_has_its_sampled_response(delay_samples: float) -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
-def test_a_butterworth_filter_is_flat_and_falls_to_half_the_power_at_its_corner(
-    order: int,
-) -> None:
+def test_a_butterworth_filter_is_flat_and_falls_to_half_the_power_at_its_corner(order):
     ratio = np.array([0.0, 0.1, 1.0, 3.0])
     gain = np.abs(butterworth(order, 1000).response(1000 * ratio)[:, 0, 0])
     np.testing.assert_allclose(gain, 1 / np.sqrt(1 + ratio ** (2 * order)), rtol=1e-12)
 
 
-def test_a_matrix_of_the_wrong_shape_is_named() -> None:
+def test_a_matrix_of_the_wrong_shape_is_named():
     with pytest.raises(ValueError, match="B has shape"):
         DiscreteSystem(
             A=np.eye(2), B=np.ones((1, 1)), C=np.ones((1, 2)), D=np.zeros((1, 1)), interval_s=1.0
@@ -116,7 +112,7 @@ def test_a_matrix_of_the_wrong_shape_is_named() -> None:
 
 
 @pytest.mark.parametrize("interval_s", [0.0, -1e-3, np.nan, np.inf])
-def test_an_invalid_sampling_interval_is_named(interval_s: float) -> None:
+def test_an_invalid_sampling_interval_is_named(interval_s):
     unit = np.ones((1, 1))
     with pytest.raises(ValueError, match="interval_s is"):
         DiscreteSystem(A=unit, B=unit, C=unit, D=unit, interval_s=interval_s)

@@ -8,7 +8,7 @@ from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 NINE_DIGITS = 1e-9
 
 
-def test_example_1_of_al_janaideh_has_its_outputs_area_and_inverse() -> None:
+def test_example_1_of_al_janaideh_has_its_outputs_area_and_inverse():
     t = np.arange(150001) * 2e-5
     v = 4 * np.sin(2 * np.pi * t)
     operator = PrandtlIshlinskii(
@@ -39,7 +39,7 @@ def test_example_1_of_al_janaideh_has_its_outputs_area_and_inverse() -> None:
     assert np.abs(recovered - v).max() < 1e-14
 
 
-def test_example_4_of_al_janaideh_dead_zones_before_plays() -> None:
+def test_example_4_of_al_janaideh_dead_zones_before_plays():
     t = np.arange(10001) * 3 / 10000
     v = 5 * np.sin(2 * np.pi * t)
     positive = np.array([0.4, 0.75, 1, 1.25, 1.5, 1.75, 2, 2.25, 2.5, 2.75, 3])

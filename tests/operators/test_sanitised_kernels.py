@@ -40,12 +40,12 @@ def run_with_sanitisers(
     )  # fmt: skip
 
 
-def test_the_kernels_pass_the_sanitisers(tmp_path: Path) -> None:
+def test_the_kernels_pass_the_sanitisers(tmp_path):
     result = run_with_sanitisers(tmp_path, sorted(SOURCE.glob("*.c")), TESTS)
     assert result.returncode == 0, result.stdout[-2000:] + result.stderr[-2000:]
 
 
-def test_the_sanitisers_detect_an_index_out_of_bounds(tmp_path: Path) -> None:
+def test_the_sanitisers_detect_an_index_out_of_bounds(tmp_path):
     sources = {path.name: path.read_text() for path in SOURCE.glob("*.c")}
     loop = "for (size_t i = 0; i < LANES; ++i) {"
     assert loop in sources["kernels.c"]

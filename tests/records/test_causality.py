@@ -27,7 +27,7 @@ def moving_average(values: Array, width: int) -> Array:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_centred_average_is_reported(tmp_path: Path, law: str) -> None:
+def test_a_centred_average_is_reported(tmp_path, law):
     assert "smoothed" not in quantities_of(tmp_path, reading(law))
     recording = recorded(tmp_path, FIELD, moving_average(reading(law), 51))
     (statement,) = (p for p in recording.statements if p.quantity == "smoothed")
@@ -36,7 +36,7 @@ def test_a_centred_average_is_reported(tmp_path: Path, law: str) -> None:
 
 
 @pytest.mark.parametrize("law", ["preisach", "dahl", "duhem"])
-def test_a_lag_ringing_or_clipping_is_no_smoothing(tmp_path: Path, law: str) -> None:
+def test_a_lag_ringing_or_clipping_is_no_smoothing(tmp_path, law):
     lagging = lfilter([0.1], [1.0, -0.9], reading(law) - 6.0)
     pole = 0.99 * np.exp(2j * np.pi / 40)
     ringing = lfilter(
@@ -48,21 +48,21 @@ def test_a_lag_ringing_or_clipping_is_no_smoothing(tmp_path: Path, law: str) -> 
         assert not {"smoothed", "leads"} & set(quantities_of(tmp_path, values))
 
 
-def test_a_delayed_drive_is_reported_with_its_delay(tmp_path: Path) -> None:
+def test_a_delayed_drive_is_reported_with_its_delay(tmp_path):
     delayed = np.concatenate([np.full(20, FIELD[0]), FIELD[:-20]])
     recording = recorded(tmp_path, delayed, reading("preisach"))
     leads = [s for s in recording.statements if s.quantity == "leads" and s.unit == "s"]
     assert [round(500.0 * s.value) for s in leads if s.value] == [pytest.approx(20, abs=4)]
 
 
-def test_a_smoothed_sine_is_not_reported(tmp_path: Path) -> None:
+def test_a_smoothed_sine_is_not_reported(tmp_path):
     sine = -np.cos(2.0 * np.pi * np.arange(4800) / 600.0)
     smooth = moving_average(reading("preisach", field=sine), 51)
     assert "smoothed" not in quantities_of(tmp_path, smooth, sine)
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_staircase_is_neither_smoothed_nor_leading(tmp_path: Path, law: str) -> None:
+def test_a_staircase_is_neither_smoothed_nor_leading(tmp_path, law):
     # Its turns are flat, so half of a turn seems to precede the last step.
     levels = np.tile(np.concatenate([np.arange(-5, 5), np.arange(5, -5, -1)]), 6) / 5.0
     for samples in (50, 200):

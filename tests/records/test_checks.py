@@ -24,7 +24,7 @@ def clean(folder: Path, law: str, drive: np.ndarray, seed: int) -> Recording:
 
 
 @pytest.mark.parametrize("law", sorted(LAWS))
-def test_every_check_is_silent_over_clean_recordings(tmp_path: Path, law: str) -> None:
+def test_every_check_is_silent_over_clean_recordings(tmp_path, law):
     recordings = [clean(tmp_path / "a", law, SWEEP, 1), clean(tmp_path / "b", law, LOOPS, 2)]
     for recording in recordings:
         for check in checks.CHECKS:
@@ -34,7 +34,7 @@ def test_every_check_is_silent_over_clean_recordings(tmp_path: Path, law: str) -
     assert {c.__name__: c(recordings) for c in SET_CHECKS} == {c.__name__: [] for c in SET_CHECKS}
 
 
-def test_every_check_of_the_folder_is_registered_under_one_signature() -> None:
+def test_every_check_of_the_folder_is_registered_under_one_signature():
     folder = Path(checks.__file__).parent
     modules = {path.stem for path in folder.glob("*.py")} - {"__init__", "columns"}
     of_one = (*checks.CHECKS, *checks.AXIS_CHECKS)
@@ -46,7 +46,7 @@ def test_every_check_of_the_folder_is_registered_under_one_signature() -> None:
         assert len(inspect.signature(check).parameters) == count
 
 
-def test_a_recording_without_displacement_is_reported_once(tmp_path: Path) -> None:
+def test_a_recording_without_displacement_is_reported_once(tmp_path):
     rows = "\n".join(f"{k / 1000},{k % 7}" for k in range(200))
     (tmp_path / "a.csv").write_text(f"time [s],voltage [V]\n{rows}\n")
     statements = collect([tmp_path / "a.csv"])[0].statements

@@ -1,7 +1,7 @@
 """Files read in chunks give the recording of a full reading, or the same refusal."""
 
 import gzip
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -62,14 +62,12 @@ def table_with_gaps(folder: Path, missing: Sequence[int], empty: Sequence[int]) 
         ([], [SAMPLES - 3]),
     ],
 )
-def test_gaps_and_empty_cells_are_those_of_a_full_reading(
-    missing: Sequence[int], empty: Sequence[int], tmp_path: Path
-) -> None:
+def test_gaps_and_empty_cells_are_those_of_a_full_reading(missing, empty, tmp_path):
     assert_equals_full_reading(table_with_gaps(tmp_path, missing, empty), ROWS)
 
 
 @pytest.mark.parametrize("row", [500, 1022, 1023])
-def test_a_missing_cell_beside_a_lost_row_is_a_break(row: int, tmp_path: Path) -> None:
+def test_a_missing_cell_beside_a_lost_row_is_a_break(row, tmp_path):
     path = table_with_gaps(tmp_path, [row + 1], [row])
     recording = collect([path])[0]
     assert (recording.breaks, recording.bridged) == ((row,), ())
@@ -77,32 +75,30 @@ def test_a_missing_cell_beside_a_lost_row_is_a_break(row: int, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("name", IN_CHUNKS)
-def test_every_format_reads_in_chunks_as_in_full(name: str, write: Callable[[str], Path]) -> None:
+def test_every_format_reads_in_chunks_as_in_full(name, write):
     assert_equals_full_reading(write(name), 1)
 
 
-def test_a_compressed_file_without_seeking_is_refused_with_a_remedy(
-    write: Callable[[str], Path],
-) -> None:
+def test_a_compressed_file_without_seeking_is_refused_with_a_remedy(write):
     packed = write("run.h5").with_name("run.h5.gz")
     packed.write_bytes(gzip.compress(write("run.h5").read_bytes()))
     with pytest.raises(UnreadableFileError, match=r"compressed by gzip.* gunzip"):
         read_one(packed)
 
 
-def test_every_chunked_format_has_a_test_file() -> None:
+def test_every_chunked_format_has_a_test_file():
     suffixes = {"." + name.split(".")[1] for name in IN_CHUNKS}
     assert all(suffixes & set(reader.usual_suffixes) for reader in READERS if reader.read_chunks)
 
 
-def test_a_time_range_is_that_of_a_full_reading(tmp_path: Path) -> None:
+def test_a_time_range_is_that_of_a_full_reading(tmp_path):
     path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE)
     assert_equals_full_reading(path, 50, lab_with(start_s=0.5, stop_s=2.25))
     with pytest.raises(LabFileError, match="holds 0 of 3000 samples"):
         read_one(path, lab_with(start_s=99.0), rows=50)
 
 
-def test_a_refusal_is_that_of_a_full_reading(tmp_path: Path) -> None:
+def test_a_refusal_is_that_of_a_full_reading(tmp_path):
     path = table(tmp_path, "time [s],CH 1 (V),CH 2 (V)", TIME_s, VOLTAGE_V, RESPONSE)
     with pytest.raises(UnitError) as expected:
         collect([path])
@@ -111,20 +107,20 @@ def test_a_refusal_is_that_of_a_full_reading(tmp_path: Path) -> None:
     assert str(chunks.value) == str(expected.value)
 
 
-def test_a_changing_rate_is_refused(tmp_path: Path) -> None:
+def test_a_changing_rate_is_refused(tmp_path):
     stamps = np.where(TIME_s < 2, TIME_s, 2 + 2 * (TIME_s - 2))
     with pytest.raises(RecordingError, match="at 1000 Hz at its beginning and at"):
         read_one(table(tmp_path, HEADINGS, stamps, VOLTAGE_V, RESPONSE), rows=50)
 
 
-def test_columns_with_late_numbers_are_refused(tmp_path: Path) -> None:
+def test_columns_with_late_numbers_are_refused(tmp_path):
     temperature_K = np.where(TIME_s < 2, np.nan, 293.0)
     path = table(tmp_path, HEADINGS + ",temp [K]", TIME_s, VOLTAGE_V, RESPONSE, temperature_K)
     with pytest.raises(RecordingError, match="other columns hold numbers"):
         read_one(path, rows=50)
 
 
-def test_a_damaged_line_is_named_by_its_number(tmp_path: Path) -> None:
+def test_a_damaged_line_is_named_by_its_number(tmp_path):
     path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE)
     lines = path.read_text().split("\n")
     lines[1500] = "broken,by,hand"
@@ -133,21 +129,21 @@ def test_a_damaged_line_is_named_by_its_number(tmp_path: Path) -> None:
     assert {f"line 1501, column {k}" for k in (1, 2, 3)} <= locations
 
 
-def test_dates_and_formats_without_chunks_are_refused(write: Callable[[str], Path]) -> None:
+def test_dates_and_formats_without_chunks_are_refused(write):
     with pytest.raises(UnreadableFileError, match="holds dates from line"):
         read_one(write("logger.csv"))
     with pytest.raises(UnreadableFileError, match="it is MATLAB"):
         read_one(write("run5.mat"))
 
 
-def test_an_endless_line_is_refused(tmp_path: Path) -> None:
+def test_an_endless_line_is_refused(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("time [s],voltage [V],position [um]\n0,1,2\n1,2,3\n" + "9" * 3_000_000)
     with pytest.raises(UnreadableFileError, match="more than a million characters"):
         read_one(path, rows=50)
 
 
-def test_a_fragmented_recording_or_one_without_drive_is_refused(tmp_path: Path) -> None:
+def test_a_fragmented_recording_or_one_without_drive_is_refused(tmp_path):
     time_s = np.arange(6006) / RATE_Hz
     holed = np.where(np.arange(6006) % 6 > 3, np.nan, np.sin(40 * time_s))
     with pytest.raises(RecordingError, match="interrupted more than 1000 times"):
@@ -157,7 +153,7 @@ def test_a_fragmented_recording_or_one_without_drive_is_refused(tmp_path: Path) 
         read_one(silent)
 
 
-def test_headings_among_the_rows_are_read_in_chunks(tmp_path: Path) -> None:
+def test_headings_among_the_rows_are_read_in_chunks(tmp_path):
     path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE)
     rows = path.read_text().splitlines()
     path.write_text("\n".join([*rows[:2000], HEADINGS, *rows[2000:]]) + "\n")
@@ -169,7 +165,7 @@ def test_headings_among_the_rows_are_read_in_chunks(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("first_count", [1024, 1025, 2047, 2500])
-def test_a_wrapping_counter_is_read_in_chunks(first_count: int, tmp_path: Path) -> None:
+def test_a_wrapping_counter_is_read_in_chunks(first_count, tmp_path):
     counts = (2**16 - first_count + np.arange(SAMPLES)) % 2**16
     path = table(tmp_path, "t [ms],voltage [V],position [um]", counts, VOLTAGE_V, RESPONSE)
     assert_equals_full_reading(path, ROWS)
@@ -180,7 +176,7 @@ def test_a_wrapping_counter_is_read_in_chunks(first_count: int, tmp_path: Path) 
     )
 
 
-def test_two_axes_of_a_file_are_two_recordings(tmp_path: Path) -> None:
+def test_two_axes_of_a_file_are_two_recordings(tmp_path):
     headings = "time [s],voltage x [V],position x [um],voltage y [V],position y [um]"
     path = table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE, VOLTAGE_V / 2, RESPONSE / 3)
     x, y = read_thinned([path], chunk_rows=ROWS)
@@ -202,7 +198,7 @@ def thin(drive: np.ndarray, max_rows: int, cuts: tuple[int, ...] = ()) -> np.nda
     return thinning.result()[0]
 
 
-def test_thinned_rows_do_not_depend_on_the_chunks() -> None:
+def test_thinned_rows_do_not_depend_on_the_chunks():
     drive = swelling_drive(20, 3000)
     rows = thin(drive, 1 << 13)
     assert 1 << 12 < rows.shape[1] <= 1 << 13
@@ -211,7 +207,7 @@ def test_thinned_rows_do_not_depend_on_the_chunks() -> None:
     np.testing.assert_array_equal(rows, thin(drive, 1 << 13, cuts=(1, 700, 701, 33_333)))
 
 
-def test_thinning_keeps_turning_points_and_play_states() -> None:
+def test_thinning_keeps_turning_points_and_play_states():
     drive = swelling_drive(20, 3000)
     rows = thin(drive, 1 << 13)
     inner = slice(1, -1)
@@ -226,7 +222,7 @@ def test_thinning_keeps_turning_points_and_play_states() -> None:
     np.testing.assert_array_equal(states[after_turns][inner], exact[turns][inner])
 
 
-def test_thinned_rows_have_a_constant_interval_except_at_turning_points() -> None:
+def test_thinned_rows_have_a_constant_interval_except_at_turning_points():
     drive = swelling_drive(20, 3000)
     thinning = Thinning(1 << 13)
     thinning.append(drive, np.arange(len(drive), dtype=float), is_new_piece=True)
@@ -237,14 +233,14 @@ def test_thinned_rows_have_a_constant_interval_except_at_turning_points() -> Non
     assert 0 <= offset.min() <= offset.max() < stride
 
 
-def test_noise_of_the_drive_adds_no_turning_points(rng: np.random.Generator) -> None:
+def test_noise_of_the_drive_adds_no_turning_points(rng):
     noise = 0.002 * rng.standard_normal(60_000)
     rows = thin(swelling_drive(20, 3000) + noise, 1 << 13)
     smooth = thin(swelling_drive(20, 3000), 1 << 13)
     assert np.std(rows[0] - smooth[0]) < 0.003
 
 
-def test_a_drive_too_fast_for_thinning_keeps_segments() -> None:
+def test_a_drive_too_fast_for_thinning_keeps_segments():
     drive = swelling_drive(4000, 30)
     thinning = Thinning(1 << 13)
     thinning.append(drive, drive, is_new_piece=True)
@@ -257,7 +253,7 @@ def test_a_drive_too_fast_for_thinning_keeps_segments() -> None:
     np.testing.assert_array_equal(first_segment, drive[: len(first_segment)])
 
 
-def test_gaps_are_kept_by_thinning() -> None:
+def test_gaps_are_kept_by_thinning():
     thinning = Thinning(1 << 13)
     drive = swelling_drive(10, 3000)
     for _ in range(3):
@@ -269,7 +265,7 @@ def test_gaps_are_kept_by_thinning() -> None:
     assert np.diff(starts) == pytest.approx(length, abs=2)
 
 
-def test_a_thinned_recording_states_its_samples(tmp_path: Path) -> None:
+def test_a_thinned_recording_states_its_samples(tmp_path):
     path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE)
     (recording,) = read_thinned([path], max_rows=1 << 11)
     (problem,) = recording.statements

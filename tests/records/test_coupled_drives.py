@@ -45,7 +45,7 @@ def statements_of(recording: Recording) -> list[str]:
 
 
 @pytest.mark.parametrize("law", ["preisach", "dahl", "plays"])
-def test_only_comparable_gains_are_reported_with_the_line_to_write(law: str) -> None:
+def test_only_comparable_gains_are_reported_with_the_line_to_write(law):
     gains = np.array([[8.0, 4.0, -5.0], [4.0, 8.0, 5.0], [4.0, -4.0, 8.0]])
     (text,) = statements_of(stage(gains, law))
     assert text.endswith('[coupled] axes = ["x", "y", "z"]')
@@ -53,7 +53,7 @@ def test_only_comparable_gains_are_reported_with_the_line_to_write(law: str) -> 
     assert not statements_of(stage(8.0 * np.eye(3) + 0.5, law))
 
 
-def test_a_coupled_pair_is_reported_unless_lab_toml_declares_it() -> None:
+def test_a_coupled_pair_is_reported_unless_lab_toml_declares_it():
     gains = np.array([[8.0, 5.0, 0.0], [5.0, 8.0, 0.0], [0.0, 0.0, 8.0]])
     recording = stage(gains, "duhem")
     (text,) = statements_of(recording)
@@ -61,12 +61,12 @@ def test_a_coupled_pair_is_reported_unless_lab_toml_declares_it() -> None:
     assert not check_coupled_drives(recording, Lab(coupled=Coupled(axes=("x", "y"))))
 
 
-def test_proportional_drives_are_not_reported() -> None:
+def test_proportional_drives_are_not_reported():
     drives_V = {axis: triangle_V(1.0) * gain for axis, gain in (("x", 1.0), ("y", 0.7))}
     assert not statements_of(stage(np.full((2, 2), 4.0), "plays", drives_V=drives_V))
 
 
-def test_coupling_is_detected_with_modes_and_multisines() -> None:
+def test_coupling_is_detected_with_modes_and_multisines():
     rng = np.random.default_rng(8)
     drives_V = {axis: np.tile(rng.standard_normal(8000), 2) for axis in "xyz"}
     ringing_V = np.stack([ringing(v, 300.0, 0.02) for v in drives_V.values()])
@@ -81,7 +81,7 @@ def test_coupling_is_detected_with_modes_and_multisines() -> None:
         assert bool(statements_of(recording)) is is_coupled
 
 
-def test_a_fit_states_the_line_for_lab_toml() -> None:
+def test_a_fit_states_the_line_for_lab_toml():
     from piezoid.identification.fit import unfitted_stage
 
     recording = stage(np.array([[8.0, 4.0, 4.0], [4.0, 8.0, 4.0], [4.0, 4.0, 8.0]]), "plays")

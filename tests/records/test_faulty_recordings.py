@@ -1,7 +1,5 @@
 """Faults of a recording are reported, removed, bridged or refused."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from piezoid.records.collection import collect
 from tests.records.tables import RESPONSE, SAMPLES, VOLTAGE_V, RATE_Hz, TIME_s, lab_with, table
 
 
-def test_rows_without_a_number_are_removed_with_a_break(tmp_path: Path) -> None:
+def test_rows_without_a_number_are_removed_with_a_break(tmp_path):
     holed = RESPONSE.copy()
     holed[[0, 1, 100, 101, SAMPLES - 1]] = np.nan
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, holed)
@@ -24,7 +22,7 @@ def test_rows_without_a_number_are_removed_with_a_break(tmp_path: Path) -> None:
     assert "2 in 1 gaps" in problem.text
 
 
-def test_a_single_missing_cell_is_bridged(tmp_path: Path) -> None:
+def test_a_missing_cell_is_bridged_and_a_blank_row_is_a_break(tmp_path):
     holed = RESPONSE.copy()
     holed[[100, 200]] = np.nan
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, holed)
@@ -33,16 +31,13 @@ def test_a_single_missing_cell_is_bridged(tmp_path: Path) -> None:
     assert recording.bridged == (100, 200)
     assert recording.samples == SAMPLES
     assert np.allclose(recording.voltage_V(), VOLTAGE_V, atol=1e-3 * np.ptp(VOLTAGE_V))
-
-
-def test_a_blank_row_is_a_break(tmp_path: Path) -> None:
     drive_V, holed = VOLTAGE_V.copy(), RESPONSE.copy()
     drive_V[100] = holed[100] = np.nan
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, drive_V, holed)
     assert collect([path])[0].breaks == (100,)
 
 
-def test_single_missing_samples_are_interpolated(tmp_path: Path) -> None:
+def test_single_missing_samples_are_interpolated(tmp_path):
     rows = np.delete(np.arange(SAMPLES), [*range(100, 110), 200, 300])
     columns = (TIME_s[rows], VOLTAGE_V[rows], RESPONSE[rows])
     path = table(tmp_path, "time [s],voltage [V],pos [um]", *columns)
@@ -61,7 +56,7 @@ def test_single_missing_samples_are_interpolated(tmp_path: Path) -> None:
     assert (part.breaks, part.bridged) == ((), (40,))
 
 
-def test_empty_dead_clipped_and_equal_columns_are_reported(tmp_path: Path) -> None:
+def test_empty_dead_clipped_and_equal_columns_are_reported(tmp_path):
     time_s = np.arange(4000) / RATE_Hz
     drive = 50 + 40 * np.sin(2 * np.pi * time_s)
     noisy = drive + np.random.default_rng(1).normal(0, 0.01, len(drive))
@@ -79,7 +74,7 @@ def test_empty_dead_clipped_and_equal_columns_are_reported(tmp_path: Path) -> No
     }
 
 
-def test_a_recording_of_a_single_row_is_refused(tmp_path: Path) -> None:
+def test_a_recording_of_a_single_row_is_refused(tmp_path):
     path = table(
         tmp_path, "time [s],voltage [V],pos [um]", TIME_s[:1], VOLTAGE_V[:1], RESPONSE[:1]
     )
@@ -98,9 +93,7 @@ def sparse_response(step: int, first: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("step", "first"), [(2, 0), (4, 0), (4, 3), (10, 1)])
-def test_cells_empty_at_a_fixed_interval_are_a_slower_channel(
-    step: int, first: int, tmp_path: Path
-) -> None:
+def test_cells_empty_at_a_fixed_interval_are_a_slower_channel(step, first, tmp_path):
     recording = collect(
         [table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, sparse_response(step, first))]
     )[0]
@@ -115,9 +108,7 @@ def test_cells_empty_at_a_fixed_interval_are_a_slower_channel(
     assert f"from line {first + 2} on" in statement.text
 
 
-def test_empty_cells_without_a_fixed_interval_are_missing_values(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_empty_cells_without_a_fixed_interval_are_missing_values(tmp_path, rng):
     values = RESPONSE.copy()
     values[rng.choice(SAMPLES, 30, replace=False)] = np.nan
     recording = collect([table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, values)])[0]

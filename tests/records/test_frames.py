@@ -24,7 +24,7 @@ def recording_with(**overrides) -> Recording:
 
 
 @pytest.mark.parametrize("file", ["x_sweep.csv", "x_rates.csv", "y_check.csv"])
-def test_a_data_frame_gives_the_recording_of_its_file(file: str) -> None:
+def test_a_data_frame_gives_the_recording_of_its_file(file):
     path = piezoid_datasets.FOLDER / file
     recording, framed = collect([path])[0], from_frame(pd.read_csv(path), name=file)
     assert framed.sampling_rate_Hz == recording.sampling_rate_Hz
@@ -34,7 +34,7 @@ def test_a_data_frame_gives_the_recording_of_its_file(file: str) -> None:
         assert np.array_equal(expected.values, channel.values)
 
 
-def test_to_frame_and_back_is_the_identity() -> None:
+def test_to_frame_and_back_is_the_identity():
     assert (
         recording_with().digest
         == recording_with().digest
@@ -57,7 +57,7 @@ def test_to_frame_and_back_is_the_identity() -> None:
         assert np.array_equal(read_channel.values, channel.values)
 
 
-def test_breaks_are_kept_in_a_data_frame() -> None:
+def test_breaks_are_kept_in_a_data_frame():
     table = frame(**{"weg [um]": 0.1 * VOLTAGE_V})
     table.loc[[50, 51, 120, 121], "weg [um]"] = np.nan
     recording = from_frame(table)
@@ -67,7 +67,7 @@ def test_breaks_are_kept_in_a_data_frame() -> None:
     assert np.array_equal(read.displacement_m(), recording.displacement_m())
 
 
-def test_units_come_from_headings_or_arguments() -> None:
+def test_units_come_from_headings_or_arguments():
     recording = from_frame(
         frame(gauge=0.1 * VOLTAGE_V).rename(columns={"U [V]": "piezo_mV"}),
         units={"gauge": "um"},
@@ -85,7 +85,7 @@ def test_units_come_from_headings_or_arguments() -> None:
         pd.Index(1e3 * TIME_s, name="time [ms]"),
     ],
 )
-def test_an_index_of_times_is_the_clock(index: pd.Index) -> None:
+def test_an_index_of_times_is_the_clock(index):
     table = frame(**{"weg [um]": VOLTAGE_V}).drop(columns="t [s]").set_index(index)
     assert from_frame(table).sampling_rate_Hz == pytest.approx(1000.0)
 
@@ -104,9 +104,7 @@ def test_an_index_of_times_is_the_clock(index: pd.Index) -> None:
         ({"U [V]": [1.0]}, {}, "dict given"),
     ],
 )
-def test_an_ambiguous_data_frame_is_refused(
-    table: pd.DataFrame, options: dict, message: str
-) -> None:
+def test_an_ambiguous_data_frame_is_refused(table, options, message):
     with pytest.raises((UnitError, RecordingError), match=message):
         from_frame(table, **options)
 
@@ -121,12 +119,12 @@ def test_an_ambiguous_data_frame_is_refused(
         ({"sampling_rate_Hz": 1000.0}, "both time_s and sampling_rate_Hz"),
     ],
 )
-def test_invalid_arrays_are_refused(overrides: dict, message: str) -> None:
+def test_invalid_arrays_are_refused(overrides, message):
     with pytest.raises(RecordingError, match=message):
         recording_with(**overrides)
 
 
-def test_a_time_range_of_a_recording_has_its_breaks() -> None:
+def test_a_time_range_of_a_recording_has_its_breaks():
     table = frame(**{"weg [um]": VOLTAGE_V})
     table.loc[[100, 101], "weg [um]"] = np.nan
     recording = from_frame(table)

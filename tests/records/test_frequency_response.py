@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from piezoid.errors import LabFileError, RecordingError
-from piezoid.numerics.arrays import Array
 from piezoid.records.collection import collect
 from piezoid.records.frequency_response import FrequencyResponseRecord, ResponsePath
 from piezoid.records.inspection import inspect_files
@@ -83,9 +82,7 @@ def assert_true(record: FrequencyResponseRecord, axis: str = "x") -> None:
 
 
 @pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
-def test_every_notation_gives_the_same_response(
-    write: Callable[[Path], Path], tmp_path: Path
-) -> None:
+def test_every_notation_gives_the_same_response(write, tmp_path):
     assert_true(read_response(write(tmp_path)))
 
 
@@ -121,8 +118,8 @@ def test_every_notation_gives_the_same_response(
     ids=["decibels of nothing", "volts of a sensor", "coherence in percent", "time and frequency"],
 )
 def test_an_ambiguous_response_needs_an_entry_in_lab_toml(
-    heading: str, columns: tuple[Array, ...], words: str, entry: str, tmp_path: Path
-) -> None:
+    heading, columns, words, entry, tmp_path
+):
     path = write_csv(tmp_path / "a.csv", heading, *columns)
     with pytest.raises(RecordingError, match=words):
         collect([path])
@@ -136,7 +133,7 @@ def test_an_ambiguous_response_needs_an_entry_in_lab_toml(
         np.testing.assert_allclose(coherence, 0.98)
 
 
-def test_an_amplitude_of_a_lock_in_is_divided_by_its_excitation(tmp_path: Path) -> None:
+def test_an_amplitude_of_a_lock_in_is_divided_by_its_excitation(tmp_path):
     excitation_V = np.linspace(0.5, 0.6, len(G))
     rows = np.column_stack([FREQUENCY_Hz, np.abs(G) * excitation_V, ANGLE_deg, excitation_V])
     lines = ["\t".join(f"{x:.10e}" for x in row) for row in rows]
@@ -177,9 +174,7 @@ def write_nine_groups(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("write", [write_matrix, write_nine_complex_columns, write_nine_groups])
-def test_a_response_of_three_axes_has_every_path(
-    write: Callable[[Path], Path], tmp_path: Path
-) -> None:
+def test_a_response_of_three_axes_has_every_path(write, tmp_path):
     record = read_response(write(tmp_path))
     assert record.axes == ("x", "y", "z")
     for i, j in PAIRS:
@@ -188,7 +183,7 @@ def test_a_response_of_three_axes_has_every_path(
         np.testing.assert_allclose(path.response_m_per_V, matrix()[i, j], rtol=1e-6)
 
 
-def test_an_inspection_states_band_peaks_and_coupling(tmp_path: Path) -> None:
+def test_an_inspection_states_band_peaks_and_coupling(tmp_path):
     (inspection,) = inspect_files([write_matrix(tmp_path)])
     assert inspection.refusal is None
     summary = inspection.response
@@ -252,24 +247,24 @@ FAULTS = {
 
 @pytest.mark.parametrize(("heading", "columns", "words"), FAULTS.values(), ids=FAULTS)
 def test_an_invalid_response_is_refused_with_its_line(
-    heading: str,
-    columns: list[np.ndarray],  # type: ignore[type-arg]
-    words: str,
-    tmp_path: Path,
-) -> None:
+    heading,
+    columns,  # type: ignore[type-arg]
+    words,
+    tmp_path,
+):
     path = write_csv(tmp_path / "a.csv", heading, *columns)
     with pytest.raises(RecordingError, match=words):
         collect([path])
     assert re.search(words, refusal_of(path))
 
 
-def test_a_long_delay_in_radians_is_accepted(tmp_path: Path) -> None:
+def test_a_long_delay_in_radians_is_accepted(tmp_path):
     angle = np.unwrap(np.angle(response(delay_s=0.0))) - 2.0 * np.pi * 0.02 * FREQUENCY_Hz
     record = read_response(write_csv(tmp_path / "a.csv", RADIANS, FREQUENCY_Hz, SIZE_um, angle))
     assert len(record.frequency_Hz) == 300
 
 
-def test_a_recording_with_a_frequency_shift_stays_a_recording(tmp_path: Path) -> None:
+def test_a_recording_with_a_frequency_shift_stays_a_recording(tmp_path):
     time_s = np.arange(400) / 1000
     drive = np.sin(2 * np.pi * 5 * time_s)
     path = write_csv(
@@ -289,13 +284,13 @@ def test_a_recording_with_a_frequency_shift_stays_a_recording(tmp_path: Path) ->
         ("sampling_rate_Hz = 100.0", "no time and no offset"),
     ],
 )
-def test_an_invalid_entry_is_refused(entry: str, words: str, tmp_path: Path) -> None:
+def test_an_invalid_entry_is_refused(entry, words, tmp_path):
     path = write_csv(tmp_path / "a.csv", SORTED, FREQUENCY_Hz, SIZE_um, ANGLE_deg)
     with pytest.raises(LabFileError, match=words):
         collect([path], lab_of(tmp_path, f'file = "a.csv"\n{entry}\n'))
 
 
-def test_a_drafted_lab_toml_reads_the_same_response(tmp_path: Path) -> None:
+def test_a_drafted_lab_toml_reads_the_same_response(tmp_path):
     path = WRITERS["decibel and degrees"](tmp_path)
     draft = draft_lab([path], tmp_path)
     assert not draft.incomplete
@@ -303,7 +298,7 @@ def test_a_drafted_lab_toml_reads_the_same_response(tmp_path: Path) -> None:
     assert_true(read_response(path, read_lab(tmp_path / "lab.toml")))
 
 
-def test_an_invalid_record_is_refused() -> None:
+def test_an_invalid_record_is_refused():
     path = ResponsePath(output="x", drive="x", response_m_per_V=G)
     fields = {"name": "a", "digest": "0", "frequency_Hz": FREQUENCY_Hz, "paths": (path,)}
     for invalid in (

@@ -53,7 +53,7 @@ def damage(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 @pytest.mark.parametrize("name", FUZZED)
-def test_a_damaged_file_is_read_or_refused_and_never_crashes(name: str, tmp_path: Path) -> None:
+def test_a_damaged_file_is_read_or_refused_and_never_crashes(name, tmp_path):
     path = tmp_path / name
     FUZZED[name](path)
     content = path.read_bytes()
@@ -91,22 +91,20 @@ def test_a_damaged_file_is_read_or_refused_and_never_crashes(name: str, tmp_path
     ],
 )
 @pytest.mark.parametrize("suffix", [".csv", ".mat"])
-def test_a_file_without_a_recording_is_unreadable(
-    content: bytes, suffix: str, tmp_path: Path
-) -> None:
+def test_a_file_without_a_recording_is_unreadable(content, suffix, tmp_path):
     path = tmp_path / f"file{suffix}"
     path.write_bytes(content)
     with pytest.raises(UnreadableFileError):
         read_table(path)
 
 
-def test_a_missing_file_and_a_folder_are_unreadable(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_are_unreadable(tmp_path):
     for path in (tmp_path / "nothing.csv", tmp_path):
         with pytest.raises(UnreadableFileError):
             read_table(path)
 
 
-def test_a_wrong_suffix_does_not_matter(write: Callable[[str], Path], tmp_path: Path) -> None:
+def test_a_wrong_suffix_does_not_matter(write, tmp_path):
     digests = set()
     for name in DESCRIBED:
         disguised = tmp_path / f"{name}.disguised"
@@ -117,7 +115,7 @@ def test_a_wrong_suffix_does_not_matter(write: Callable[[str], Path], tmp_path: 
     assert len(digests) == len(DESCRIBED)
 
 
-def test_an_archive_of_a_declared_terabyte_is_not_unpacked(tmp_path: Path) -> None:
+def test_declared_sizes_beyond_the_file_are_refused(tmp_path):
     buffer = io.BytesIO()
     np.savez_compressed(buffer, voltage_V=np.zeros(10))
     with zipfile.ZipFile(buffer) as archive:
@@ -127,9 +125,6 @@ def test_an_archive_of_a_declared_terabyte_is_not_unpacked(tmp_path: Path) -> No
     path.write_bytes(buffer.getvalue().replace(true_size.to_bytes(4, "little"), declared))
     with pytest.raises(UnreadableFileError, match="at most"):
         read_table(path)
-
-
-def test_an_array_larger_than_its_file_is_refused(tmp_path: Path) -> None:
     buffer = io.BytesIO()
     header = {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3)}
     np.lib.format.write_array_header_1_0(buffer, header)
@@ -145,7 +140,7 @@ class Trap:
 
 
 @pytest.mark.parametrize("name", ["trap.npy", "trap.npz"])
-def test_pickled_objects_are_never_run(name: str, tmp_path: Path) -> None:
+def test_pickled_objects_are_never_run(name, tmp_path):
     path = tmp_path / name
     trap = np.array([Trap()], dtype=object)
     if name.endswith("npz"):
@@ -157,7 +152,7 @@ def test_pickled_objects_are_never_run(name: str, tmp_path: Path) -> None:
     assert pickle.dumps(trap)
 
 
-def test_a_damaged_row_is_named_by_its_line(tmp_path: Path) -> None:
+def test_a_damaged_row_is_named_by_its_line(tmp_path):
     rows = [f"{k / 1000},{k % 7},{k % 5}" for k in range(100)]
     rows[41] = "0.041,oops,3"
     path = tmp_path / "run.csv"
@@ -190,14 +185,14 @@ def table_with_stamps(stamps: list[str]) -> str:
         *("a stray stamp", "a stray stamp below zero", "mostly rows of other lengths"),
     ],
 )
-def test_hostile_tables_are_answered_at_once(content: str, message: str, tmp_path: Path) -> None:
+def test_hostile_tables_are_answered_at_once(content, message, tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(content)
     (inspection,) = inspect_files([path])
     assert message in (inspection.refusal or "")
 
 
-def test_deeply_nested_groups_are_refused(tmp_path: Path) -> None:
+def test_deeply_nested_groups_are_refused(tmp_path):
     import h5py
 
     with h5py.File(tmp_path / "deep.h5", "w") as file:
@@ -209,7 +204,7 @@ def test_deeply_nested_groups_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("body", ["[" * 100_000 + "]" * 100_000, "9" * 10_000, "9" * 400, "\xff"])
-def test_a_sealed_file_without_valid_json_is_refused(body: str) -> None:
+def test_a_sealed_file_without_valid_json_is_refused(body):
     blank = f'{{"schema": "piezoid.model/1", "digest": "sha256:{"0" * 64}", "x": {body}}}'.encode(
         "latin-1"
     )

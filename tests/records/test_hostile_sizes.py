@@ -35,7 +35,7 @@ HEADED = "time [s],voltage [V],position [um]\n"
     ],
     ids=["blanks", "round brackets", "square brackets", "header ends", "wide rows", "texts"],
 )
-def test_a_text_that_provokes_backtracking_is_answered(text: str, tmp_path: Path) -> None:
+def test_a_text_that_provokes_backtracking_is_answered(text, tmp_path):
     path = tmp_path / "run.dat"
     path.write_text(text)
     (inspection, *_) = inspect_files([path])
@@ -45,21 +45,19 @@ def test_a_text_that_provokes_backtracking_is_answered(text: str, tmp_path: Path
 @pytest.mark.parametrize(
     ("columns", "separator"), [(5_000, ","), (5_000, "\t"), (5_000, " "), (1_000_000, ";")]
 )
-def test_a_heading_of_too_many_columns_is_refused(
-    columns: int, separator: str, tmp_path: Path
-) -> None:
+def test_a_heading_of_too_many_columns_is_refused(columns, separator, tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(separator.join(["c1"] * columns) + "\n" + ROWS.replace(",", separator))
     assert f"it has {columns} columns. Needed: at most 4096" in refusal_of(path)
 
 
-def test_a_comment_may_have_any_width(tmp_path: Path) -> None:
+def test_a_comment_may_have_any_width(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("# {" + "'key': 1, " * 40_000 + "}\n" + HEADED + ROWS)
     assert read_table(path).rows == 60
 
 
-def test_a_reader_without_memory_is_named(tmp_path: Path) -> None:
+def test_a_reader_without_memory_is_named(tmp_path):
     (tmp_path / "run.csv").write_text(HEADED + ROWS)
     file_source = open_source(tmp_path / "run.csv")
     expected = pytest.raises(
@@ -82,9 +80,7 @@ RUNS = (
     ["{}", "{}\n" + ROWS, HEADED + "{}\n" + ROWS, HEADED + "0,{},1\n" + ROWS, "# {}\n" + ROWS],
     ids=["alone", "heading", "row", "cell", "comment"],
 )
-def test_a_long_run_of_characters_is_answered_within_2_s(
-    run: str, text: str, tmp_path: Path
-) -> None:
+def test_a_long_run_of_characters_is_answered_within_2_s(run, text, tmp_path):
     path = tmp_path / "run.txt"
     path.write_text(text.format(run * (50_000 // len(run))))
     start_s = process_time()
@@ -92,9 +88,7 @@ def test_a_long_run_of_characters_is_answered_within_2_s(
     assert process_time() - start_s < 2.0
 
 
-def test_a_recording_beyond_the_memory_states_its_need_and_stream(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recording_beyond_the_memory_states_its_need_and_stream(tmp_path, monkeypatch):
     path = tmp_path / "run.csv"
     path.write_text(HEADED + ROWS * 20)
     monkeypatch.setattr(source, "available_bytes", lambda: 20_000)
@@ -104,7 +98,7 @@ def test_a_recording_beyond_the_memory_states_its_need_and_stream(
     assert source.available_bytes() is not None
 
 
-def test_a_command_without_memory_exits_with_3_and_names_stream(tmp_path: Path) -> None:
+def test_a_command_without_memory_exits_with_3_and_names_stream(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(HEADED + ROWS * 200_000)
     limit = (900 << 20, 900 << 20)
@@ -122,7 +116,7 @@ def test_a_command_without_memory_exits_with_3_and_names_stream(tmp_path: Path) 
     assert result.returncode == 3
 
 
-def test_a_sparse_file_is_refused_at_its_first_zero_byte(tmp_path: Path) -> None:
+def test_a_sparse_file_is_refused_at_its_first_zero_byte(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(HEADED + ROWS)
     os.truncate(path, 1 << 29)
@@ -136,9 +130,7 @@ def test_a_sparse_file_is_refused_at_its_first_zero_byte(tmp_path: Path) -> None
     assert "line 1 holds a zero byte (byte 12 of the file)" in refusal_of(path)
 
 
-def test_a_file_too_large_or_empty_is_refused_unread(
-    tmp_path: Path,
-) -> None:
+def test_a_file_too_large_or_empty_is_refused_unread(tmp_path):
     """The file is sparse; reading its 16 GiB takes half a minute."""
     path = tmp_path / "run.csv"
     path.write_text(HEADED + ROWS)
@@ -152,7 +144,7 @@ def test_a_file_too_large_or_empty_is_refused_unread(
         open_source(tmp_path / "empty.csv")
 
 
-def test_a_pipe_a_device_and_a_cyclic_link_are_refused(tmp_path: Path) -> None:
+def test_a_pipe_a_device_and_a_cyclic_link_are_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
     assert "a pipe or a device" in refusal_of(tmp_path / "pipe.csv")
@@ -161,7 +153,7 @@ def test_a_pipe_a_device_and_a_cyclic_link_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("count", ["²", "9" * 5000, "-1", "1e3", ""])
-def test_an_invalid_count_is_refused(count: str, tmp_path: Path) -> None:
+def test_an_invalid_count_is_refused(count, tmp_path):
     path = tmp_path / "run.dat"
     path.write_text(f"# DIM = {count}\n# SEPARATOR = {count}\n# END_HEADER\n{ROWS}")
     assert f"DIM is {count[:100]}" in refusal_of(path)
@@ -170,15 +162,12 @@ def test_an_invalid_count_is_refused(count: str, tmp_path: Path) -> None:
     assert read_table(path).rows == 2
 
 
-def test_a_message_is_short_and_printable_for_any_name() -> None:
+def test_messages_are_short_and_printable_for_any_name(tmp_path):
     error = PiezoidError("\x1b[31mred\udcff" + "x" * 10**6, needed="a\u202eb", remedy="c\nd")
     assert len(str(error)) < 3000
     assert str(error).startswith("\\x1b[31mred\\udcff")
     assert error.needed == "a\\u202eb"
     assert error.remedy == "c\nd"
-
-
-def test_a_file_name_that_is_not_text_is_escaped(tmp_path: Path) -> None:
     path = tmp_path / os.fsdecode(b"\xff.csv")
     path.write_text(HEADED + ROWS)
     assert open_source(path).name == "\\xff.csv"

@@ -49,16 +49,13 @@ def lab_of(text: str, folder: Path) -> Lab:
     return read_lab(path)
 
 
-def test_every_documented_key_is_read(tmp_path: Path) -> None:
+def test_every_documented_key_is_read(tmp_path):
     lab = lab_of(EVERYTHING, tmp_path)
     assert lab.name == "stage 42"
     assert lab.amplifier.slew_V_per_s == 3e5
     assert lab.acquisition.input_range_V == (-10, 10)
     assert lab.recordings[0].columns == {"time": "time [s]", "voltage": "U", "displacement": 3}
     assert lab.digest.startswith("sha256:")
-
-
-def test_an_axis_may_have_its_rig(tmp_path: Path) -> None:
     lab = lab_of(EVERYTHING, tmp_path)
     assert lab.sensor_of("x").gain_V_per_m == 2e5
     assert lab.sensor_of("z").gain_V_per_m == 4e5
@@ -66,13 +63,10 @@ def test_an_axis_may_have_its_rig(tmp_path: Path) -> None:
     assert lab.amplifier_of("z") is lab.amplifier
 
 
-def test_an_empty_file_has_defaults(tmp_path: Path) -> None:
+def test_an_empty_file_has_defaults_and_entries_match_by_path_then_by_name(tmp_path):
     lab = lab_of("", tmp_path)
     assert lab.amplifier.bandwidth_Hz is None
     assert lab.entries_of(tmp_path / "sweep.csv") == ()
-
-
-def test_entries_match_by_path_and_then_by_name(tmp_path: Path) -> None:
     text = '[[recording]]\nfile = "a/run.csv"\n[[recording]]\nfile = "b/run.csv"\n'
     lab = lab_of(text, tmp_path)
     assert [e.file for e in lab.entries_of(tmp_path / "b" / "run.csv")] == ["b/run.csv"]
@@ -132,13 +126,13 @@ def test_entries_match_by_path_and_then_by_name(tmp_path: Path) -> None:
         ('[[recording]]\nfile = "a.csv"\ncolumn = {}\n', r"did you mean columns\?"),
     ],
 )
-def test_an_invalid_entry_is_refused_with_its_key(text: str, message: str, tmp_path: Path) -> None:
+def test_an_invalid_entry_is_refused_with_its_key(text, message, tmp_path):
     with pytest.raises(LabFileError, match=message) as refusal:
         lab_of(text, tmp_path)
     assert len(str(refusal.value)) < 3000
 
 
-def test_a_missing_file_and_other_encodings_are_refused(tmp_path: Path) -> None:
+def test_a_missing_file_and_other_encodings_are_refused(tmp_path):
     with pytest.raises(LabFileError):
         read_lab(tmp_path / "nothing.toml")
     (tmp_path / "lab.toml").write_bytes(b"\xff\x00\xfe")
@@ -150,7 +144,7 @@ DEEP = "{}" + ".a" * 1000 + " = 1"
 
 
 @pytest.mark.parametrize("form", [DEEP, "{} = " + "9" * 9000, "{} = '" + "x" * 10**6 + "'"])
-def test_hostile_limits_are_refused_with_a_short_message(form: str) -> None:
+def test_hostile_limits_are_refused_with_a_short_message(form):
     for name in ("judged_Hz", "unheard_of"):
         with pytest.raises(LabFileError) as refusal:
             limits_from_toml(form.format(name))
@@ -158,7 +152,7 @@ def test_hostile_limits_are_refused_with_a_short_message(form: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["loop.csv", "x" * 5000])
-def test_an_entry_about_an_impossible_file_matches_none(name: str, tmp_path: Path) -> None:
+def test_an_entry_about_an_impossible_file_matches_none(name, tmp_path):
     (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
     rows = "".join(f"{k / 1000},{k % 7},{k % 5}\n" for k in range(60))
     (tmp_path / "run.csv").write_text("time [s],voltage [V],position [um]\n" + rows)
@@ -169,9 +163,7 @@ def test_an_entry_about_an_impossible_file_matches_none(name: str, tmp_path: Pat
         inspect_files([tmp_path / "run.csv"], lab)
 
 
-def test_too_many_entries_about_a_file_are_refused(
-    tmp_path: Path,
-) -> None:
+def test_too_many_entries_about_a_file_are_refused(tmp_path):
     (tmp_path / "lab.toml").write_text(ENTRY * 257)
     with pytest.raises(LabFileError, match=r"257 entries are about run.csv.*at most 256 parts"):
         read_lab(tmp_path / "lab.toml").entries_of(tmp_path / "run.csv")
@@ -179,7 +171,7 @@ def test_too_many_entries_about_a_file_are_refused(
     assert len(read_lab(tmp_path / "lab.toml").entries_of(tmp_path / "run.csv")) == 256
 
 
-def test_a_huge_lab_file_is_refused_unread(tmp_path: Path) -> None:
+def test_a_huge_lab_file_is_refused_unread(tmp_path):
     path = tmp_path / "lab.toml"
     with path.open("wb") as stream:
         stream.truncate(3 << 30)

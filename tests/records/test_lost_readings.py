@@ -38,7 +38,7 @@ def with_invalid_readings(reading_um: Array, kind: str, share: float) -> Array:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("law", LAWS)
-def test_only_invalid_readings_are_detected(law: str, kind: str) -> None:
+def test_only_invalid_readings_are_detected(law, kind):
     field, clean_um = swept_um(law)
     for share in (0.005, 0.05):
         reading_um = with_invalid_readings(clean_um, kind, share)
@@ -55,7 +55,7 @@ def test_only_invalid_readings_are_detected(law: str, kind: str) -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("level", ["last value", "mid-range"])
-def test_a_stuck_sensor_is_detected_completely(law: str, level: str) -> None:
+def test_a_stuck_sensor_is_detected_completely(law, level):
     """The cable is disconnected for a fifth of the record, then for a shorter time."""
     field, clean_um = swept_um(law)
     reading_um, count = np.array(clean_um), len(field)
@@ -71,7 +71,7 @@ def test_a_stuck_sensor_is_detected_completely(law: str, level: str) -> None:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_healthy_readings_are_valid(law: str) -> None:
+def test_healthy_readings_are_valid(law):
     field, reading_um = swept_um(law)
     assert find_invalid_readings(reading_um, field) == ()
     assert (
@@ -80,7 +80,7 @@ def test_healthy_readings_are_valid(law: str) -> None:
     assert find_invalid_readings(10.0 * LAWS[law](field), field) == ()  # no noise at all
 
 
-def test_rests_pulses_steps_and_ringing_are_valid() -> None:
+def test_rests_pulses_steps_and_ringing_are_valid():
     rng = np.random.default_rng(5)
     pulses = np.zeros(4000)
     pulses[200::400] = 1.0
@@ -103,15 +103,13 @@ def test_rests_pulses_steps_and_ringing_are_valid() -> None:
         assert find_invalid_readings(reading, drive) == ()
 
 
-def test_a_fast_mode_is_valid() -> None:
+def test_a_fast_mode_is_valid():
     time_s = np.arange(2000) / 10_000.0
     reading = np.exp(-10.0 * time_s) * np.sin(2.0 * np.pi * 330.0 * time_s)
     assert find_invalid_readings(reading, np.zeros(2000)) == ()
 
 
-def test_readings_equal_by_the_converter_step_are_valid(
-    rng: np.random.Generator,
-) -> None:
+def test_readings_equal_by_the_converter_step_are_valid(rng):
     """Approach at 7 um/s, retract at 88 um/s with five lost readings; noise of 4.7 steps."""
     step_nm, rate_Hz = 0.5, 2000.0
     approach_nm = np.cumsum(np.full(10_000, 7e3 / rate_Hz))
@@ -127,7 +125,7 @@ def test_readings_equal_by_the_converter_step_are_valid(
         assert (kind, samples.tolist()) == ("held", invalid.tolist())
 
 
-def test_a_row_with_an_invalid_drive_is_bridged_in_both_channels(tmp_path: Path) -> None:
+def test_a_row_with_an_invalid_drive_is_bridged_in_both_channels(tmp_path):
     field, reading_um = swept_um("preisach")
     drive, invalid = np.array(field), np.arange(100, len(field), 61)
     drive[invalid], broken_um = -0.2, np.array(reading_um)
@@ -139,7 +137,7 @@ def test_a_row_with_an_invalid_drive_is_bridged_in_both_channels(tmp_path: Path)
     assert np.abs(recording.displacement_m() - healthy.displacement_m()).max() < 0.2e-6
 
 
-def test_an_inspection_states_value_count_and_rows_of_invalid_readings(tmp_path: Path) -> None:
+def test_an_inspection_states_value_count_and_rows_of_invalid_readings(tmp_path):
     field, reading_um = swept_um("dahl")
     rows = [30, 31, 400, 1200, 1201, 2000]
     broken_um = np.array(reading_um)
@@ -176,16 +174,14 @@ def held_out_m(law: str, kind: str, share: float) -> float:
         ("plays", "clipped", 0.07),
     ],
 )
-def test_invalid_readings_hardly_raise_the_held_out_error(
-    law: str, kind: str, share: float
-) -> None:
+def test_invalid_readings_hardly_raise_the_held_out_error(law, kind, share):
     # Of the clipped sweep, the fit lacks the upper ends of the largest loops.
     limit = 1.2 if kind == "clipped" else 1.1
     assert held_out_m(law, kind, share) < limit * held_out_m(law, "", 0.0)
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_clipped_sensor_is_invalid_and_a_limited_stage_is_not(law: str, tmp_path: Path) -> None:
+def test_a_clipped_sensor_is_invalid_and_a_limited_stage_is_not(law, tmp_path):
     field, clean_um = swept_um(law)
     top = float(np.quantile(clean_um, 0.92))
     ((kind, samples),) = find_invalid_readings(np.minimum(clean_um, top), field)
@@ -203,9 +199,7 @@ def test_a_clipped_sensor_is_invalid_and_a_limited_stage_is_not(law: str, tmp_pa
 
 
 @pytest.mark.parametrize("samples_per_code", [0.7, 1.3, 2.6])
-def test_missing_codes_of_a_converter_are_valid(
-    samples_per_code: float, rng: np.random.Generator
-) -> None:
+def test_missing_codes_of_a_converter_are_valid(samples_per_code, rng):
     """Every fourth code is missing, so readings are constant at these levels and then jump."""
     rate_nm = 10.0
     motion_nm = np.cumsum(np.repeat([rate_nm, -rate_nm] * 4, 2000))

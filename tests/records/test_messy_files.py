@@ -63,7 +63,7 @@ def assert_true_values(path: Path, lab: Lab, true_rows: np.ndarray, breaks: int)
 
 
 @pytest.mark.parametrize("messy", FILES, ids=name_of)
-def test_a_file_gives_the_true_values_or_is_refused(messy: Messy, tmp_path: Path) -> None:
+def test_a_file_gives_the_true_values_or_is_refused(messy, tmp_path):
     """The document lists the statements and the reasons."""
     messy.write(tmp_path / messy.name)
     if len(messy.true_rows) and not messy.entry:
@@ -80,18 +80,14 @@ def test_a_file_gives_the_true_values_or_is_refused(messy: Messy, tmp_path: Path
         assert {s.quantity for i in inspections for s in i.statements} <= {"copy", "transposed"}
 
 
-def test_the_document_says_what_happens() -> None:
+def test_the_document_lists_the_outcomes_and_every_reader_has_a_sample(tmp_path):
     assert table() in DOCUMENT.read_text()
     assert formats_table() in DOCUMENT.read_text()
-
-
-def test_every_reader_has_a_sample_for_the_fuzzer(tmp_path: Path) -> None:
-    """Add one to ``FILES`` of ``tests/records/messy`` for a new reader."""
     read = {reader_of(tmp_path, name, write).name for name, write in samples().items()}
     assert read == {reader.name for reader in READERS}
 
 
-def test_segments_of_several_rates_keep_their_clock(tmp_path: Path) -> None:
+def test_segments_of_several_rates_keep_their_clock_and_seconds_of_the_file(tmp_path):
     path = write_messy("two_rates.csv", tmp_path)
     slow, fast = collect([path]).recordings
     assert (slow.sampling_rate_Hz, fast.sampling_rate_Hz) == (256, 2048)
@@ -99,9 +95,6 @@ def test_segments_of_several_rates_keep_their_clock(tmp_path: Path) -> None:
     time_s = np.genfromtxt(path, delimiter=",", skip_header=1)[:, 0]
     # The sum of the steps is the duration, except for the step between the two segments.
     assert slow.duration_s + fast.duration_s == pytest.approx(np.ptp(time_s), abs=1 / 256)
-
-
-def test_seconds_count_from_the_first_sample_of_the_file(tmp_path: Path) -> None:
     path = write_messy("two_rates.csv", tmp_path)
     lab = lab_for(path.name, tmp_path, "start_s = 8.5\nstop_s = 8.75\n")
     fast = collect([path], lab)[0]
@@ -123,9 +116,7 @@ def test_seconds_count_from_the_first_sample_of_the_file(tmp_path: Path) -> None
         ("polarity.csv", r"opposite sign\. Likely cause: opposite polarity of drive or sensor"),
     ],
 )
-def test_an_inconsistent_file_is_refused_with_the_likely_reason(
-    name: str, reason: str, tmp_path: Path
-) -> None:
+def test_an_inconsistent_file_is_refused_with_the_likely_reason(name, reason, tmp_path):
     text(lines())(tmp_path / "clean.csv")
     recordings = collect([tmp_path / "clean.csv", write_messy(name, tmp_path)]).recordings
     with pytest.raises(RecordingError) as caught:
@@ -134,7 +125,7 @@ def test_an_inconsistent_file_is_refused_with_the_likely_reason(
     assert f'file = "{name}"' in caught.value.remedy
 
 
-def test_the_file_with_the_implausible_gain_is_named(tmp_path: Path) -> None:
+def test_the_file_with_the_implausible_gain_is_named(tmp_path):
     scaled(1, 0.5, 0.5, written="{:.6f}".format)(tmp_path / "clean.csv")
     scaled(1, 1, 1000, written="{:.6f}".format)(tmp_path / "wide.csv")
     recordings = collect([tmp_path / "clean.csv", tmp_path / "wide.csv"]).recordings
@@ -143,7 +134,7 @@ def test_the_file_with_the_implausible_gain_is_named(tmp_path: Path) -> None:
     assert 'file = "wide.csv"' in caught.value.remedy
 
 
-def test_an_ambiguous_monitor_is_not_guessed(tmp_path: Path) -> None:
+def test_an_ambiguous_monitor_is_not_guessed(tmp_path):
     text(lines())(tmp_path / "clean.csv")
     scaled(1, 1 / 15, 1.17, written="{:.6f}".format)(tmp_path / "check.csv")
     with pytest.raises(
@@ -153,7 +144,7 @@ def test_an_ambiguous_monitor_is_not_guessed(tmp_path: Path) -> None:
     assert "scale = { voltage = ... }" in caught.value.remedy
 
 
-def test_another_unit_of_the_displacement_is_recognised(tmp_path: Path) -> None:
+def test_another_unit_of_the_displacement_is_recognised(tmp_path):
     text(lines())(tmp_path / "clean.csv")
     scaled(1, 1, 1e3)(tmp_path / "nm_as_um.csv")
     inspections = inspect_files([tmp_path / "clean.csv", tmp_path / "nm_as_um.csv"])
@@ -161,7 +152,7 @@ def test_another_unit_of_the_displacement_is_recognised(tmp_path: Path) -> None:
     assert text_of_misfit.endswith("another unit of the displacement.")
 
 
-def test_a_chirp_and_a_small_loop_are_consistent_with_a_sweep(rng: np.random.Generator) -> None:
+def test_a_chirp_and_a_small_loop_are_consistent_with_a_sweep(rng):
     rate_Hz = 10000.0
     time_s = np.arange(0, 3, 1 / rate_Hz)
     drives_V = {
@@ -184,7 +175,7 @@ def test_a_chirp_and_a_small_loop_are_consistent_with_a_sweep(rng: np.random.Gen
     assert not copies(recordings)
 
 
-def test_slow_lines_of_noise_do_not_contradict_the_gain() -> None:
+def test_slow_lines_of_noise_do_not_contradict_the_gain():
     """The drive history of a stage can add slow lines of opposite sign."""
     rng = np.random.default_rng(0)
     phase = 2 * np.pi * np.arange(4000) / 4000
@@ -205,14 +196,14 @@ def test_slow_lines_of_noise_do_not_contradict_the_gain() -> None:
     refuse_inconsistent(recordings)
 
 
-def test_repeated_runs_of_a_drive_are_no_copies(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_repeated_runs_of_a_drive_are_no_copies(tmp_path, rng):
     repeated = columns() + np.outer(rng.normal(0, 0.003, SAMPLES), [0, 0, 1])
     text(lines())(tmp_path / "first.csv")
     text(lines(table=repeated))(tmp_path / "second.csv")
     assert not copies(collect([tmp_path / "first.csv", tmp_path / "second.csv"]).recordings)
 
 
-def test_a_closed_loop_segment_does_not_contradict_the_gain(tmp_path: Path) -> None:
+def test_a_closed_loop_segment_does_not_contradict_the_gain(tmp_path):
     rows = write_messy("held.csv", tmp_path).read_text().splitlines()
     text(rows[:600])(tmp_path / "approach.csv")
     text([rows[0], *rows[600:]])(tmp_path / "hold.csv")
@@ -221,7 +212,7 @@ def test_a_closed_loop_segment_does_not_contradict_the_gain(tmp_path: Path) -> N
     refuse_inconsistent(recordings)
 
 
-def test_an_entry_about_a_missing_file_is_named(tmp_path: Path) -> None:
+def test_an_entry_about_a_missing_file_is_named(tmp_path):
     text(lines())(tmp_path / "sweep.csv")
     (tmp_path / "lab.toml").write_text('[[recording]]\nfile = "swep.csv"\n')
     lab = read_lab(tmp_path / "lab.toml")
@@ -231,7 +222,7 @@ def test_an_entry_about_a_missing_file_is_named(tmp_path: Path) -> None:
     assert collect([tmp_path / "sweep.csv"], lab).recordings
 
 
-def test_reversed_rows_are_refused_without_a_time_column(tmp_path: Path) -> None:
+def test_reversed_rows_are_refused_without_a_time_column(tmp_path):
     rows = lines()
     text([rows[0], *rows[:0:-1]])(tmp_path / "run.csv")
     entry = {"columns": {"voltage": 2, "displacement": 3}, "sampling_rate_Hz": 1000.0}
@@ -241,14 +232,14 @@ def test_reversed_rows_are_refused_without_a_time_column(tmp_path: Path) -> None
     np.testing.assert_allclose(turned.voltage_V(), VOLTAGE_V)
 
 
-def test_a_decimal_mark_of_a_binary_file_is_refused(tmp_path: Path) -> None:
+def test_a_decimal_mark_of_a_binary_file_is_refused(tmp_path):
     np.save(tmp_path / "run.npy", columns())
     lab = lab_for("run.npy", tmp_path, 'decimal = ","\n')
     with pytest.raises(LabFileError, match=r"decimal of run.npy is declared, which is npy"):
         collect([tmp_path / "run.npy"], lab)
 
 
-def test_counts_of_a_known_converter_suggest_their_scale(tmp_path: Path) -> None:
+def test_counts_of_a_known_converter_suggest_their_scale(tmp_path):
     lab_toml = (
         "[amplifier]\ngain_V_per_V = 15\n[acquisition]\ndac_bits = 16\ninput_range_V = [-10, 10]\n"
     )
@@ -265,7 +256,7 @@ def test_counts_of_a_known_converter_suggest_their_scale(tmp_path: Path) -> None
     assert "voltage of x: 10 to 90 counts" in draft_lab([tmp_path / "run.csv"], tmp_path).text
 
 
-def test_counts_mixed_with_metres_are_refused_with_the_line(tmp_path: Path) -> None:
+def test_counts_mixed_with_metres_are_refused_with_the_line(tmp_path):
     text(lines())(tmp_path / "known.csv")
     text(lines(names=(*NAMES[:2], "position [LSB]")))(tmp_path / "raw.csv")
     paths = [tmp_path / "known.csv", tmp_path / "raw.csv"]
@@ -276,7 +267,7 @@ def test_counts_mixed_with_metres_are_refused_with_the_line(tmp_path: Path) -> N
     assert "mixed_units" in kinds
 
 
-def test_a_clock_in_counts_is_refused(tmp_path: Path) -> None:
+def test_a_clock_in_counts_is_refused(tmp_path):
     text(lines(names=("time [ticks]", *NAMES[1:])))(tmp_path / "run.csv")
     with pytest.raises(RecordingError, match="only drive and displacement may be in counts"):
         collect(

@@ -1,7 +1,6 @@
 """Files of Igor and JPK are read with the written numbers, or refused with a reason."""
 
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ WAVE = np.column_stack([DRIVE_V, 1e6 * HEIGHT_m])
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_an_igor_wave_is_read_by_labels_and_clock(order: str, tmp_path: Path) -> None:
+def test_an_igor_wave_is_read_by_labels_and_clock(order, tmp_path):
     write_ibw(
         tmp_path / "run.ibw",
         WAVE,
@@ -35,7 +34,7 @@ def test_an_igor_wave_is_read_by_labels_and_clock(order: str, tmp_path: Path) ->
     np.testing.assert_allclose(recording.displacement_m(), HEIGHT_m)
 
 
-def test_a_microscope_wave_has_the_rate_of_its_note(tmp_path: Path) -> None:
+def test_a_microscope_wave_has_the_rate_of_its_note(tmp_path):
     note = "Version: 16\rNumPtsPerSec: 2000\rImagingMode: Contact\r"
     labels = ("Raw", "Defl", "ZSnsr")
     values = np.column_stack([1.2e-7 * DRIVE_V, 0 * DRIVE_V, HEIGHT_m])
@@ -50,7 +49,7 @@ def test_a_microscope_wave_has_the_rate_of_its_note(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.displacement_m(), HEIGHT_m)
 
 
-def test_a_force_curve_has_its_drive_in_volts_and_a_clock_per_segment(tmp_path: Path) -> None:
+def test_a_force_curve_has_its_drive_in_volts_and_a_clock_per_segment(tmp_path):
     half = 300
     segments = [
         (half / RATE_Hz, DRIVE_V[:half], HEIGHT_m[:half]),
@@ -67,7 +66,7 @@ def test_a_force_curve_has_its_drive_in_volts_and_a_clock_per_segment(tmp_path: 
     assert (slow.sampling_rate_Hz, fast.sampling_rate_Hz) == (RATE_Hz, RATE_Hz / 8)
 
 
-def test_maps_and_incomplete_curves_are_refused(tmp_path: Path) -> None:
+def test_maps_and_incomplete_curves_are_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "map.jpk-force-map", "w") as archive:
         for name in ("header.properties", "index/", "index/0/", "index/1/"):
             archive.writestr(name, "")

@@ -1,14 +1,11 @@
 """Plausibility of drive and response: sense of rotation of the loop, limits of the amplifier."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from piezoid.records.collection import collect
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.truths import ZOO
-from piezoid_datasets.virtual_lab.truths.truth import Truth
 from tests.laws import LAWS, triangles, write
 
 
@@ -17,7 +14,7 @@ def quantities_of(recording: Recording) -> set[str]:
 
 
 @pytest.mark.parametrize("truth", ZOO, ids=[truth.name for truth in ZOO])
-def test_exchanged_headings_are_reported_with_their_columns(truth: Truth, tmp_path: Path) -> None:
+def test_exchanged_headings_are_reported_with_their_columns(truth, tmp_path):
     field = triangles(5, 240, 0.15)
     ceramic = truth.draw(np.random.default_rng(41))
     displacement_um = 20 * sum(ceramic.respond(field, np.array([1.0, -1.0])))
@@ -33,7 +30,7 @@ def test_exchanged_headings_are_reported_with_their_columns(truth: Truth, tmp_pa
     assert 'columns = { voltage = "displacement [um]"' in text
 
 
-def test_a_single_branch_has_no_sense_of_rotation(tmp_path: Path) -> None:
+def test_a_single_branch_has_no_sense_of_rotation(tmp_path):
     field = np.linspace(-1.0, 1.0, 400)
     for displacement in (field + 0.3 * field**2, field - 0.3 * field**2):
         assert "leads" not in quantities_of(
@@ -42,7 +39,7 @@ def test_a_single_branch_has_no_sense_of_rotation(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_limit_of_the_amplifier_is_reported_in_volts(law: str, tmp_path: Path) -> None:
+def test_a_limit_of_the_amplifier_is_reported_in_volts(law, tmp_path):
     field = triangles(6, 300, 0.05)
     noise_um = 0.008 * np.random.default_rng(7).standard_normal(len(field))
 
@@ -57,7 +54,7 @@ def test_a_limit_of_the_amplifier_is_reported_in_volts(law: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_steps_and_rests_of_the_drive_are_no_limit(law: str, tmp_path: Path) -> None:
+def test_steps_and_rests_of_the_drive_are_no_limit(law, tmp_path):
     rng = np.random.default_rng(8)
     steps = np.repeat(rng.uniform(-1.0, 1.0, 60), 30)
     rests = np.concatenate(

@@ -20,9 +20,7 @@ def assert_consistent(folder: Path) -> None:
     assert check_consistency(collect(files, read_lab(folder / "lab.toml")).recordings) == []
 
 
-def test_a_fast_multisine_does_not_contradict_the_sign_of_a_sweep(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fast_multisine_does_not_contradict_the_sign_of_a_sweep(tmp_path, monkeypatch):
     """Without a window the lines of the multisine leak into the lowest frequencies."""
     monkeypatch.chdir(tmp_path)
     outsider = simulator("alder")
@@ -41,8 +39,6 @@ CAMPAIGNS: dict[str, Callable[[], Campaign]] = {
 
 
 @pytest.mark.parametrize("draw", CAMPAIGNS.values(), ids=CAMPAIGNS)
-def test_slow_recordings_do_not_contradict_the_gain_of_a_sweep(
-    draw: Callable[[], Campaign], tmp_path: Path
-) -> None:
+def test_slow_recordings_do_not_contradict_the_gain_of_a_sweep(draw, tmp_path):
     write_campaign(draw(), tmp_path)
     assert_consistent(tmp_path / "recordings")

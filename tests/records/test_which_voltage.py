@@ -43,13 +43,11 @@ def statements_of(recording: Recording) -> list[str]:
         ("", 120.0, False),
     ],
 )
-def test_a_drive_beyond_the_range_of_the_controller_is_reported(
-    tmp_path: Path, lab: str, max_V: float, is_reported: bool
-) -> None:
+def test_a_drive_beyond_the_range_of_the_controller_is_reported(tmp_path, lab, max_V, is_reported):
     assert bool(statements_of(recorded(tmp_path, lab, max_V=max_V))) is is_reported
 
 
-def test_the_suggested_scale_gives_the_output_of_the_controller(tmp_path: Path) -> None:
+def test_the_suggested_scale_gives_the_output_of_the_controller(tmp_path):
     lab = GAIN + CONVERTER
     (text,) = statements_of(recorded(tmp_path, lab, max_V=120.0))
     assert "0 V to 120 V" in text.replace("\u202f", " ")
@@ -71,9 +69,7 @@ def test_the_suggested_scale_gives_the_output_of_the_controller(tmp_path: Path) 
         ("drive voltage (V)", "", False),
     ],
 )
-def test_a_heading_of_high_voltage_is_questioned(
-    tmp_path: Path, heading: str, lab: str, is_questioned: bool
-) -> None:
+def test_a_heading_of_high_voltage_is_questioned(tmp_path, heading, lab, is_questioned):
     drive_V = 50.0 * (1.0 + triangles(5, 240, 0.15))
     rows = "".join(f"{k / 1e3},{v:.6f},{v / 5:.6f}\n" for k, v in enumerate(drive_V))
     (tmp_path / "hv.csv").write_text(f"time (s),{heading},position (um)\n{rows}")

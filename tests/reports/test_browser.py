@@ -82,26 +82,16 @@ def desktop_probe(page: str, tmp_path_factory: pytest.TempPathFactory) -> dict[s
     return dict(json.loads(Anatomy(document).all("body")[0].attributes["data-probe"]))
 
 
-def test_the_first_screen_shows_every_axis_and_the_page_is_short(
-    desktop_probe: dict[str, Any],
-) -> None:
+def test_a_desktop_shows_every_axis_and_its_keyboard_reaches_the_figures(desktop_probe):
     assert max(desktop_probe["rows"]) < SCREEN
     assert desktop_probe["sheet"] < MAX_SCREENS * SCREEN
     assert desktop_probe["words"] < MAX_WORDS
-
-
-def test_the_keyboard_reaches_details_links_and_figures(desktop_probe: dict[str, Any]) -> None:
     assert desktop_probe["reached"] == desktop_probe["keys"] > 20
-
-
-def test_the_loop_highlights_the_time_of_the_residual(desktop_probe: dict[str, Any]) -> None:
     assert desktop_probe["litNear"].startswith("M")
     assert desktop_probe["litAgain"] == ""
 
 
-def test_the_residual_highlights_the_time_of_the_loop(
-    desktop_probe: dict[str, Any],
-) -> None:
+def test_the_residual_highlights_the_time_of_the_loop(desktop_probe):
     crosshair = desktop_probe["crosshair"]
     assert crosshair["visible"] == "visible"
     assert min(crosshair["width"], crosshair["height"]) > 50
@@ -113,18 +103,19 @@ def test_the_residual_highlights_the_time_of_the_loop(
     assert desktop_probe["barsNear"].count("M") > 0
 
 
-def test_every_figure_saves_drawing_and_numbers(desktop_probe: dict[str, Any], page: str) -> None:
+def test_every_figure_saves_drawing_and_numbers(desktop_probe, page):
     kinds = [file["kind"] for file in desktop_probe["saved"]]
     assert kinds == ["image/svg+xml", "text/csv"] * page.count('<figure class="chart')
     assert min(file["size"] for file in desktop_probe["saved"]) > 100
 
 
-def test_page_and_console_have_no_errors(probe: dict[str, Any]) -> None:
+def test_a_phone_has_no_errors_and_no_horizontal_scrolling(probe):
     assert probe["errors"] == []
     assert "CONSOLE" not in probe["console"]
+    assert not probe["wide"]
 
 
-def test_every_figure_and_every_curve_has_a_size(probe: dict[str, Any], page: str) -> None:
+def test_every_figure_and_every_curve_has_a_size(probe, page):
     assert len(probe["sizes"]) == page.count('<figure class="chart')
     for figure in probe["sizes"]:
         assert figure["width"] > 250
@@ -135,11 +126,7 @@ def test_every_figure_and_every_curve_has_a_size(probe: dict[str, Any], page: st
             assert width + height > 50
 
 
-def test_a_phone_has_no_horizontal_scrolling(probe: dict[str, Any]) -> None:
-    assert not probe["wide"]
-
-
-def test_the_pointer_reads_a_value_with_its_unit(probe: dict[str, Any]) -> None:
+def test_the_pointer_reads_a_value_with_its_unit(probe):
     assert re.fullmatch(
         r"(measured|model): drive \S+ V, displacement[a-z ]* \S+ µm", probe["readout"]
     ), probe["readout"]
@@ -147,9 +134,7 @@ def test_the_pointer_reads_a_value_with_its_unit(probe: dict[str, Any]) -> None:
     assert probe["astray"] < 1.0
 
 
-def test_a_double_click_restores_the_ticks_of_a_magnified_figure(
-    probe: dict[str, Any],
-) -> None:
+def test_a_double_click_restores_the_ticks_of_a_magnified_figure(probe):
     assert probe["near"] != probe["whole"]
     assert probe["ticksNear"] != probe["ticksBefore"]
     assert probe["again"] == probe["whole"]
@@ -157,33 +142,31 @@ def test_a_double_click_restores_the_ticks_of_a_magnified_figure(
     assert probe["ticksAgain"] == "".join(probe["ticksBefore"].split())
 
 
-def test_the_script_draws_the_ticks_of_the_python_code(
-    probe: dict[str, Any],
-) -> None:
+def test_the_script_draws_the_ticks_of_the_python_code(probe):
     assert {figure["decades"] for figure in probe["rewritten"]} == {"", "xy"}
     for figure in probe["rewritten"]:
         assert figure["after"] == figure["before"]
 
 
-def test_the_wheel_magnifies_only_a_selected_figure(probe: dict[str, Any]) -> None:
+def test_the_wheel_magnifies_only_a_selected_figure(probe):
     assert probe["stolenWheel"] is False
     assert probe["keptWheel"] is True
     assert probe["byWheel"] != probe["whole"]
 
 
-def test_curves_can_be_hidden_and_shown_again(probe: dict[str, Any]) -> None:
+def test_curves_can_be_hidden_and_shown_again(probe):
     assert probe["hidden"] == "none"
     assert probe["after"] == 0
 
 
-def test_a_page_that_violates_its_policy_logs_an_error(page: str, tmp_path: Path) -> None:
+def test_a_page_that_violates_its_policy_logs_an_error(page, tmp_path):
     # This shows that the listener of the other tests detects errors.
     broken = page.replace("</body>", "<script>alert(1)</script></body>")
     _, console = _browse(tmp_path, broken, "--dump-dom")
     assert "CONSOLE" in console
 
 
-def test_every_figure_prints_on_a_single_sheet(page: str, tmp_path: Path) -> None:
+def test_every_figure_prints_on_a_single_sheet(page, tmp_path):
     if shutil.which("pdftotext") is None:
         pytest.skip("no pdftotext on this machine")
     _browse(tmp_path, page, "--no-pdf-header-footer", f"--print-to-pdf={tmp_path / 'page.pdf'}")

@@ -22,7 +22,7 @@ def waterfall(*effects: str) -> Waterfall:
     return chart
 
 
-def test_bars_are_contiguous_and_end_with_the_noise() -> None:
+def test_bars_are_contiguous_and_end_with_the_noise():
     total, *bars, noise = waterfall("creep").bars
     diagnosis = diagnosed(finding("creep"))
     assert total.end_m == diagnosis.baseline.rms_m
@@ -36,7 +36,7 @@ def test_bars_are_contiguous_and_end_with_the_noise() -> None:
     assert sizes_m == pytest.approx(expected_m)
 
 
-def test_a_diagnosis_without_a_budget_has_no_section() -> None:
+def test_a_diagnosis_without_a_budget_has_no_section():
     diagnosis = replace(diagnosed(), budget=())
     page = Page(model=stage_model(axis_model()), diagnoses=(diagnosis,))
     assert error_budget.render(page) is None

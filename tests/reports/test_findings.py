@@ -34,7 +34,7 @@ def recording_with(added_m: np.ndarray) -> Recording:
     return replace(original, channels=tuple(channels))
 
 
-def test_every_effect_is_listed_with_size_and_meaning() -> None:
+def test_every_effect_is_listed_with_size_and_meaning():
     wave_m = 5e-8 * np.sin(np.arange(recording().samples) / 30.0)
     diagnosis = diagnosed(*map(finding, NAMES))
     page = Anatomy(
@@ -49,7 +49,7 @@ def test_every_effect_is_listed_with_size_and_meaning() -> None:
     assert all("percent" not in e.text for e in page.all("b"))
 
 
-def test_the_comparison_of_hum_shows_the_residual_with_and_without() -> None:
+def test_the_comparison_of_hum_shows_the_residual_with_and_without():
     original = recording()
     time_s = np.arange(original.samples) / original.sampling_rate_Hz
     with_hum = recording_with(6e-8 * np.sin(2 * np.pi * 50.0 * time_s))
@@ -62,7 +62,7 @@ def test_the_comparison_of_hum_shows_the_residual_with_and_without() -> None:
     assert rms(comparison.with_m) < 0.3 * rms(comparison.without_m)
 
 
-def test_an_invisible_mode_has_a_sentence_instead_of_a_figure() -> None:
+def test_an_invisible_mode_has_a_sentence_instead_of_a_figure():
     mode = LinearMode(frequency_Hz=1e6, quality=10.0, participation=0.5)
     axis = replace(axis_model(), extensions=(mode,))
     diagnosis = diagnosed(finding("resonance"))
@@ -71,7 +71,7 @@ def test_an_invisible_mode_has_a_sentence_instead_of_a_figure() -> None:
     assert not any("residual against frequency" in e.text for e in page.all("figcaption"))
 
 
-def test_a_modelled_lag_is_removed_for_its_comparison() -> None:
+def test_a_modelled_lag_is_removed_for_its_comparison():
     axis = replace(axis_model(), lag=Lag(kind="first_order", time_s=4e-3))
     diagnosis = diagnosed(finding("lag"))
     (comparison,) = compare_effects(
@@ -83,7 +83,7 @@ def test_a_modelled_lag_is_removed_for_its_comparison() -> None:
     assert correlation > 0.6
 
 
-def test_every_axis_has_its_findings_and_an_effect_is_described_once() -> None:
+def test_every_axis_has_its_findings_and_an_effect_is_described_once():
     diagnosis_x = diagnosed(finding("delay"))
     diagnosis_y = replace(diagnosed(finding("delay"), finding("creep")), axis="y")
     page = render(
@@ -99,14 +99,14 @@ def test_every_axis_has_its_findings_and_an_effect_is_described_once() -> None:
     assert page.count("axis z is not diagnosed") == 1
 
 
-def test_confounded_effects_are_a_limit_with_their_experiment() -> None:
+def test_confounded_effects_are_a_limit_with_their_experiment():
     diagnosis = diagnosed(finding("delay", rivals=("lag",), experiment="Record a chirp."))
     page = render_diagnosis(stage_model(axis_model()), [recording()], diagnosis)
     limits = page.partition('id="limits"')[2].partition("</section>")[0]
     assert limits.count("Record a chirp.") == page.count("Record a chirp.") == 1
 
 
-def test_findings_are_listed_without_recordings_or_model() -> None:
+def test_findings_are_listed_without_recordings_or_model():
     empty_model = ActuatorModel(
         stage="stage", axes={}, sources={"sweep.csv": "sha256:" + "0" * 64}
     )
@@ -117,7 +117,7 @@ def test_findings_are_listed_without_recordings_or_model() -> None:
         assert any("piezoid fit" in e.text for e in page.all("p"))
 
 
-def test_creep_is_drawn_over_the_time_since_the_drive_stopped() -> None:
+def test_creep_is_drawn_over_the_time_since_the_drive_stopped():
     drive_V = np.concatenate([np.linspace(0, 5, 100), np.full(400, 5.0)])
     hold = Recording(
         name="hold.csv",
@@ -136,7 +136,7 @@ def test_creep_is_drawn_over_the_time_since_the_drive_stopped() -> None:
     assert (weight[100:] == 1.0).all()
 
 
-def test_an_initial_state_is_compared_with_a_cycled_drive() -> None:
+def test_an_initial_state_is_compared_with_a_cycled_drive():
     axis = axis_model()
     diagnosis = diagnosed(finding("initial_state"))
     (comparison,) = compare_effects(axis, traces_of(axis, [recording()]), diagnosis)[
@@ -146,7 +146,7 @@ def test_an_initial_state_is_compared_with_a_cycled_drive() -> None:
     assert rms(comparison.without_m) > 10.0 * rms(comparison.with_m)
 
 
-def test_creep_without_a_hold_is_drawn_over_time() -> None:
+def test_creep_without_a_hold_is_drawn_over_time():
     diagnosis = diagnosed(finding("creep"))
     page = Anatomy(render_diagnosis(stage_model(axis_model()), [recording()], diagnosis))
     (figure,) = page.all("figure", "chart")
@@ -154,7 +154,7 @@ def test_creep_without_a_hold_is_drawn_over_time() -> None:
     assert effect_named("creep").shows.label in figure.text
 
 
-def test_a_model_without_a_file_is_not_in_the_provenance() -> None:
+def test_a_model_without_a_file_is_not_in_the_provenance():
     diagnosis = diagnosed(finding("creep"))
     content = write_diagnosis(diagnosis)
     page = render_diagnosis(stage_model(axis_model()), [recording()], diagnosis, written=content)
@@ -163,7 +163,7 @@ def test_a_model_without_a_file_is_not_in_the_provenance() -> None:
     assert not any(row.startswith("model.json") for row in rows)
 
 
-def test_the_bound_of_drift_mentions_the_drift_in_the_fit() -> None:
+def test_the_bound_of_drift_mentions_the_drift_in_the_fit():
     absent = NotDetected(
         effect="thermal_drift",
         upper_bound_m=1e-9,

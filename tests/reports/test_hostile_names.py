@@ -47,22 +47,17 @@ def harmless_skeleton() -> list[str]:
 
 
 @pytest.mark.parametrize("name", [n for n in HOSTILE if "\ud800" not in n], ids=ascii)
-def test_a_hostile_name_adds_no_element_and_no_attribute(
-    name: str, harmless_skeleton: list[str]
-) -> None:
+def test_a_hostile_name_adds_no_element_and_no_attribute(name, harmless_skeleton):
     page = _hostile_page(name)
     assert skeleton(page) == harmless_skeleton
     assert [e.text for e in Anatomy(page).all("h1")] == [f"Stage {printable(name)}"]
 
 
-def test_a_page_has_no_control_characters() -> None:
+def test_control_characters_are_escaped():
     page = _hostile_page("a\u202eb\x00c\x1bd\u2066")
     harmless = {"\n"}
     categories = {c: unicodedata.category(c) for c in set(page)}
     assert {c for c, kind in categories.items() if kind in {"Cc", "Cf", "Cs"}} <= harmless
-
-
-def test_control_characters_are_escaped() -> None:
     assert printable("a\u202eb\x00c\n\ud800") == "a\\u202eb\\x00c\\n\\ud800"
     text = "10\u202fnm µ \N{MINUS SIGN} שלום"
     assert printable(text) == text

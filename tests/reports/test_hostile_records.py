@@ -83,7 +83,7 @@ def _is_read(record: dict[str, Any], read: Callable[[bytes], Any]) -> bool:
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_no_text_of_a_sealed_file_adds_an_element_or_an_attribute(name: str) -> None:
+def test_no_text_of_a_sealed_file_adds_an_element_or_an_attribute(name):
     content = corpus_file(name) if name != "model.json" else write_model(stage_model(axis_model()))
     record = json.loads(content)
     read, draw = PAGES[name]

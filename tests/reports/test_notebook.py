@@ -8,16 +8,13 @@ from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
 
 
-def test_a_notebook_shows_the_numbers_of_recording_and_model() -> None:
+def test_a_notebook_shows_numbers_and_no_markup_of_names():
     table = Anatomy(recording()._repr_html_())
     assert "500 Hz" in table.all("table")[0].text
     assert digest_of_bytes(b"")[:7] in table.all("table")[0].text
     assert "30.0 nm rms" in stage_model(axis_model())._repr_html_()
     refused = stage_model(axis_model(reason="it turns back"))
     assert "does not apply: it turns back" in refused._repr_html_()
-
-
-def test_names_in_a_notebook_are_no_markup() -> None:
     hostile = replace(recording(), name="<script>alert(1)</script>.csv")
     assert "<script" not in hostile._repr_html_()
     table = Summary(title="<b>", headings=("<b>",), rows=[("<b>",)], notes=("<b>",))

@@ -23,11 +23,11 @@ LARGEST_PAGE = 3_000_000
 LARGEST_FIGURE = 60_000
 
 
-def test_the_same_records_give_the_same_bytes() -> None:
+def test_the_same_records_give_the_same_bytes():
     assert page_of(axis_model()) == page_of(axis_model())
 
 
-def test_the_page_has_no_network_access(page: str) -> None:
+def test_the_page_has_no_network_access(page):
     anatomy = Anatomy(page)
     for element in anatomy.elements:
         assert element.tag not in {"link", "img", "iframe", "object", "embed", "base", "form"}
@@ -36,7 +36,7 @@ def test_the_page_has_no_network_access(page: str) -> None:
     assert not re.search(r"url\(|@import", anatomy.all("style")[0].text)
 
 
-def test_the_policy_allows_only_the_own_script_and_style(page: str) -> None:
+def test_the_policy_allows_only_the_own_script_and_style(page):
     anatomy = Anatomy(page)
     policies = [
         e.attributes["content"] for e in anatomy.all("meta") if "http-equiv" in e.attributes
@@ -54,14 +54,14 @@ def test_the_policy_allows_only_the_own_script_and_style(page: str) -> None:
         assert not [n for n in element.attributes if n == "style" or n.startswith("on")]
 
 
-def test_headings_descend_by_single_levels(page: str) -> None:
+def test_headings_descend_by_single_levels(page):
     levels = [int(e.tag[1]) for e in Anatomy(page).elements if re.fullmatch(r"h[1-6]", e.tag)]
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(b <= a + 1 for a, b in itertools.pairwise(levels))
 
 
-def test_identifiers_are_unique_and_links_have_targets(page: str) -> None:
+def test_identifiers_are_unique_and_links_have_targets(page):
     anatomy = Anatomy(page)
     names = [e.attributes["id"] for e in anatomy.elements if "id" in e.attributes]
     assert len(set(names)) == len(names)
@@ -70,7 +70,7 @@ def test_identifiers_are_unique_and_links_have_targets(page: str) -> None:
     assert set(labels) <= set(names)
 
 
-def test_every_figure_has_a_text_alternative_and_every_type_a_guide(page: str) -> None:
+def test_every_figure_has_a_text_alternative_and_every_type_a_guide(page):
     anatomy = Anatomy(page)
     numbers = [int(n) for n in re.findall(r"<b>Figure (\d+)\.</b>", page)]
     assert numbers == list(range(1, len(numbers) + 1))
@@ -85,7 +85,7 @@ def test_every_figure_has_a_text_alternative_and_every_type_a_guide(page: str) -
     assert len(set(guides)) == len(guides)
 
 
-def test_no_sentence_is_repeated_on_a_page() -> None:
+def test_no_sentence_is_repeated_on_a_page():
     """The two axes have the same confounded effects."""
     axis = axis_model("y", ("up.csv", "down.csv"))
     axis = replace(
@@ -114,7 +114,7 @@ def test_no_sentence_is_repeated_on_a_page() -> None:
     assert [s for s, n in counts.items() if n > 1 and not s.startswith("sha256:")] == []
 
 
-def test_buttons_drawings_and_tables_are_labelled(page: str) -> None:
+def test_buttons_drawings_and_tables_are_labelled(page):
     anatomy = Anatomy(page)
     assert len(anatomy.all("caption")) == len(anatomy.all("table")) > 5
     assert {e.attributes["scope"] for e in anatomy.all("th")} == {"col", "row"}
@@ -126,7 +126,7 @@ def test_buttons_drawings_and_tables_are_labelled(page: str) -> None:
             assert "aria-label" in svg.attributes or svg.attributes.get("aria-hidden") == "true"
 
 
-def test_the_page_states_digests_of_recordings_and_model(page: str) -> None:
+def test_the_page_states_digests_of_recordings_and_model(page):
     cells = [e.text for e in Anatomy(page).all("td", "digest")]
     assert cells.count("sha256:" + "0" * 64) == 3
     assert re.fullmatch(r"sha256:[0-9a-f]{64}", cells[-1])
@@ -135,7 +135,7 @@ def test_the_page_states_digests_of_recordings_and_model(page: str) -> None:
     assert "another file" in page_of(axis_model(), recordings=[changed])
 
 
-def test_a_recording_of_a_million_samples_has_small_figures() -> None:
+def test_a_recording_of_a_million_samples_has_small_figures():
     rng = np.random.default_rng(3)
     short = recording()
     long = replace(
@@ -153,7 +153,7 @@ def test_a_recording_of_a_million_samples_has_small_figures() -> None:
     assert max(map(len, figures)) < LARGEST_FIGURE
 
 
-def test_six_axes_with_ten_recordings_each_stay_below_three_megabytes() -> None:
+def test_six_axes_with_ten_recordings_each_stay_below_three_megabytes():
     names = tuple(f"{k}.csv" for k in range(10))
     axes = [axis_model(axis, names) for axis in "abcdef"]
     page = page_of(*axes, recordings=[recording_of_axes(name, "abcdef") for name in names])
@@ -183,7 +183,7 @@ def _contrast(first: str, second: str) -> float:
 
 
 @pytest.mark.parametrize("mode", [0, 1], ids=["light", "dark"])
-def test_texts_and_curves_have_enough_contrast(mode: int) -> None:
+def test_texts_and_curves_have_enough_contrast(mode):
     style = (files("piezoid_reports") / "templates" / "style.css").read_text()
     block = re.findall(r":root \{(.*?)\}", style, re.DOTALL)[mode]
     colour = dict(re.findall(r"--(\w+): (#\w{6})", block))

@@ -35,7 +35,7 @@ def sampled_leaves(record: Any) -> Iterator[tuple[Any, Any]]:
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_table_in_place_of_a_number_or_a_text_is_refused(name: str) -> None:
+def test_a_table_in_place_of_a_number_or_a_text_is_refused(name):
     record = (
         json.loads(json.dumps(WRITTEN)) if name == "model.json" else json.loads(corpus_file(name))
     )
@@ -50,7 +50,7 @@ def test_a_table_in_place_of_a_number_or_a_text_is_refused(name: str) -> None:
     assert count > 5
 
 
-def test_a_loop_without_members_or_their_margins_is_refused() -> None:
+def test_a_loop_without_members_or_their_margins_is_refused():
     for entry in ("members", "margins"):
         record = json.loads(corpus_file("design.json"))
         record["axes"][0]["loops"][0][entry] = []

@@ -13,7 +13,7 @@ from tests.reports.known_page import page_of
 from tests.reports.known_stage import axis_model, recording, stage_model
 
 
-def test_every_section_file_is_registered_once() -> None:
+def test_every_section_file_is_registered_once():
     folder = Path(piezoid_reports.sections.__file__).parent
     names = {p.stem for p in folder.glob("*.py")} - {"__init__"}
     files = {import_module(f"piezoid_reports.sections.{name}").render for name in names}
@@ -21,7 +21,7 @@ def test_every_section_file_is_registered_once() -> None:
     assert len(SECTIONS) == len(files)
 
 
-def test_a_model_without_recordings_makes_a_page() -> None:
+def test_a_model_without_recordings_makes_a_page():
     page = Anatomy(page_of(axis_model(), recordings=()))
     assert [e.attributes["id"] for e in page.all("section")] == [
         "summary",
@@ -41,13 +41,10 @@ def rows(page: str) -> list[tuple[str, ...]]:
     return [tuple(row) for row in cells]
 
 
-def test_quantities_of_the_fit_have_their_intervals() -> None:
+def test_quantities_of_the_fit_have_intervals_and_errors_their_rows():
     table = rows(page_of(axis_model()))
     assert ("width of the full loop", "(1.600 ± 0.040) µm") in table
     assert ("valid drive", "0 V to 10.0 V") in table
-
-
-def test_every_error_of_an_axis_has_a_row_and_its_limits_a_range() -> None:
     page = page_of(axis_model())
     values = {row[0]: row[1] for row in rows(page) if len(row) == 2}
     assert values["held-out error, rms"] == "30.0 nm"
@@ -58,7 +55,7 @@ def test_every_error_of_an_axis_has_a_row_and_its_limits_a_range() -> None:
     assert "hysteresis model alone" not in rejected
 
 
-def test_limits_contain_every_statement_outside_the_summary() -> None:
+def test_limits_contain_every_statement_outside_the_summary():
     axis = axis_model()
     limited = replace(
         axis,
@@ -73,7 +70,7 @@ def test_limits_contain_every_statement_outside_the_summary() -> None:
     assert sum(fact.text in limits for fact in facts) == len(facts) - 1
 
 
-def test_a_limit_of_several_axes_has_a_single_row() -> None:
+def test_a_limit_of_several_axes_has_a_single_row():
     unconverged = [
         replace(axis, quality=replace(axis.quality, converged=False))
         for axis in (axis_model("x"), axis_model("y", ("up.csv",)))
@@ -85,7 +82,7 @@ def test_a_limit_of_several_axes_has_a_single_row() -> None:
     assert not any(text.startswith("Axis y: The intervals rest") for text in limits)
 
 
-def test_intervals_contradicted_by_the_held_out_error_are_not_printed() -> None:
+def test_intervals_contradicted_by_the_held_out_error_are_not_printed():
     axis = axis_model()
     wide = replace(axis, uncertainty=replace(axis.uncertainty, loop_width_m=(5.1e-6, 7.2e-6)))
     page = page_of(wide)

@@ -15,7 +15,7 @@ def _number(label: str) -> float:
 
 
 @given(st.floats(-16.0, 8.0), st.floats(1e-3, 16.0))
-def test_a_logarithmic_label_is_the_number_at_its_position(low: float, span: float) -> None:
+def test_a_logarithmic_label_is_the_number_at_its_position(low, span):
     for position, label in decade_ticks(low, low + span):
         assert low - 1e-6 <= position <= low + span + 1e-6
         # Between neighbouring decades labels have the digits of an even step.
@@ -23,7 +23,7 @@ def test_a_logarithmic_label_is_the_number_at_its_position(low: float, span: flo
 
 
 @given(st.floats(-16.0, 8.0), st.floats(0.05, 16.0))
-def test_a_logarithmic_axis_has_3_to_18_labels(low: float, span: float) -> None:
+def test_a_logarithmic_axis_has_3_to_18_labels(low, span):
     assert 3 <= len(decade_ticks(low, low + span)) <= 18
 
 
@@ -37,12 +37,12 @@ def test_a_logarithmic_axis_has_3_to_18_labels(low: float, span: float) -> None:
         (2.0, 2.1, ["100", "105", "110", "115", "120", "125"]),
     ],
 )
-def test_decades_have_round_labels(low: float, high: float, labels: list[str]) -> None:
+def test_decades_have_round_labels(low, high, labels):
     assert [label for _, label in decade_ticks(low, high)] == labels
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6))
-def test_even_labels_are_the_numbers_at_their_positions(low: float, span: float) -> None:
+def test_even_labels_are_the_numbers_at_their_positions(low, span):
     ticks = even_ticks(low, low + span)
     assert 3 <= len(ticks) <= 8
     for position, label in ticks:

@@ -12,7 +12,7 @@ from piezoid_reports.render import render
 from tests.reports.known_stage import NOISE_m, axis_model, recording, stage_model
 
 
-def test_the_residual_of_a_trace_is_the_simulated_noise() -> None:
+def test_the_residual_of_a_trace_is_the_simulated_noise():
     (trace,) = traces_of(axis_model(), [recording()])
     # The rms of 2900 rows has a standard error of 1.3 %; 5 % is nearly four times that.
     assert rms(trace.residual_m) == pytest.approx(NOISE_m, rel=0.05)
@@ -20,7 +20,7 @@ def test_the_residual_of_a_trace_is_the_simulated_noise() -> None:
     assert np.isfinite(trace.residual_m[:1500]).all()
 
 
-def test_line_and_model_have_the_same_samples() -> None:
+def test_line_and_model_have_the_same_samples():
     (trace,) = traces_of(axis_model(), [recording()])
     np.testing.assert_array_equal(np.isnan(trace.line_m), np.isnan(trace.modelled_m))
     assert np.isfinite(trace.modelled_m).sum() == 2900
@@ -31,7 +31,7 @@ def test_line_and_model_have_the_same_samples() -> None:
     assert abs(np.sum(residual_m * (drive_V - drive_V.mean()))) < 1e-12
 
 
-def test_missing_samples_are_drawn_to_scale() -> None:
+def test_missing_samples_are_drawn_to_scale():
     """A missing sample in twenty gives separate ticks, not a continuous bar."""
     recording_with_gaps = replace(recording(), bridged=tuple(range(0, 3000, 20)))
     page = render(Page(model=stage_model(axis_model()), recordings=[recording_with_gaps]))
@@ -45,7 +45,7 @@ def test_missing_samples_are_drawn_to_scale() -> None:
     assert ".missing" not in rounded
 
 
-def test_a_recording_over_a_small_part_of_the_drive_is_drawn_last() -> None:
+def test_a_recording_over_a_small_part_of_the_drive_is_drawn_last():
     full_range = recording()
     small = replace(
         full_range,

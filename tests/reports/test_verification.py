@@ -48,13 +48,11 @@ def texts(result: Verification) -> list[str]:
     return [e.text.replace("\u202f", " ") for e in chapter(result)[1].elements if e.tag == "tr"]
 
 
-def test_without_a_verification_there_is_no_chapter() -> None:
+def test_without_a_verification_there_is_no_chapter():
     assert 'id="verification"' not in page_of(axis_model())
 
 
-def test_every_method_and_verdict_has_its_row(
-    result: Verification,
-) -> None:
+def test_every_method_and_verdict_has_its_row(result):
     rows = texts(result)
     for row in result.comparison:
         start = f"{METHOD_NAMES[row.method]}{number(row.rms_m, 'm')}".replace("\u202f", " ")
@@ -64,7 +62,7 @@ def test_every_method_and_verdict_has_its_row(
     assert any(row.startswith("cc12") for row in rows)
 
 
-def test_requested_bounds_of_errors_have_rows(result: Verification) -> None:
+def test_requested_bounds_of_errors_have_rows(result):
     bound = ErrorBound(
         axis="x",
         slew_m_per_s=1e-3,
@@ -86,7 +84,7 @@ def test_requested_bounds_of_errors_have_rows(result: Verification) -> None:
     assert read.bounds == with_bounds.bounds
 
 
-def test_failed_verdicts_are_first(result: Verification) -> None:
+def test_failed_verdicts_are_first(result):
     failed_verdict = replace(result.verdicts[-1], value=2.0 * result.verdicts[-1].limit + 1.0)
     failed = replace(result, verdicts=(*result.verdicts[:-1], failed_verdict))
     rows = texts(failed)
@@ -95,7 +93,7 @@ def test_failed_verdicts_are_first(result: Verification) -> None:
     assert failed_verdict.name in rows[verdict_rows[0]]
 
 
-def test_traces_of_spirals_are_stored_and_read(result: Verification) -> None:
+def test_traces_of_spirals_are_stored_and_read(result):
     assert {trace.method for trace in result.traces} == {"mpi_dob", "none"}
     assert all(len(trace.x_m) == SPIRAL_POINTS for trace in result.traces)
     assert verification_from_json(result.to_json()).traces == result.traces
@@ -106,7 +104,7 @@ def test_traces_of_spirals_are_stored_and_read(result: Verification) -> None:
         assert rms_m == pytest.approx(shipped[trace.method], rel=0.1)
 
 
-def test_steps_are_drawn_over_time_with_the_uncompensated_motion() -> None:
+def test_steps_are_drawn_over_time_with_the_uncompensated_motion():
     scenarios = [s for s in SCENARIOS if s.kind in ("raster", "steps")]
     result = verify(stage(), PLANTS, scenarios=scenarios, trials=())
     assert [(m.scenario, m.axis) for m in result.motions] == [
@@ -134,7 +132,7 @@ def test_steps_are_drawn_over_time_with_the_uncompensated_motion() -> None:
     assert b"motions" not in replace(result, motions=()).to_json()
 
 
-def test_a_point_has_the_colour_of_its_share_of_the_limit(result: Verification) -> None:
+def test_a_point_has_the_colour_of_its_share_of_the_limit(result):
     limit_m = 0.01 * 2.0 * result.radius_m
     levels = 0.9 * limit_m * np.array([min(share, 10.0) for share in SHADES.values()])
     trace = SpiralTrace(

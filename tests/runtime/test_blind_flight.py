@@ -33,14 +33,15 @@ def test_a_permanently_failed_sensor_ends_in_a_hold(bad, method):
     assert np.ptp(voltage[held_samples[0] - 1 :]) == 0.0
 
 
-def test_a_sensor_that_recovers_in_time_causes_no_hold():
+def test_a_recovered_or_unused_sensor_and_a_limit_of_zero_cause_no_hold():
     measured = np.zeros(400)
     measured[100 : 100 + LIMIT - 1] = np.nan
     assert not (run_lateral(measured)[1] & HOLD).any()
-
-
-def test_without_feedback_the_sensor_is_ignored():
     assert not run_lateral(np.full(400, np.nan), method="mpi")[1].any()
+    run = started(lateral(blind_samples=0)).run(
+        np.sin(np.linspace(0, 60, 5000)), np.full(5000, np.nan)
+    )
+    assert set(run.status) == {int(Status.BAD_MEASUREMENT)}
 
 
 def test_after_a_reset_the_loop_starts_without_a_bump():
@@ -52,10 +53,3 @@ def test_after_a_reset_the_loop_starts_without_a_bump():
     controller.reset()
     assert controller.step(0.3, 0.3) == pytest.approx(run.voltage_V[-1], abs=1e-12)
     assert not controller.status
-
-
-def test_a_limit_of_zero_never_holds():
-    run = started(lateral(blind_samples=0)).run(
-        np.sin(np.linspace(0, 60, 5000)), np.full(5000, np.nan)
-    )
-    assert set(run.status) == {int(Status.BAD_MEASUREMENT)}

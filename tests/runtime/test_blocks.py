@@ -55,15 +55,12 @@ def test_a_filter_is_its_difference_equation(filter_name, rng):
     assert np.abs(u - biquad(NOTCH, biquad(NOTCH, x)) / 0.5).max() < 1e-12
 
 
-def test_the_voltage_changes_by_no_more_than_its_step():
+def test_voltage_and_reference_are_limited_in_range_and_step():
     controller = started(static(voltage_step_V=0.01))
     u = controller.run(np.r_[np.ones(300), -np.ones(300)], np.zeros(600)).voltage_V
     assert np.abs(np.diff(np.r_[0.0, u])).max() <= 0.01 + 1e-15
     assert Status.VOLTAGE_STEP in controller.status_ever
     assert u[250] == pytest.approx(2.0)
-
-
-def test_the_reference_is_limited_in_range_and_step():
     parameters = static(reference_minimum_m=-0.2, reference_maximum_m=0.3, reference_step_m=0.1)
     run = started(parameters).run(np.array([1.0, 1, 1, 1, -1, -1, 0.1]), np.zeros(7))
     assert run.voltage_V * 0.5 == pytest.approx([0.1, 0.2, 0.3, 0.3, 0.2, 0.1, 0.1])

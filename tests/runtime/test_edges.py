@@ -92,9 +92,6 @@ def test_codes_reach_the_limits_and_half_codes_round_away_from_zero():
     run = controller.run(0.5 * volts, np.zeros(len(volts)))
     np.testing.assert_array_equal(run.voltage_V, outputs)
     assert not run.status.any()
-
-
-def test_a_voltage_beyond_a_limit_becomes_the_last_code_inside():
     limits = {"voltage_minimum_V": -0.9, "voltage_maximum_V": 0.9}
     run = started(static(lsb_V=0.25, **limits)).run(np.array([1.0, -1.0]), np.zeros(2))
     np.testing.assert_array_equal(run.voltage_V, [0.75, -0.75])

@@ -98,9 +98,6 @@ def test_after_an_overflow_the_voltage_is_held_and_the_loop_restarts():
     run = started(parameters).run(np.ones(2000), np.linspace(0, 1, 2000))
     assert_holds_at_restarts(run)
     assert np.abs(run.voltage_V).max() <= LIMIT_V
-
-
-def test_an_overflowing_anti_windup_restarts():
     parameters = tunnelling(rst_A0_count=2, rst_A0=[1.0, 1e9], voltage_maximum_V=1e-3)
     controller = started(parameters, measured=1e-9)
     assert_holds_at_restarts(controller.run(np.full(500, 1e-8), np.full(500, 1e-9)))
@@ -113,10 +110,11 @@ def assert_holds_at_restarts(run):
     assert np.array_equal(run.voltage_V[restarts], run.voltage_V[restarts - 1])
 
 
-def test_before_the_start_the_voltage_is_the_allowed_voltage_nearest_zero():
+def test_a_controller_without_start_or_without_reading_is_at_rest():
     controller = Controller(lateral(voltage_minimum_V=1.0))
     assert controller.step(0.5, 0.5) == 1.0
     assert controller.status == Status.NOT_STARTED
+    assert started(lateral(), np.nan, np.nan).step(0.0, 0.0) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -128,10 +126,6 @@ def test_invalid_limits_give_zero_volts_before_the_start(low, high):
     controller.parameters.voltage_maximum_V = high
     assert controller.step(0.5, 0.5) == 0.0
     assert controller.status == Status.NOT_STARTED
-
-
-def test_a_start_without_voltage_and_reading_is_the_model_at_rest():
-    assert started(lateral(), np.nan, np.nan).step(0.0, 0.0) == 0.0
 
 
 def test_parameters_changed_in_memory_are_refused_at_the_start():

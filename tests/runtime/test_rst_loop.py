@@ -56,15 +56,12 @@ def test_a_step_of_the_setpoint_obeys_the_published_closed_loop():
     assert y[-1] == pytest.approx(math.log(1.5), abs=1e-9)
 
 
-def test_float_holds_the_setpoint_without_drift():
+def test_the_start_has_no_bump_and_float_holds_the_setpoint():
     """The integrator is exact in single precision; only S without it is rounded."""
     gap = Gap()
     controller = started(precision="float")
     y, _ = close_loop(controller, gap, np.full(3000, 1.5 * REFERENCE_A), surface=-1.0)
     assert abs(y[-1] - math.log(1.5)) < 1e-4
-
-
-def test_the_start_does_not_bump():
     controller = started(volts=3.25, current_A=0.7 * REFERENCE_A)
     assert controller.step(0.7 * REFERENCE_A, 0.7 * REFERENCE_A) == 3.25
 
@@ -140,7 +137,7 @@ def test_a_saturated_loop_does_not_wind_up():
     assert np.abs(y[560:]).max() < 1e-3
 
 
-def test_the_gain_schedule_compensates_a_scaled_plant():
+def test_the_gain_schedule_compensates_a_scaled_plant_within_its_limit():
     reference = np.full(200, 1.5 * REFERENCE_A)
     designed, u = close_loop(started(), Gap(), reference)
     scheduled = started()
@@ -148,9 +145,6 @@ def test_the_gain_schedule_compensates_a_scaled_plant():
     scheduled_y, scheduled_u = close_loop(scheduled, Gap(gain=2.0), reference)
     assert np.abs(scheduled_y - designed).max() < 1e-9
     assert np.abs(2 * scheduled_u - u).max() < 1e-12
-
-
-def test_the_schedule_stays_inside_its_limit():
     extreme, limited = started(), started()
     extreme.schedule(1e9)
     limited.schedule(4.0)

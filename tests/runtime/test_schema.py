@@ -203,14 +203,11 @@ def test_values_outside_of_the_table_are_refused(change, message):
         complete({**WIDE, **change})
 
 
-def test_a_negative_zero_is_a_zero():
+def test_values_have_a_single_zero_and_are_read_only():
     """A value missing in a file is read as 0, so there is only one zero."""
     values = complete({**WIDE, "voltage_offset_V": -0.0, "knot_m": [-1.0, -0.0]})
     assert not np.signbit(values["voltage_offset_V"])
     assert not np.signbit(values["knot_m"][1])
-
-
-def test_a_scalar_fills_its_array_and_arrays_are_read_only():
     values = complete({**WIDE, "knot_m": 1.5, "play_memory_V": 1.0})
     assert (values["knot_m"] == 1.5).all()
     assert (values["play_memory_V"] == 1.0).all()
@@ -220,11 +217,8 @@ def test_a_scalar_fills_its_array_and_arrays_are_read_only():
         assert not numbers.flags.writeable, name
 
 
-def test_a_library_of_the_other_precision_is_refused():
+def test_a_library_of_another_precision_or_without_code_is_refused():
     with pytest.raises(RuntimeLibraryError, match="size of pz_real is 4"):
         compare_layout(replace(library("float"), real=ctypes.c_double))
-
-
-def test_a_runtime_that_is_not_compiled_is_named():
     with pytest.raises(RuntimeLibraryError, match="does not contain the compiled module"):
         compiled.opened("piezoid.runtime._never_compiled", {})

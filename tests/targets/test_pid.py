@@ -70,14 +70,11 @@ def outputs(pid, errors_m):
     return np.array([law(error, 0.0) for error in errors_m])
 
 
-def test_the_pid_law_computes_its_fraction(rng):
+def test_the_pid_law_computes_its_fraction_and_a_notch_its_frequency(rng):
     errors_m = 1e-7 * rng.standard_normal(500)
     errors_m[0] = 0.0  # a controller starts without a derivative
     R, S = EXAMPLE.polynomials()
     np.testing.assert_allclose(outputs(EXAMPLE, errors_m), lfilter(R, S, errors_m), atol=1e-12)
-
-
-def test_a_notch_attenuates_only_its_frequency():
     b, a = Notch(frequency_Hz=630.0, depth=0.05, width=0.5).section(RATE_Hz)
     q = np.exp(-2j * np.pi * np.array([1.0, 630.0, 9e3]) / RATE_Hz)
     gain = np.abs(np.polyval(b[::-1], q) / np.polyval(a[::-1], q))
@@ -104,13 +101,10 @@ def test_all_plants_keep_their_margins_and_no_larger_gain_does(sign):
     assert np.sign(result.pid.integral_V_per_m_s) == sign
 
 
-def test_a_notch_on_the_mode_permits_ten_times_the_gain():
+def test_a_notch_permits_ten_times_the_gain_and_a_delay_margin_costs_gain():
     without, with_notch = (tune(notches=n).pid.integral_V_per_m_s for n in (0, 1))
     assert with_notch > 10 * without
     assert tune(notches=1).pid.notches[0].frequency_Hz == pytest.approx(630.0, rel=1e-3)
-
-
-def test_a_requested_delay_margin_is_kept():
     result = tune(delay_margin_s=5e-4)
     assert min(m.delay_margin_s for m in result.margins if m.delay_margin_s) >= 5e-4
     assert result.pid.integral_V_per_m_s < tune().pid.integral_V_per_m_s

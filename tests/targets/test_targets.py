@@ -40,19 +40,16 @@ def golden(axis):
     return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
 
 
-def test_the_same_parameters_give_the_same_bytes_for_every_target(files):
+def test_equal_parameters_give_equal_bytes_and_the_bundle_adds_nothing(files):
     repeated = target_files(TargetInputs(file=stage()), COMPILED).files
     assert dict(files) == dict(repeated)
+    assert not target_files(TargetInputs(file=stage()), check_targets(["bundle"])).files
 
 
 @pytest.mark.parametrize("name", ["pi-pid", "biquad"])
 def test_a_replaced_target_is_refused_with_its_successor(name):
     with pytest.raises(ParameterFileError, match=rf"'{name}' was replaced by 'pid'.*--target pid"):
         check_targets([name])
-
-
-def test_the_bundle_alone_adds_nothing():
-    assert not target_files(TargetInputs(file=stage()), check_targets(["bundle"])).files
 
 
 def test_without_a_compiler_sources_and_a_note_are_written(monkeypatch, tmp_path):
@@ -68,13 +65,10 @@ def test_without_a_compiler_sources_and_a_note_are_written(monkeypatch, tmp_path
     assert all("no C compiler" in note for note in target.notes)
 
 
-def test_the_example_reproduces_the_golden_table(target_folder):
+def test_the_example_reproduces_the_golden_table_and_detects_differences(target_folder, tmp_path):
     assert run(sys.executable, str(target_folder / "library" / "example.py")) == (
         f"{3 * SAMPLES} samples, 0 differ\n"
     )
-
-
-def test_the_example_detects_a_differing_answer(target_folder, tmp_path):
     folder = shutil.copytree(target_folder / "library", tmp_path / "library")
     table = (folder / "golden.csv").read_text().splitlines()
     cells = table[500].split(",")

@@ -108,9 +108,6 @@ def test_an_alarm_fails_the_verification_and_is_in_its_file():
         assert read.limit_proofs == (proof,)
     assert alarmed.verdict == "not proved: 1 alarm"
     assert PROVED.verdict == "proved"
-
-
-def test_a_proof_without_claims_is_no_proof():
     assert not replace(PROVED, claims=()).is_proved
 
 

@@ -156,12 +156,9 @@ def log_current_std(axis, rng):
     return float(np.std(np.log(np.maximum(run.position[-2000:], 1e-15) / 1e-9)))
 
 
-def test_only_the_loop_designed_with_the_drive_mode_is_quiet(rng):
+def test_only_the_loop_designed_with_the_drive_mode_is_quiet_and_passes(rng):
     assert log_current_std(controller_for(RINGS), rng) < 0.05
     assert log_current_std(controller_for(), rng) > 0.2
-
-
-def test_a_tip_is_verified_with_the_mode_of_its_drive():
     axis = controller_for()
     file = ParameterFile(name="tip", axes=(axis,))
     assert verify_stage(file, ringing(), lab=ONE_BARRIER).passed

@@ -166,9 +166,7 @@ def test_a_designed_folder_is_exported_and_verified(folder):
     assert (folder / "model.json").exists()
 
 
-def test_a_verification_that_misses_a_limit_fails_and_is_written(
-    exported,
-):
+def test_a_verification_that_misses_a_limit_fails_and_is_written(exported):
     parameters = (exported / "params.json").read_bytes()
     (exported / "limits.toml").write_text(TIGHT)
     result = run_verb("verify", exported, "--limits", exported / "limits.toml")

@@ -36,15 +36,12 @@ def spiral(turns=5.0, frequency_Hz=10.0):
     return constant_angular_velocity(RATE_Hz, frequency_Hz, turns)
 
 
-def test_a_spiral_of_constant_angular_velocity_turns_evenly_out_to_its_rim():
+def test_spirals_have_constant_angular_or_linear_velocity():
     path = spiral()
     angle = np.unwrap(np.arctan2(path.y, path.x)[100:])
     turning = np.diff(angle) * RATE_Hz / (2 * np.pi)
     assert turning == pytest.approx(10.0)
     assert np.hypot(path.x, path.y)[-1] == pytest.approx(1.0, abs=1e-4)
-
-
-def test_a_spiral_of_constant_linear_velocity_has_one_speed_away_from_its_middle():
     path = constant_linear_velocity(RATE_Hz, 10.0, 10.0)
     speed = np.hypot(np.diff(path.x), np.diff(path.y)) * RATE_Hz
     # The angular velocity is limited within the inner third of the radius.

@@ -220,14 +220,11 @@ def test_a_tip_that_retracts_fails():
     assert result.comparison == ()
 
 
-def test_a_build_with_differing_answers_fails():
+def test_differing_builds_fail_and_an_axis_without_a_plant_is_refused():
     differing = Proof(build="another compiler", is_built=True, samples=100, differing=1)
     not_built = Proof(build="none here", is_built=False)
     assert not verify(stage("x"), PLANTS[:1], scenarios=(), proofs=[differing]).passed
     assert verify(stage("x"), PLANTS[:1], scenarios=(), proofs=[not_built]).passed
-
-
-def test_an_axis_without_a_plant_is_refused_by_name():
     with pytest.raises(ParameterFileError, match="axis y"):
         verify(stage("x", "y"), PLANTS[:1])
 
