@@ -10,6 +10,7 @@ import sys
 import time
 import tracemalloc
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -32,19 +33,11 @@ def contents_of(folder: Path) -> dict[str, bytes]:
     }
 
 
-def replace_all(folder: Path, contents: dict) -> None:
-    write_folder(folder, contents, force=True)
-
-
-def add(folder: Path, contents: dict) -> None:
-    add_to_folder(folder, contents)
-
-
-def export(folder: Path, contents: dict) -> None:
-    add_to_folder(folder, contents, gone=("bundle",))
-
-
-WRITES = {"replace": replace_all, "add": add, "gone": export}
+WRITES = {
+    "replace": partial(write_folder, force=True),
+    "add": add_to_folder,
+    "gone": partial(add_to_folder, gone=("bundle",)),
+}
 # Locations of a foreign object, and whether the results are written there.
 IS_WRITTEN = {
     "notes": False,

@@ -34,13 +34,9 @@ from .fields import EXACT, Array, strain, walk
 
 SEEDS = range(2)
 
-WIPES_OUT = {
-    "preisach",
-    "preisach_lorentzian",
-    "krasnoselskii_pokrovskii",
-    "takacs",
-    "maxwell_slip",
-}
+WIPES_OUT = set(
+    ["preisach", "preisach_lorentzian", "krasnoselskii_pokrovskii", "takacs", "maxwell_slip"]
+)
 
 every_law = pytest.mark.parametrize("law", ZOO, ids=lambda law: law.name)
 
@@ -136,15 +132,17 @@ JILES = SimpleNamespace(
 DUHEM = SimpleNamespace(rate=1.8, centre=0.1, coercive=(0.6, 0.7), width=(0.5, 0.55))
 
 
-def midpoint(slope: Callable[[float, float, float], float], start: float) -> Array:
-    """Return the state along PATH by the midpoint rule, sample by sample."""
-    state = np.empty_like(PATH)
+def midpoint(
+    slope: Callable[[float, float, float], float], start: float, path: Array = PATH
+) -> Array:
+    """Return the state along the path by the midpoint rule, sample by sample."""
+    state = np.empty_like(path)
     state[0] = start
-    for k in range(1, len(PATH)):
-        step = float(PATH[k] - PATH[k - 1])
+    for k in range(1, len(path)):
+        step = float(path[k] - path[k - 1])
         sign, now = float(np.sign(step)), float(state[k - 1])
-        half = now + 0.5 * step * slope(float(PATH[k - 1]), now, sign)
-        state[k] = now + step * slope(float(0.5 * (PATH[k] + PATH[k - 1])), half, sign)
+        half = now + 0.5 * step * slope(float(path[k - 1]), now, sign)
+        state[k] = now + step * slope(float(0.5 * (path[k] + path[k - 1])), half, sign)
     return state
 
 
@@ -242,13 +240,7 @@ def test_jiles_and_atherton_solve_their_equation():
     path = PATH[::20]
     output = jiles_atherton_memory(path, **vars(JILES))
     first = -1.0 + JILES.width / (-FLOOR - JILES.bias + JILES.mean_field)
-    state = np.empty_like(path)
-    state[0] = first
-    for k in range(1, len(path)):
-        step = float(path[k] - path[k - 1])
-        sign, now = float(np.sign(step)), float(state[k - 1])
-        half = now + 0.5 * step * jiles_slope(float(path[k - 1]), now, sign)
-        state[k] = now + step * jiles_slope(float(0.5 * (path[k] + path[k - 1])), half, sign)
+    state = midpoint(jiles_slope, first, path)
     polarisation = np.array(
         [polarised(float(e), float(m))[1] for e, m in zip(path, state, strict=True)]
     )
@@ -302,15 +294,8 @@ def test_maxwell_elements_stick_and_slide():
 def test_the_lorentzian_everett_function_has_the_density_of_its_name():
     everett = lorentzian_everett((0.2, 0.3), (0.5, 0.7))
     a, b, h = 0.6, -0.2, 0.01
-    corners = [
-        (a + h, b, 1.0),
-        (a - h, b, -1.0),
-        (a + h, b - 2 * h, -1.0),
-        (a - h, b - 2 * h, 1.0),
-    ]
-    mixed = sum(
-        sign * float(everett(np.array([high]), np.array([low]))[0]) for high, low, sign in corners
-    )
+    high, low = np.array([a + h, a - h, a + h, a - h]), np.array([b, b, b - 2 * h, b - 2 * h])
+    mixed = np.array([1.0, -1.0, -1.0, 1.0]) @ everett(high, low)
     up, down = (a - 0.2) / 0.5, (b - h + 0.3) / 0.7
     density = 1.0 / (1.0 + up**2) / (1.0 + down**2)
     assert -mixed / (4 * h * h) == pytest.approx(density, rel=1e-3)

@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.varied_chains import Chain, family_from_chains, plant_from_chain, varied
 from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import closed_loop_target, place_poles, section_poles
-from piezoid.design.specification import Specification
+from piezoid.design.specification import Specification, default_specification
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import from_roots, roots_of
 
@@ -84,6 +84,17 @@ def lateral_specification(bandwidth_Hz: float = 90.0) -> Specification:
         sensor_noise_rms=1e-9,
         scan_frequency_Hz=10.0,
         disturbance_rms=0.35e-6,
+    )
+
+
+def default_limits(family: PlantFamily, disturbance_rms: float) -> Specification:
+    """Return the default limits for drives of -10 to 10 V and 1 nm of sensor noise."""
+    return default_specification(
+        family,
+        voltage_min_V=-10.0,
+        voltage_max_V=10.0,
+        sensor_noise_rms=1e-9,
+        disturbance_rms=disturbance_rms,
     )
 
 

@@ -13,10 +13,11 @@ from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.lateral import damped_mode, describe_mode, design_lateral, raise_bandwidth
 from piezoid.design.plant import PlantFamily, Section
 from piezoid.design.rst import ringing_mode
-from piezoid.design.specification import Specification, default_specification
+from piezoid.design.specification import Specification
 from piezoid.errors import TemplateError
 from piezoid.export.export_stage import observer_values
 from piezoid.numerics.arrays import Array
+from tests.design.rig import default_limits
 from tests.design.test_runtime_agreement import LIMITS
 from tests.runtime.runtime_parameters import started
 
@@ -49,13 +50,7 @@ def family(spread: float = 0.1, mode_Hz: float = MODE_Hz, members: int = 9) -> P
 
 
 def default_of(plants: PlantFamily) -> Specification:
-    return default_specification(
-        plants,
-        voltage_min_V=-10.0,
-        voltage_max_V=10.0,
-        sensor_noise_rms=1e-9,
-        disturbance_rms=2e-8,
-    )
+    return default_limits(plants, disturbance_rms=2e-8)
 
 
 def design(plants: PlantFamily, specification: Specification) -> AxisDesign:

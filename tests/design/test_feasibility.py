@@ -18,13 +18,14 @@ from piezoid.design.junction_task import design_vertical
 from piezoid.design.lateral import design_lateral
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import Template, Violation
-from piezoid.design.specification import Specification, default_specification
+from piezoid.design.specification import Specification
 from piezoid.design.tuning import tune_observer
 from piezoid.errors import TemplateError
 from tests.design.placed import plant_from_fraction
 from tests.design.rig import (
     LATERAL_m_per_V,
     RATE_Hz,
+    default_limits,
     lateral_family,
     lateral_model,
     lateral_specification,
@@ -109,13 +110,7 @@ def test_identified_fractions_are_designed_with_their_defaults(B, A):
         for gain in (1.0, 0.9, 1.1)
     ]
     family = PlantFamily(members=tuple(members))
-    specification = default_specification(
-        family,
-        voltage_min_V=-10.0,
-        voltage_max_V=10.0,
-        sensor_noise_rms=1e-9,
-        disturbance_rms=1e-7,
-    )
+    specification = default_limits(family, disturbance_rms=1e-7)
     loop = design_lateral("x", {"inverse": family}, specification).recommended
     assert not unmet(loop.members, loop.R, loop.S, specification)
     assert loop.reference.error < 1e-3

@@ -9,7 +9,6 @@ from benchmarks.varied_chains import plant_from_chain
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.specification import (
     Specification,
-    default_specification,
     slowest_Hz,
     specifications_from_toml,
 )
@@ -17,6 +16,7 @@ from piezoid.errors import LabFileError
 from tests.design.rig import (
     LATERAL_m_per_V,
     RATE_Hz,
+    default_limits,
     lateral_chain,
     lateral_specification,
     vertical_chain,
@@ -35,13 +35,7 @@ def test_the_slowest_frequency_and_the_delay_are_the_chains():
 
 def default_for(plant: Plant | None = None) -> Specification:
     member = plant or plant_from_chain(lateral_chain(LATERAL_m_per_V))
-    return default_specification(
-        PlantFamily(members=(member,)),
-        voltage_min_V=-10.0,
-        voltage_max_V=10.0,
-        sensor_noise_rms=1e-9,
-        disturbance_rms=1e-7,
-    )
+    return default_limits(PlantFamily(members=(member,)), disturbance_rms=1e-7)
 
 
 def test_defaults_have_margins_and_at_most_ten_times_the_static_drive():

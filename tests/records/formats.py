@@ -5,7 +5,12 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import h5py
 import numpy as np
+import pyarrow as pa
+from nptdms import ChannelObject, TdmsWriter
+from pyarrow.parquet import write_table
+from scipy.io import savemat
 
 SAMPLES = 200
 RATE_Hz = 2000.0
@@ -47,15 +52,11 @@ def npz(path: Path) -> None:
 
 
 def mat5(path: Path) -> None:
-    from scipy.io import savemat
-
     inner = {"voltage_V": VOLTAGE_V, "displacement_um": DISPLACEMENT_um[:, None]}
     savemat(path, {"time_s": TIME_s, "stage": inner, "comment": "triangle"}, do_compression=True)
 
 
 def mat73(path: Path) -> None:
-    import h5py
-
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in columns_by_name().items():
             dataset = file.create_dataset(name, data=values[None, :])
@@ -70,8 +71,6 @@ def columns_by_name() -> dict[str, np.ndarray]:
 
 
 def hdf5(path: Path) -> None:
-    import h5py
-
     with h5py.File(path, "w") as file:
         group = file.create_group("run 1")
         for (name, values), unit in zip(columns_by_name().items(), ("s", "V", "um"), strict=True):
@@ -79,25 +78,15 @@ def hdf5(path: Path) -> None:
 
 
 def parquet(path: Path) -> None:
-    import pyarrow as pa
-    from pyarrow.parquet import write_table
-
     write_table(pa.table(dict(zip(NAMES, COLUMNS.T, strict=True))), path)
 
 
 def tdms(path: Path) -> None:
-    from nptdms import ChannelObject, TdmsWriter
-
     clock = {"wf_increment": 1 / RATE_Hz, "wf_start_offset": 0.0}
     with TdmsWriter(path) as writer:
-        writer.write_segment(
-            [
-                ChannelObject("x", "voltage", VOLTAGE_V, {**clock, "unit_string": "V"}),
-                ChannelObject(
-                    "stage", "position", DISPLACEMENT_um, {**clock, "unit_string": "um"}
-                ),
-            ]
-        )
+        drive = ChannelObject("x", "voltage", VOLTAGE_V, {**clock, "unit_string": "V"})
+        um = {**clock, "unit_string": "um"}
+        writer.write_segment([drive, ChannelObject("stage", "position", DISPLACEMENT_um, um)])
 
 
 def lvm(path: Path) -> None:

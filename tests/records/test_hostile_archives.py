@@ -9,7 +9,10 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow.parquet import write_table
+from scipy.io import savemat
 
 from piezoid.errors import UnreadableFileError
 from piezoid.records.chunked_reader import read_thinned
@@ -44,37 +47,26 @@ def _npz(path: Path) -> None:
 
 
 def _hdf5(path: Path) -> None:
-    import h5py
-
     with h5py.File(path, "w") as file:
         file.create_dataset("v", shape=(MANY,), dtype="i1", chunks=(1 << 16,), compression="gzip")
 
 
 def _unwritten_hdf5(path: Path) -> None:
-    import h5py
-
     with h5py.File(path, "w") as file:
         file.create_dataset("voltage", shape=(10**12,), dtype="f8", chunks=(1024,))
 
 
 def _parquet(path: Path) -> None:
-    import pyarrow as pa
-    from pyarrow.parquet import write_table
-
     write_table(pa.table({"voltage [V]": np.zeros(MANY)}), path)
 
 
 def _matlab(path: Path) -> None:
-    from scipy.io import savemat
-
     savemat(path, {"v": np.zeros(MANY, dtype=np.int8)}, do_compression=True)
 
 
 def _matlab_structure(path: Path) -> None:
-    from scipy.io import savemat
-
-    inner = {"a": {"v": np.zeros(MANY, dtype=np.int8)}}
-    savemat(path, {"stage": inner}, do_compression=True)
+    inner = {"v": np.zeros(MANY, dtype=np.int8)}
+    savemat(path, {"stage": {"a": inner}}, do_compression=True)
 
 
 BOMBS: dict[str, Callable[[Path], None]] = {
@@ -94,8 +86,7 @@ def test_an_archive_that_expands_too_much_is_refused(name, tmp_path):
     assert path.stat().st_size < FREE_SIZE // MAX_GROWTH
     assert "bytes once unpacked. Needed: at most" in refusal_of(path)
     if name.endswith((".h5", ".parquet")):
-        expected = pytest.raises(UnreadableFileError, match="bytes once unpacked")
-        with expected as refusal:
+        with pytest.raises(UnreadableFileError, match="bytes once unpacked") as refusal:
             read_thinned([path], LAB)
         assert "--stream" not in str(refusal.value)
 
@@ -108,8 +99,7 @@ def test_a_compressed_text_is_read_up_to_the_limit(tmp_path):
     (recording,) = read_thinned([path], LAB)
     assert recording.samples == rows
     path.write_bytes(gzip.compress(text + b"\n", 9))
-    expected = pytest.raises(UnreadableFileError, match=f"at most {FREE_SIZE} bytes")
-    with expected as refusal:
+    with pytest.raises(UnreadableFileError, match=f"at most {FREE_SIZE} bytes") as refusal:
         read_thinned([path], LAB)
     assert "--stream" not in str(refusal.value)
 
@@ -124,9 +114,6 @@ def compressible_table(size: int) -> tuple[bytes, int]:
 
 
 def test_texts_of_a_parquet_file_are_not_unpacked(tmp_path):
-    import pyarrow as pa
-    from pyarrow.parquet import write_table
-
     path = tmp_path / "run.parquet"
     rows = 3000
     texts = pa.DictionaryArray.from_arrays(np.zeros(rows, dtype=np.int32), ["x" * 1_000_000])
@@ -136,8 +123,6 @@ def test_texts_of_a_parquet_file_are_not_unpacked(tmp_path):
 
 
 def test_external_numbers_and_too_many_datasets_are_refused(tmp_path):
-    import h5py
-
     external = tmp_path / "other.bin"
     external.write_bytes(bytes(800))
     with h5py.File(tmp_path / "linked.h5", "w") as file:
@@ -148,8 +133,6 @@ def test_external_numbers_and_too_many_datasets_are_refused(tmp_path):
         layout[:] = h5py.VirtualSource("linked.h5", "v", shape=(100,))
         file.create_virtual_dataset("v", layout)
     assert "the numbers of v lie in other files" in refusal_of(tmp_path / "virtual.h5")
-    import h5py
-
     with h5py.File(tmp_path / "many.h5", "w") as file:
         for k in range(MAX_COLUMNS + 1):
             file[f"v{k}"] = 1.0
@@ -171,9 +154,7 @@ def with_ring(path: Path, base: int) -> Path:
     """Make the first node of the first tree of a file its own neighbour."""
     content = bytearray(path.read_bytes())
     offset = content.index(b"TREE", base)
-    content[offset + RIGHT_OFFSET : offset + RIGHT_OFFSET + 8] = (offset - base).to_bytes(
-        8, "little"
-    )
+    struct.pack_into("<Q", content, offset + RIGHT_OFFSET, offset - base)
     path.write_bytes(content)
     return path
 
@@ -202,11 +183,8 @@ def file_of_nodes(*nodes: bytes, version: int = 0, width: int = 8) -> io.BytesIO
 def test_only_a_cycle_of_nodes_is_refused(version, width):
     size = 8 + 2 * width
     no_address = 2 ** (8 * width) - 1  # the address of no node
-    nodes = [
-        tree_node(40 + size, width),
-        tree_node(40 + 2 * size, width),
-        tree_node(no_address, width),
-    ]
+    right = (40 + size, 40 + 2 * size, no_address)
+    nodes = [tree_node(address, width) for address in right]
     check_trees(file_of_nodes(*nodes, version=version, width=width))
     nodes[2] = tree_node(40 + size, width)
     with pytest.raises(ValueError, match=f"at byte {40 + size} leads"):

@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -125,11 +126,11 @@ def test_declared_sizes_beyond_the_file_are_refused(tmp_path):
     path.write_bytes(buffer.getvalue().replace(true_size.to_bytes(4, "little"), declared))
     with pytest.raises(UnreadableFileError, match="at most"):
         read_table(path)
-    buffer = io.BytesIO()
     header = {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3)}
-    np.lib.format.write_array_header_1_0(buffer, header)
     path = tmp_path / "large.npy"
-    path.write_bytes(buffer.getvalue() + b"\x00" * 240)
+    with path.open("wb") as stream:
+        np.lib.format.write_array_header_1_0(stream, header)
+        stream.write(bytes(240))
     with pytest.raises(UnreadableFileError, match="24000000000000 bytes"):
         read_table(path)
 
@@ -193,8 +194,6 @@ def test_hostile_tables_are_answered_at_once(content, message, tmp_path):
 
 
 def test_deeply_nested_groups_are_refused(tmp_path):
-    import h5py
-
     with h5py.File(tmp_path / "deep.h5", "w") as file:
         group = file
         for _ in range(200):

@@ -155,13 +155,11 @@ def test_entries_select_time_ranges_and_may_not_contradict_the_clock(tmp_path):
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
     with pytest.raises(LabFileError, match="1000 Hz"):
         collect([path], lab_with(sampling_rate_Hz=20000))[0]
-    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
     recording = collect([path], lab_with(start_s=0.1, stop_s=0.2))[0]
     assert recording.samples == 101
     np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V[100:201], rtol=1e-8)
     with pytest.raises(LabFileError, match="start_s"):
         collect([path], lab_with(start_s=9.0))[0]
-    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
     entries = (
         RecordingEntry(file="run.csv", stop_s=0.1),
         RecordingEntry(file="run.csv", start_s=0.2),

@@ -95,7 +95,6 @@ def test_segments_of_several_rates_keep_their_clock_and_seconds_of_the_file(tmp_
     time_s = np.genfromtxt(path, delimiter=",", skip_header=1)[:, 0]
     # The sum of the steps is the duration, except for the step between the two segments.
     assert slow.duration_s + fast.duration_s == pytest.approx(np.ptp(time_s), abs=1 / 256)
-    path = write_messy("two_rates.csv", tmp_path)
     lab = lab_for(path.name, tmp_path, "start_s = 8.5\nstop_s = 8.75\n")
     fast = collect([path], lab)[0]
     assert fast.sampling_rate_Hz == 2048

@@ -109,7 +109,6 @@ def test_preamble_lines_are_metadata_and_readings_out_of_range_nan(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("Operator: Ada\n# gain = 15\ntime [s],U [V]\n0,1\n1,2\n")
     assert dict(read_table(path).metadata) == {"Operator": "Ada", "gain": "15"}
-    path = tmp_path / "run.csv"
     path.write_text("time [s],U [V]\n0,1\n1,9.9E37\n2,1e308\n3,inf\n4,5\n")
     assert np.isnan(read_table(path).si("U")).tolist() == [False, True, True, True, False]
 

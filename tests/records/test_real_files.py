@@ -96,7 +96,6 @@ def test_the_flexure_is_read_with_columns_and_rate_of_lab_toml(realdata):
     assert np.median(recording.displacement_m()) == pytest.approx(-96e-6, rel=0.05)
     dead = [p.place for p in recording.statements if p.quantity == "dead"]
     assert dead == [f"column {k}" for k in (2, 3, 4, 6, 7)]
-    path = realdata / "flexure" / "Model_Vi_Do.dat"
     (inspection,) = inspect_files([path], Lab(recordings=(FLEXURE,)))
     assert inspection.reversals == 80
     assert inspection.levels_V == pytest.approx((0.0, 3.6), abs=0.01)

@@ -10,15 +10,17 @@ from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.extensions.linear_mode import LinearMode
-from piezoid.identification.model import Lag
+from piezoid.identification.model import AxisModel, Lag
 from piezoid.records.recording import Channel, Quantity, Recording
-from piezoid_reports.effect_comparison import compare_effects
+from piezoid_reports.effect_comparison import EffectSimulation, compare_effects
 from piezoid_reports.page import Page, rms, traces_of
 from piezoid_reports.render import render, render_diagnosis
 from piezoid_reports.sections.findings import NO_FIGURE
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_diagnosis import NAMES, diagnosed, finding
 from tests.reports.known_stage import axis_model, recording, stage_model
+
+KNOWN_AXIS = axis_model()
 
 
 def recording_with(added_m: np.ndarray) -> Recording:
@@ -32,6 +34,17 @@ def recording_with(added_m: np.ndarray) -> Recording:
     other_drive_V = 5.0 + 4.0 * np.sin(np.arange(original.samples) / 40.0)
     channels.append(Channel(quantity=Quantity.VOLTAGE, axis="y", values=other_drive_V, label="v"))
     return replace(original, channels=tuple(channels))
+
+
+def page_of(*findings: object, axis: AxisModel = KNOWN_AXIS) -> Anatomy:
+    diagnosis = diagnosed(*findings)
+    return Anatomy(render_diagnosis(stage_model(axis), [recording()], diagnosis))
+
+
+def compared(effect: str, recording: Recording, axis: AxisModel = KNOWN_AXIS) -> EffectSimulation:
+    comparisons = compare_effects(axis, traces_of(axis, [recording]), diagnosed(finding(effect)))
+    (comparison,) = comparisons[effect]
+    return comparison
 
 
 def test_every_effect_is_listed_with_size_and_meaning():
@@ -53,11 +66,7 @@ def test_the_comparison_of_hum_shows_the_residual_with_and_without():
     original = recording()
     time_s = np.arange(original.samples) / original.sampling_rate_Hz
     with_hum = recording_with(6e-8 * np.sin(2 * np.pi * 50.0 * time_s))
-    axis = axis_model()
-    diagnosis = diagnosed(finding("mains_interference"))
-    (comparison,) = compare_effects(axis, traces_of(axis, [with_hum]), diagnosis)[
-        "mains_interference"
-    ]
+    comparison = compared("mains_interference", with_hum)
     assert rms(comparison.without_m) > 3e-8
     assert rms(comparison.with_m) < 0.3 * rms(comparison.without_m)
 
@@ -65,18 +74,14 @@ def test_the_comparison_of_hum_shows_the_residual_with_and_without():
 def test_an_invisible_mode_has_a_sentence_instead_of_a_figure():
     mode = LinearMode(frequency_Hz=1e6, quality=10.0, participation=0.5)
     axis = replace(axis_model(), extensions=(mode,))
-    diagnosis = diagnosed(finding("resonance"))
-    page = Anatomy(render_diagnosis(stage_model(axis), [recording()], diagnosis))
+    page = page_of(finding("resonance"), axis=axis)
     assert NO_FIGURE in [e.text for e in page.all("p", "prose")]
     assert not any("residual against frequency" in e.text for e in page.all("figcaption"))
 
 
 def test_a_modelled_lag_is_removed_for_its_comparison():
     axis = replace(axis_model(), lag=Lag(kind="first_order", time_s=4e-3))
-    diagnosis = diagnosed(finding("lag"))
-    (comparison,) = compare_effects(
-        axis, traces_of(axis, [recording_with(np.zeros(1))]), diagnosis
-    )["lag"]
+    comparison = compared("lag", recording_with(np.zeros(1)), axis)
     effect_m = comparison.without_m - comparison.with_m
     assert rms(effect_m) > 1e-8
     correlation = np.corrcoef(effect_m, comparison.lookalike_m)[0, 1]
@@ -137,18 +142,13 @@ def test_creep_is_drawn_over_the_time_since_the_drive_stopped():
 
 
 def test_an_initial_state_is_compared_with_a_cycled_drive():
-    axis = axis_model()
-    diagnosis = diagnosed(finding("initial_state"))
-    (comparison,) = compare_effects(axis, traces_of(axis, [recording()]), diagnosis)[
-        "initial_state"
-    ]
-    assert rms(comparison.with_m) < 2.0 * axis.quality.noise_rms_m
+    comparison = compared("initial_state", recording())
+    assert rms(comparison.with_m) < 2.0 * axis_model().quality.noise_rms_m
     assert rms(comparison.without_m) > 10.0 * rms(comparison.with_m)
 
 
 def test_creep_without_a_hold_is_drawn_over_time():
-    diagnosis = diagnosed(finding("creep"))
-    page = Anatomy(render_diagnosis(stage_model(axis_model()), [recording()], diagnosis))
+    page = page_of(finding("creep"))
     (figure,) = page.all("figure", "chart")
     assert "residual against time" in figure.text
     assert effect_named("creep").shows.label in figure.text

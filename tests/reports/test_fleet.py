@@ -17,7 +17,7 @@ from piezoid_reports.fleet.records import (
     stage_from_json,
 )
 from piezoid_reports.fleet.sections import render_fleet
-from piezoid_reports.fleet.statistics import FALSE_ALARMS, compare_stages
+from piezoid_reports.fleet.statistics import FALSE_ALARMS, Distribution, compare_stages
 from tests.reports.anatomy import Anatomy
 
 MIDDLE = {"sensitivity_m_per_V": 3.3e-6, "noise_rms_m": 1e-8, "held_out_rms_percent": 0.1}
@@ -48,12 +48,22 @@ def fleet(count: int, seed: int = 1, **changes: float) -> Fleet:
     return Fleet(name="night", stages=tuple(stages))
 
 
+def comparison_of(fleet: Fleet, name: str) -> Distribution:
+    (comparison,) = (c for c in compare_stages(fleet) if c.quantity.name == name)
+    return comparison
+
+
+def outliers_in(fleet: Fleet, name: str) -> list[str]:
+    comparison = comparison_of(fleet, name)
+    return [comparison.stages[k] for k in comparison.outliers]
+
+
+def number_of_outliers(fleet: Fleet) -> int:
+    return sum(len(comparison.outliers) for comparison in compare_stages(fleet))
+
+
 def test_a_noisy_stage_is_named_with_its_value():
-    comparisons = compare_stages(fleet(40, noise_rms_m=4e-8))
-    comparison_of_noise = next(
-        comparison for comparison in comparisons if comparison.quantity.name == "noise_rms_m"
-    )
-    assert [comparison_of_noise.stages[k] for k in comparison_of_noise.outliers] == ["unit 020"]
+    assert outliers_in(fleet(40, noise_rms_m=4e-8), "noise_rms_m") == ["unit 020"]
     rows = Anatomy(render_fleet(fleet(40, noise_rms_m=4e-8))).all("tr")
     top_row = next(row.text for row in rows if "sigma" in row.text)
     assert "unit 020" in top_row
@@ -62,10 +72,7 @@ def test_a_noisy_stage_is_named_with_its_value():
 
 @pytest.mark.parametrize("count", [6, 40])
 def test_a_healthy_fleet_has_at_most_the_stated_false_alarms(count):
-    counts = [
-        sum(len(comparison.outliers) for comparison in compare_stages(fleet(count, seed)))
-        for seed in range(60)
-    ]
+    counts = [number_of_outliers(fleet(count, seed)) for seed in range(60)]
     assert np.mean(counts) < FALSE_ALARMS * 1.2
 
 
@@ -77,8 +84,7 @@ def test_a_heavy_tail_has_at_most_the_stated_false_alarms():
             stage(k, rng, error_bound_m=float(2e-6 * np.exp(0.6 * rng.standard_normal())))
             for k in range(40)
         ]
-        comparisons = compare_stages(Fleet(name="night", stages=tuple(stages)))
-        outliers += sum(len(comparison.outliers) for comparison in comparisons)
+        outliers += number_of_outliers(Fleet(name="night", stages=tuple(stages)))
     assert outliers / 60 < FALSE_ALARMS * 1.2
 
 
@@ -94,18 +100,11 @@ def lags(seed: int, true_s: Mapping[int, float] | None = None) -> Fleet:
     return Fleet(name="night", stages=tuple(stages))
 
 
-def outliers_in_lag(fleet: Fleet) -> list[str]:
-    (lag_comparison,) = (
-        comparison for comparison in compare_stages(fleet) if comparison.quantity.name == "lag_s"
-    )
-    return [lag_comparison.stages[k] for k in lag_comparison.outliers]
-
-
 def test_only_a_well_known_deviating_lag_is_an_outlier():
-    counts = [len(outliers_in_lag(lags(seed))) for seed in range(60)]
+    counts = [len(outliers_in(lags(seed), "lag_s")) for seed in range(60)]
     assert np.mean(counts) < FALSE_ALARMS
     # A deviation of 40 us is significant with an error of 4 us, but not with 150 us.
-    outliers = [outliers_in_lag(lags(seed, {20: 9e-5, 24: 9e-5})) for seed in range(20)]
+    outliers = [outliers_in(lags(seed, {20: 9e-5, 24: 9e-5}), "lag_s") for seed in range(20)]
     assert sum("unit 020" in names for names in outliers) >= 18
     assert sum("unit 024" in names for names in outliers) <= 1
 
@@ -116,11 +115,7 @@ def test_a_drift_over_serial_numbers_is_a_trend_without_outliers():
         stage(k, rng, sensitivity_m_per_V=3.3e-6 * (1 - 2e-3 * k) * (1 + 1e-3 * rng.normal()))
         for k in range(60)
     )
-    (sensitivity,) = (
-        comparison
-        for comparison in compare_stages(Fleet(name="night", stages=stages))
-        if comparison.quantity.name == "sensitivity_m_per_V"
-    )
+    sensitivity = comparison_of(Fleet(name="night", stages=stages), "sensitivity_m_per_V")
     assert sensitivity.drifts
     assert sensitivity.trend is not None
     assert sensitivity.trend.slope == pytest.approx(-2e-3 * 3.3e-6, rel=0.05)

@@ -67,7 +67,7 @@ def folder(designed, tmp_path):
 def exported_once(designed, tmp_path_factory):
     folder = tmp_path_factory.mktemp("exported")
     write_stage(folder, fitted(), designed)
-    assert run_verb("export", folder).exit_code == 0
+    succeed("export", folder)
     return folder
 
 
@@ -80,13 +80,29 @@ def run_verb(*arguments):
     return CliRunner().invoke(APP, [str(argument) for argument in arguments])
 
 
+def succeed(*arguments):
+    result = run_verb(*arguments)
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def refusal(*arguments):
+    error = run_verb(*arguments).exception
+    assert isinstance(error, ParameterFileError)
+    return str(error)
+
+
+def names_in(folder):
+    return {path.name for path in folder.iterdir()}
+
+
 def test_verbs_leave_objects_of_all_kinds_in_the_folder_as_they_are(folder, tmp_path):
     names = [f"{sub}/{kind}" for sub in ("", "bundle", "refused", "mine") for kind in KINDS]
     for name in names:
         plant(kind=name.split("/")[1], path=folder / f"./{name}", beyond=tmp_path / "beyond")
     original = [look(folder / f"./{name}") for name in (*names, "beyond")]
     for verb in ("export", "export", "verify"):
-        assert run_verb(verb, folder).exit_code == 0
+        succeed(verb, folder)
         assert [look(folder / f"./{name}") for name in (*names, "beyond")] == original
     (folder / "bundle/golden.csv").write_text("my notes")
     assert run_verb("export", folder).exception.exit_status == 2
@@ -94,20 +110,16 @@ def test_verbs_leave_objects_of_all_kinds_in_the_folder_as_they_are(folder, tmp_
 
 
 def test_targets_are_written_and_removed_by_the_next_export_without_them(folder):
-    result = run_verb("export", folder, "--target", "library", "--target", "fmu", "--json")
-    assert result.exit_code == 0, result.output
+    result = succeed("export", folder, "--target", "library", "--target", "fmu", "--json")
     listing = json.loads(result.stdout)
     assert listing["schema"] == "piezoid.exported/1"
     assert (listing["unshipped"], set(listing["methods"])) == ({}, {"x"})
     assert {"params.json", "bundle/piezo_params.h", "library/example.py"} <= set(listing["files"])
     assert all((folder / name).is_file() for name in listing["files"])
-    assert {path.name for path in (folder / "fmu").iterdir()} == {
-        "x_controller_fmi2.fmu",
-        "x_plant_fmi2.fmu",
-    }
+    assert names_in(folder / "fmu") == {"x_controller_fmi2.fmu", "x_plant_fmi2.fmu"}
     header = (folder / "bundle" / "piezo_params.h").read_bytes()
     assert (folder / "library" / "piezo_params.h").read_bytes() == header
-    assert run_verb("export", folder).exit_code == 0
+    succeed("export", folder)
     assert not (folder / "fmu").exists()
     assert not (folder / "library").exists()
 
@@ -115,21 +127,12 @@ def test_targets_are_written_and_removed_by_the_next_export_without_them(folder)
 def test_targets_of_boxes_are_written_with_their_expected_error(folder):
     (folder / "box.toml").write_text("[pid]\nnotches = 0\n[waveform]\nrange_V = [0, 10]\n")
     targets = ("--target", "pid", "--target", "waveform")
-    result = run_verb("export", folder, *targets, "--box", folder / "box.toml")
-    assert result.exit_code == 0, result.output
+    result = succeed("export", folder, *targets, "--box", folder / "box.toml")
     output = " ".join(result.output.split())
     assert "and no notch, a spiral of 10 Hz errs by" in output
     assert "axis x: the expected error of the waveform is" in output
-    assert {path.name for path in (folder / "pid").iterdir()} == {
-        "README.md",
-        "sections.csv",
-        "settings.csv",
-    }
-    assert {path.name for path in (folder / "waveform").iterdir()} == {
-        "README.md",
-        "x.csv",
-        "x_int16.bin",
-    }
+    assert names_in(folder / "pid") == {"README.md", "sections.csv", "settings.csv"}
+    assert names_in(folder / "waveform") == {"README.md", "x.csv", "x_int16.bin"}
 
 
 def test_no_target_is_written_without_a_shipped_controller(folder):
@@ -150,11 +153,9 @@ def test_an_unknown_target_is_refused_before_anything_is_written(folder):
 
 
 def test_a_designed_folder_is_exported_and_verified(folder):
-    assert run_verb("export", folder).exit_code == 0
-    names = {path.name for path in (folder / "bundle").iterdir()}
-    assert {"piezo_params.h", "piezoid_runtime.c", "golden.csv"} <= names
-    result = run_verb("verify", folder, "--rebuild")
-    assert result.exit_code == 0, result.output
+    succeed("export", folder)
+    assert {"piezo_params.h", "piezoid_runtime.c", "golden.csv"} <= names_in(folder / "bundle")
+    succeed("verify", folder, "--rebuild")
     record = verification_from_json((folder / "verification.json").read_bytes())
     assert record.passed
     file = from_json((folder / "params.json").read_bytes(), "params.json")
@@ -184,21 +185,17 @@ def test_a_guard_changed_after_the_export_is_refused(folder, with_tip):
     """Without the guard the tip would retract only after contact with the surface."""
     write_stage(folder, *with_tip[:2])
     (folder / "lab.toml").write_text(GUARDED)
-    assert run_verb("export", folder).exit_code == 0
+    succeed("export", folder)
     shipped = from_json((folder / "params.json").read_bytes(), "params.json")
     assert shipped.sources["lab"] == read_lab(folder / "lab.toml").digest
     (folder / "lab.toml").write_text(GUARDED.replace("9e-9", "8e-9"))
-    result = run_verb("verify", folder)
-    assert isinstance(result.exception, ParameterFileError)
-    assert "other guards than params.json was exported with" in str(result.exception)
-    assert run_verb("export", folder).exit_code == 0
+    assert "other guards than params.json was exported with" in refusal("verify", folder)
+    succeed("export", folder)
     renewed = from_json((folder / "params.json").read_bytes(), "params.json")
     assert renewed.sources["lab"] == read_lab(folder / "lab.toml").digest
     assert float(renewed.axis("z").values["current_ceiling_A"]) == 8e-9
     (folder / "lab.toml").write_text(GUARDED.replace("[-10, 10]", "[-5, 5]"))
-    result = run_verb("export", folder)
-    assert isinstance(result.exception, ParameterFileError)
-    assert "piezoid design" in str(result.exception)
+    assert "piezoid design" in refusal("export", folder)
 
 
 @pytest.fixture(scope="module")
@@ -222,11 +219,10 @@ def test_a_lateral_axis_and_a_tip_are_exported_and_verified(folder, with_tip):
     assert "axis z does not ship" in result.output
     assert json.loads((folder / "params.json").read_bytes())["axes"][0]["axis"] == "x"
     assert b"Axis z is not included" in (folder / "bundle" / "README.md").read_bytes()
-    assert run_verb("verify", folder).exit_code == 0
+    succeed("verify", folder)
     (folder / "lab.toml").write_text(GUARDED)
-    assert run_verb("export", folder).exit_code == 0
-    result = run_verb("verify", folder)
-    assert result.exit_code == 0, result.output
+    succeed("export", folder)
+    succeed("verify", folder)
     record = verification_from_json((folder / "verification.json").read_bytes())
     assert record.methods == {"x": "mpi_dob", "z": "rst"}
     current = {row.scenario: row for row in record.currents}["spiral, 10 Hz"]
@@ -259,15 +255,12 @@ def test_a_refitted_model_is_refused(exported):
     refitted = replace(fitted(), stage="another")
     (exported / "model.json").write_bytes(write_model(refitted))
     for verb in ("export", "verify"):
-        result = run_verb(verb, exported)
-        assert isinstance(result.exception, ParameterFileError)
-        assert "was made from the model" in str(result.exception)
+        assert "was made from the model" in refusal(verb, exported)
 
 
 def test_largest_errors_are_bounded_on_request(exported):
-    result = run_verb("verify", exported, "--bounds")
-    assert result.exit_code == 0, result.output
-    assert "with 95 % probability" in " ".join(result.output.split())
+    output = succeed("verify", exported, "--bounds").output
+    assert "with 95 % probability" in " ".join(output.split())
     verification = verification_from_json((exported / "verification.json").read_bytes())
     for row in verification.bounds:
         assert row.simulated_m < row.probable_m <= row.worst_found_m < row.bound_m
@@ -278,16 +271,13 @@ def test_another_design_than_the_exported_design_is_refused(exported, designed):
     redesigned = replace(designed, remarks=("made again",))
     (exported / "design.json").write_bytes(redesigned.to_json())
     for flags in ((), ("--bounds",)):
-        result = run_verb("verify", exported, *flags)
-        assert isinstance(result.exception, ParameterFileError)
-        assert "not the design" in str(result.exception)
+        assert "not the design" in refusal("verify", exported, *flags)
 
 
 def test_a_verdict_counts_only_for_the_bundle_it_was_computed_from(exported, designed):
 
     def reported():
-        result = run_verb("report", exported, "--force")
-        assert result.exit_code == 0, result.output
+        result = succeed("report", exported, "--force")
         page = (exported / "report.html").read_text()
         return "not verified" not in page, " ".join(result.output.split())
 
@@ -304,7 +294,7 @@ def test_a_verdict_counts_only_for_the_bundle_it_was_computed_from(exported, des
     assert "piezoid_runtime.c" in result.output
     assert b'"passed": false' in (exported / "verification.json").read_bytes()
     runtime.write_bytes(original)
-    assert run_verb("verify", exported).exit_code == 0
+    succeed("verify", exported)
     assert reported()[0]
     (exported / "lab.toml").write_text("[acquisition]\ninput_range_V = [-1, 1]\n")
     is_verified, output = reported()

@@ -34,30 +34,22 @@ def test_a_guarded_tip_passes_every_trial():
     assert all((name, LATCHED) in results for name in latching)
 
 
-def test_a_fast_approach_runs_into_the_surface():
-    """The step is 2.16 nm per sample, that of a controller that checks only the floor."""
-    results = verdicts("approach from 200 nm", approach_step_V=0.12)
-    assert results["approach from 200 nm", CLOSER].value > 1e-9
-
-
-def test_an_unlimited_search_follows_a_dead_amplifier_to_the_drive_limit():
-    dead = verdicts("amplifier dead", search_voltage_V=0.0)["amplifier dead", CLOSER]
-    assert dead.value > 1e-8
-    assert not dead.passed
-
-
-def test_retracts_that_never_latch_fail():
-    assert not verdicts("bias reversed", trip_limit=0)["bias reversed", LATCHED].passed
-
-
-def test_an_unwatched_frozen_reading_fails():
-    results = verdicts("reading frozen for good", stuck_samples=0)
-    assert not results["reading frozen for good", CLOSER].passed
-
-
-def test_a_full_retract_recovers_too_late():
-    results = verdicts("reading NaN for 1.25 ms", retract_step_V=0.0)
-    assert not results["reading NaN for 1.25 ms", RECOVERY].passed
+@pytest.mark.parametrize(
+    ("trial", "missing", "name", "above"),
+    [
+        # The step is 2.16 nm per sample, that of a controller that checks only the floor.
+        ("approach from 200 nm", {"approach_step_V": 0.12}, CLOSER, 1e-9),
+        # Without this limit the search follows the amplifier to the drive limit.
+        ("amplifier dead", {"search_voltage_V": 0.0}, CLOSER, 1e-8),
+        ("bias reversed", {"trip_limit": 0}, LATCHED, 0.0),
+        ("reading frozen for good", {"stuck_samples": 0}, CLOSER, 0.0),
+        ("reading NaN for 1.25 ms", {"retract_step_V": 0.0}, RECOVERY, 0.0),
+    ],
+)
+def test_a_missing_guard_fails_a_trial(trial, missing, name, above):
+    verdict = verdicts(trial, **missing)[trial, name]
+    assert not verdict.passed
+    assert verdict.value > above
 
 
 def test_a_wider_search_brings_the_tip_back_over_a_larger_step():

@@ -23,6 +23,16 @@ NAMES = {scenario.name for scenario in SCENARIOS}
 FAST_SPIRALS = tuple(s for s in SCENARIOS if s.name in ("spiral, 20 Hz", "spiral, 100 Hz"))
 
 
+def changed(*axes, **values):
+    """Return the stage of these axes with other values."""
+    new_axes = tuple(axis.with_values(values) for axis in stage(*axes).axes)
+    return ParameterFile(name="changed", axes=new_axes)
+
+
+def failed_names(result):
+    return {verdict.name for verdict in result.verdicts if not verdict.passed}
+
+
 @pytest.fixture(scope="module")
 def verification():
     variations = [[with_gain(p, g, f"gain x{g}") for p in PLANTS[:2]] for g in (0.9, 1.1)]
@@ -62,8 +72,9 @@ def test_with_a_good_model_the_combination_is_never_worse_than_the_observer_alon
 
 def at_20_Hz(response):
     """Return the errors of every method at 20 Hz for a plant with this response."""
-    file = ParameterFile(name="one axis", axes=(stage().axis("x"),))
-    result = verify(file, [lateral(response=response)], scenarios=FAST_SPIRALS[:1], trials=())
+    result = verify(
+        stage("x"), [lateral(response=response)], scenarios=FAST_SPIRALS[:1], trials=()
+    )
     return {row.method: row for row in result.comparison}
 
 
@@ -88,9 +99,8 @@ def test_the_figures_predict_stages_with_any_drive_history(rng):
 
 def test_the_approach_to_the_path_is_not_in_the_comparison():
     """The comparison excludes the jump of 10 um from rest to the path."""
-    file = ParameterFile(name="one axis", axes=(stage().axis("x"),))
     plant = lateral(rest_voltage_V=3.0)
-    row = verify(file, [plant], scenarios=FAST_SPIRALS[:1], trials=()).comparison[0]
+    row = verify(stage("x"), [plant], scenarios=FAST_SPIRALS[:1], trials=()).comparison[0]
     assert row.method == "mpi_dob"
     assert row.max_m < 10.0 * row.rms_m
 
@@ -165,8 +175,7 @@ def test_the_shipped_method_decides_the_verdict():
     )
     scenarios = [s for s in SCENARIOS if s.name == "spiral, 10 Hz"]
     result = verify(ParameterFile(name="bare", axes=axes), PLANTS[:2], scenarios=scenarios)
-    failed = {v.name for v in result.verdicts if not v.passed}
-    assert "shape error of the controller" in failed
+    assert "shape error of the controller" in failed_names(result)
     assert not result.passed
 
 
@@ -175,11 +184,9 @@ def largest_distance_m(result):
 
 
 def test_a_runtime_that_does_not_watch_its_sensor_fails_the_frozen_sensor():
-    axes = tuple(a.with_values({"stuck_samples": 0}) for a in stage("x", "y").axes)
     frozen = [s for s in SCENARIOS if s.fault == 1.0]
-    blind = verify(ParameterFile(name="blind", axes=axes), PLANTS[:2], scenarios=frozen)
-    failed = {v.name for v in blind.verdicts if not v.passed}
-    assert "faults not reported by the status" in failed
+    blind = verify(changed("x", "y", stuck_samples=0), PLANTS[:2], scenarios=frozen)
+    assert "faults not reported by the status" in failed_names(blind)
     watching = verify(stage("x", "y"), PLANTS[:2], scenarios=frozen)
     assert largest_distance_m(blind) > 2 * largest_distance_m(watching) > 0
 
@@ -209,14 +216,10 @@ def test_a_saturated_drive_fails():
 
 
 def test_a_tip_that_retracts_fails():
-    file = stage("z")
-    guarded = ParameterFile(
-        name="tip", axes=(file.axes[0].with_values({"current_ceiling_A": 1.002e-9}),)
-    )
+    guarded = changed("z", current_ceiling_A=1.002e-9)
     scenarios = [s for s in SCENARIOS if s.name == "spiral, 10 Hz"]
     result = verify(guarded, [junction()], scenarios=scenarios)
-    failed = {v.name for v in result.verdicts if not v.passed}
-    assert "samples with the tip retracted" in failed
+    assert "samples with the tip retracted" in failed_names(result)
     assert result.comparison == ()
 
 
@@ -232,11 +235,9 @@ def test_differing_builds_fail_and_an_axis_without_a_plant_is_refused():
 @pytest.mark.parametrize("fault", ["lost", "frozen"])
 def test_a_loop_without_sensor_must_hold_its_output(fault):
     scenario = next(s for s in SCENARIOS if s.name == f"spiral, 10 Hz, sensor {fault} for good")
-    limited, unlimited = (
-        ParameterFile(name="x", axes=(stage("x").axes[0].with_values({"blind_samples": n}),))
-        for n in (2000, 0)
+    passing, failing = (
+        verify(changed("x", blind_samples=n), PLANTS[:1], scenarios=(scenario,)) for n in (2000, 0)
     )
-    passing, failing = (verify(f, PLANTS[:1], scenarios=(scenario,)) for f in (limited, unlimited))
     name = "time without sensor until the output is held"
     by_name = {v.name: v for v in passing.verdicts}
     assert passing.passed

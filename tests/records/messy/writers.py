@@ -12,6 +12,9 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import openpyxl
+import pandas as pd
+from scipy.io import savemat
 
 from tests.records.microscopes import write_ibw, write_jpk
 
@@ -25,6 +28,7 @@ POSITION_um = np.round(9 + 8 * np.sin(2 * np.pi * 5 * TIME_s - 0.2) + _noise, 4)
 NAMES = ("time [s]", "voltage [V]", "position [um]")
 AFTERNOON = datetime(2026, 3, 1, 14, 5, 3, 250000)
 FULL_HOUR = datetime(2026, 3, 1, 14, 59, 59, 800000)
+LATE = datetime(2026, 3, 1, 23, 59, 59, 800000)
 LONG = 4096  # samples of the files whose rate changes
 
 Write = Callable[[Path], None]
@@ -110,15 +114,16 @@ def stamped(stamps: Sequence[str], separator: str = ",", heading: str = "time") 
     return text([above, *(separator.join(pair) for pair in zip(stamps, rows, strict=True))])
 
 
+def instants(start: datetime) -> list[datetime]:
+    return [start + timedelta(seconds=float(t)) for t in TIME_s]
+
+
 def across_midnight() -> list[str]:
-    start = datetime(2026, 3, 1, 23, 59, 59, 800000)
-    instants = [start + timedelta(seconds=float(t)) for t in TIME_s]
-    return [f"{t:%d/%m/%Y %H:%M:%S}.{t.microsecond // 1000:03d}" for t in instants]
+    return [f"{t:%d/%m/%Y %H:%M:%S}.{t.microsecond // 1000:03d}" for t in instants(LATE)]
 
 
 def iso() -> list[str]:
-    start = datetime(2026, 3, 1, 23, 59, 59, 800000)
-    return [(start + timedelta(seconds=float(t))).isoformat() for t in TIME_s]
+    return [instant.isoformat() for instant in instants(LATE)]
 
 
 def two_rates(path: Path) -> None:
@@ -141,10 +146,8 @@ def closed_loop_file(path: Path) -> None:
 
 
 def across_noon() -> list[str]:
-    instants = [
-        datetime(2026, 5, 4, 11, 59, 59, 800000) + timedelta(seconds=float(t)) for t in TIME_s
-    ]
-    return [f"{t:%m/%d/%Y %I:%M:%S.%f %p}" for t in instants]
+    start = datetime(2026, 5, 4, 11, 59, 59, 800000)
+    return [f"{t:%m/%d/%Y %I:%M:%S.%f %p}" for t in instants(start)]
 
 
 def dated_array(path: Path) -> None:
@@ -156,8 +159,6 @@ def dated_array(path: Path) -> None:
 
 
 def dated_parquet(path: Path) -> None:
-    import pandas as pd
-
     index = pd.to_datetime("2026-01-02") + pd.to_timedelta(TIME_s, unit="s")
     frame = pd.DataFrame(dict(zip(NAMES[1:], columns()[:, 1:].T, strict=True)), index=index)
     frame.rename_axis("time").to_parquet(path)
@@ -165,8 +166,6 @@ def dated_parquet(path: Path) -> None:
 
 def excel(cells: Callable[[object], None]) -> Write:
     def write(path: Path) -> None:
-        import openpyxl
-
         book = openpyxl.Workbook()
         cells(book)
         book.save(path)
@@ -236,8 +235,6 @@ def zipped_csv(path: Path) -> None:
 
 def matlab(**variables: object) -> Write:
     def write(path: Path) -> None:
-        from scipy.io import savemat
-
         savemat(path, variables)
 
     return write
@@ -249,8 +246,6 @@ def _element(kind: int, data: bytes) -> bytes:
 
 def matlab_table(path: Path) -> None:
     """Write a timetable as MATLAB 5 does, as an opaque variable."""
-    from scipy.io import savemat
-
     note, reference = io.BytesIO(), io.BytesIO()
     savemat(note, {"note": "made by hand"})
     savemat(reference, {"x": np.array([[0xDD000000, 2, 1, 1, 1, 1]], dtype=np.uint32)})
