@@ -1,4 +1,4 @@
-"""A coupled stage by hand: two axes, two modes, every number known."""
+"""A constructed coupled stage of two axes and two modes."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from piezoid.identification.coupled.coupled_stage import CoupledStage
 
 STATIC_M_PER_V = 3.5e-6 * np.array([[1.0, 0.12], [-0.08, 1.0]])
 MODE_HZ, DAMPING = np.array([630.0, 720.0]), np.array([0.05, 0.05])
-TURN = 0.3  # of the modes against the axes: what of the coupling is dynamic
+TURN = 0.3  # of the modes against the axes, which makes part of the coupling dynamic
 
 
 def coupled_axes() -> CoupledStage:

@@ -1,4 +1,4 @@
-"""Hysteresis laws that are not ours, and recordings of them as strangers make them."""
+"""Hysteresis laws outside the model class, and recordings of them."""
 
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -22,33 +22,33 @@ def _of_the_laboratory(number: int) -> Law:
 
 
 def _dahl(field: Array) -> Array:
-    """Friction that saturates: dz = du (1 - z sgn(du) / 0.15)."""
-    state, found = 0.0, np.empty_like(field)
+    """Return the law of saturating friction, dz = du (1 - z sgn(du) / 0.15)."""
+    state, friction = 0.0, np.empty_like(field)
     for k, step in enumerate(np.diff(field, prepend=field[0]).tolist()):
         state = min(max(state + step * (1.0 - state * np.sign(step) / 0.15), -0.15), 0.15)
-        found[k] = state
-    return field + 0.03 * field**2 - 0.5 * found
+        friction[k] = state
+    return field + 0.03 * field**2 - 0.5 * friction
 
 
 def _duhem(field: Array) -> Array:
-    """Coleman and Hodgdon's law with a cubic anhysteretic curve."""
-    state, found = 0.0, np.empty_like(field)
+    """Return the law of Coleman and Hodgdon with a cubic anhysteretic curve."""
+    state, states = 0.0, np.empty_like(field)
     for k, step in enumerate(np.diff(field, prepend=field[0]).tolist()):
-        rest = 0.9 * field[k] + 0.1 * field[k] ** 3 - state
-        state += 1.3 * abs(step) * rest + 0.25 * step
-        found[k] = state
-    return np.asarray(0.5 * field + 0.5 * found)
+        difference = 0.9 * field[k] + 0.1 * field[k] ** 3 - state
+        state += 1.3 * abs(step) * difference + 0.25 * step
+        states[k] = state
+    return np.asarray(0.5 * field + 0.5 * states)
 
 
 def _plays(field: Array) -> Array:
-    """A sum of twelve plays behind a saturation."""
+    """Return a sum of twelve plays followed by a saturation."""
     total = np.array(field)
     for threshold in np.linspace(0.05, 0.8, 12).tolist():
-        state, found = field[0], np.empty_like(field)
+        state, states = field[0], np.empty_like(field)
         for k, value in enumerate(field.tolist()):
             state = min(max(state, value - threshold), value + threshold)
-            found[k] = state
-        total += 0.05 * np.exp(-2.0 * threshold) * found
+            states[k] = state
+        total += 0.05 * np.exp(-2.0 * threshold) * states
     return np.asarray(np.tanh(0.6 * total) / 0.6)
 
 
@@ -70,14 +70,14 @@ def triangles(cycles: int, samples: int, shrinking: float = 0.0) -> Array:
 
 @cache
 def swept_um(law: str) -> tuple[Array, Array]:
-    """Return a drive of eight shrinking triangles, and what a law makes of it, in micrometres."""
+    """Return a drive of eight shrinking triangles, and the response of a law in micrometres."""
     field = triangles(8, 300, 0.1)
     noise = 0.008 * np.random.default_rng(1).standard_normal(len(field))
     return field, np.asarray(6.0 + 10.0 * LAWS[law](field) + noise)
 
 
 def write(path: Path, field: Array, reading_um: Array, *, rate_Hz: float = RATE_Hz) -> Path:
-    """Write a drive of +-5 V and a reading as a laboratory does; return where."""
+    """Write a drive of +-5 V and a reading to a CSV file; return its path."""
     lines = ["time [s],voltage [V],displacement [um]"]
     lines += [
         f"{k / rate_Hz:.6f},{5.0 * u:.5f},{y:.6f}"
@@ -87,6 +87,6 @@ def write(path: Path, field: Array, reading_um: Array, *, rate_Hz: float = RATE_
     return path
 
 
-def recorded(folder: Path, field: Array, reading_um: Array, **how: float) -> Recording:
-    """Return a drive and a reading as they come back from a file."""
-    return collect([write(folder / "sweep.csv", field, reading_um, **how)])[0]
+def recorded(folder: Path, field: Array, reading_um: Array, **options: float) -> Recording:
+    """Return the recording of a drive and a reading, read from a file."""
+    return collect([write(folder / "sweep.csv", field, reading_um, **options)])[0]

@@ -1,4 +1,4 @@
-"""Fits without the trials that take most of their time, for tests of what follows a fit."""
+"""Fits without their slowest candidates, for tests of the steps after a fit."""
 
 from functools import partial
 
@@ -10,9 +10,9 @@ from piezoid.identification.loop_shape_blocks import Errors
 
 
 def fit_plays_alone(patch: pytest.MonkeyPatch) -> None:
-    """Let a fit end with its sum of plays, and a diagnosis compare no name with loop shape.
+    """Fit a sum of plays without loop shape, and diagnose without comparing loop shape.
 
-    Loop shape decides no verdict; over which names it decides is tested where it is fitted.
+    Loop shape decides no verdict; its effect on findings has tests in the identification.
     """
     patch.setattr("piezoid.identification.fit.with_loop_shape", lambda axis, _: axis)
     no_shape = Errors(explained=np.inf, held_out=np.inf)
@@ -20,7 +20,7 @@ def fit_plays_alone(patch: pytest.MonkeyPatch) -> None:
 
 
 def fit_one_order(patch: pytest.MonkeyPatch) -> None:
-    """Let a fit try one number of plays, no envelope, and no lag of second order."""
+    """Fit a single number of plays, no envelope, and no lag of second order."""
     estimate = partial(estimate_axis, orders=((8, 2),))
     patch.setattr("piezoid.identification.fit.estimate_axis", estimate)
     patch.setattr("piezoid.identification.hysteresis.order_selection.BENDS", ())

@@ -23,7 +23,7 @@ CYCLES = 6
 def servo_stage(bandwidth_Hz: float, *, seed: int = 0, ceramic: Ceramic | None = None) -> Stage:
     """Return a stage that follows its command through a first-order servo.
 
-    ceramic  None: the servo removes the hysteresis; a ceramic is followed by the same lag
+    ceramic  without it the servo removes the hysteresis; with it the lag follows the ceramic
     """
     tau_s = 1.0 / (2.0 * np.pi * bandwidth_Hz)
     follow = Act(
@@ -31,11 +31,11 @@ def servo_stage(bandwidth_Hz: float, *, seed: int = 0, ceramic: Ceramic | None =
         place=Place.MECHANICS,
         change=lambda moved_m, scene, _: filtered(moved_m, tau_s, scene.rate_Hz),
     )
-    held = Ceramic(
+    linear = Ceramic(
         share=0.0, reversible_curve=lambda field: 0.5 * (field + 1.0), memory=np.zeros_like
     )
     rig = draw_rig(np.random.default_rng([seed, 10]), name=f"servo of {bandwidth_Hz:g} Hz")
-    return Stage(rig=rig, ceramic=ceramic or held, acts=(follow,), seed=seed)
+    return Stage(rig=rig, ceramic=ceramic or linear, acts=(follow,), seed=seed)
 
 
 def triangles(stage: Stage, frequencies_Hz: tuple[float, ...]) -> Rows:

@@ -1,4 +1,4 @@
-"""Records come back from JSON as they were, and only records do."""
+"""Records are read from JSON exactly, and other JSON is refused."""
 
 import json
 from dataclasses import dataclass, replace
@@ -50,7 +50,7 @@ class Machine:
 
 
 HEAVY = RecordLayout(kind=Part, write=lambda part: {**fields_of(part), "heavy": part.heavy})
-WHOLE = Machine(
+MACHINE = Machine(
     name="mill",
     parts=(Part(mass_kg=0.1 + 0.2), Part(mass_kg=2, grade=Grade.POOR)),
     speed_Hz=(1.0, inf),
@@ -64,18 +64,18 @@ def through_text(value: Any) -> Any:
 
 
 @pytest.mark.parametrize("layouts", [(), (HEAVY,)])
-def test_a_record_comes_back_with_its_last_bit(layouts: tuple[RecordLayout, ...]) -> None:
-    back = from_json(Machine, through_text(to_json(WHOLE, layouts)), layouts)
-    np.testing.assert_array_equal(back.curve, WHOLE.curve)
-    assert {**fields_of(back), "curve": 0} == {**fields_of(WHOLE), "curve": 0}
-    assert to_json(back, layouts) == to_json(WHOLE, layouts)
+def test_a_record_is_read_to_its_last_bit(layouts):
+    read = from_json(Machine, through_text(to_json(MACHINE, layouts)), layouts)
+    np.testing.assert_array_equal(read.curve, MACHINE.curve)
+    assert {**fields_of(read), "curve": 0} == {**fields_of(MACHINE), "curve": 0}
+    assert to_json(read, layouts) == to_json(MACHINE, layouts)
 
 
-def test_a_number_that_may_be_infinite_is_null_and_no_other() -> None:
-    written = to_json(replace(WHOLE, slowest_Hz=inf, parts=(Part(mass_kg=inf),)))
+def test_only_numbers_that_may_be_infinite_are_null():
+    written = to_json(replace(MACHINE, slowest_Hz=inf, parts=(Part(mass_kg=inf),)))
     assert (written["speed_Hz"], written["slowest_Hz"]) == ([1.0, None], None)
     assert written["parts"][0]["mass_kg"] == inf
-    assert from_json(Machine, to_json(WHOLE)).speed_Hz == (1.0, inf)
+    assert from_json(Machine, to_json(MACHINE)).speed_Hz == (1.0, inf)
 
 
 @pytest.mark.parametrize(
@@ -96,18 +96,16 @@ def test_a_number_that_may_be_infinite_is_null_and_no_other() -> None:
         ("colour", "red"),
     ],
 )
-def test_an_entry_of_another_type_is_refused_with_the_place_of_the_file(
-    entry: str, value: Any
-) -> None:
-    sealed = seal("piezoid.mill/1", {**to_json(WHOLE), entry: value})
+def test_an_entry_of_another_type_is_refused_with_the_file(entry, value):
+    sealed = seal("piezoid.mill/1", {**to_json(MACHINE), entry: value})
     with pytest.raises(ParameterFileError, match=r"mill\.json.*Turn the mill"):
         read_sealed(Machine, sealed, "piezoid.mill/1", "mill.json", remedy="Turn the mill.")
 
 
-def test_what_an_earlier_version_did_not_know_has_its_default() -> None:
-    held = to_json(WHOLE)
-    del held["spare"], held["slowest_Hz"]
-    assert from_fields(Machine, held).spare is None
-    del held["name"]
+def test_a_missing_entry_has_its_default():
+    fields = to_json(MACHINE)
+    del fields["spare"], fields["slowest_Hz"]
+    assert from_fields(Machine, fields).spare is None
+    del fields["name"]
     with pytest.raises(ValueError, match="the fields are"):
-        from_fields(Machine, held)
+        from_fields(Machine, fields)

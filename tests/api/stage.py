@@ -1,4 +1,4 @@
-"""One small stage, fitted once for every test here: plays with a known past, a lag, noise."""
+"""A small stage of known plays and noise, fitted once for all tests of this folder."""
 
 from functools import cache
 
@@ -14,7 +14,7 @@ NOISE_m = 3e-9
 
 
 def truth(drive_V: Array, before_V: float = 0.0, zero_m: float = 0.0) -> Array:
-    """What the stage does that was left at ``before_V`` from rest, without noise."""
+    """Return the displacement without noise after an extreme of ``before_V`` from rest."""
     memory_V = np.clip(np.zeros(5), before_V - THRESHOLD_V, before_V + THRESHOLD_V)
     return zero_m + play_sum(drive_V, THRESHOLD_V, WEIGHT_m_per_V, memory_V)
 

@@ -1,4 +1,4 @@
-"""A verb holds linear algebra to one thread, in whatever session it is called from."""
+"""A verb limits linear algebra to a single thread in any session."""
 
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -7,26 +7,28 @@ import piezoid
 from tests.reports.known_stage import recording
 
 
-class EnoughError(Exception):
-    """What ends a fit after its first words."""
+class StopFitError(Exception):
+    """Raised to stop a fit at its first report."""
 
 
 def blas_threads() -> set[int]:
-    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+    return {
+        library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
+    }
 
 
 @pytest.mark.parametrize("verb", [piezoid.fit, piezoid.diagnose])
-def test_a_session_with_many_threads_lends_one_to_a_verb_and_has_them_back(verb):
-    seen: list[set[int]] = []
+def test_a_verb_limits_linear_algebra_to_a_thread_and_restores_the_session(verb):
+    counts: list[set[int]] = []
 
     def interrupt(_: str) -> None:
-        seen.append(blas_threads())
-        raise EnoughError
+        counts.append(blas_threads())
+        raise StopFitError
 
     with threadpool_limits(limits=2, user_api="blas"):
-        held = blas_threads()  # of a library that was built for one thread it is 1 for ever
-        assert 2 in held
-        with pytest.raises(EnoughError):
+        original = blas_threads()  # a library without threads always has 1
+        assert 2 in original
+        with pytest.raises(StopFitError):
             verb([recording()], progress=interrupt)
-        assert blas_threads() == held
-    assert seen == [{1}]
+        assert blas_threads() == original
+    assert counts == [{1}]

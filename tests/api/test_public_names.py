@@ -1,4 +1,4 @@
-"""The public list: these names and no others, whatever was imported before."""
+"""The public names of the package."""
 
 import inspect
 import subprocess
@@ -22,21 +22,23 @@ RECORDS = {
 }
 
 
-def test_the_list_is_what_users_may_rely_on() -> None:
+def test_only_the_listed_names_are_public():
     assert set(piezoid.__all__) == VERBS | RECORDS | {"__version__"}
     assert list(piezoid.__all__) == sorted(piezoid.__all__)
     assert dir(piezoid) == list(piezoid.__all__)
+    with pytest.raises(AttributeError, match="no public name 'calibration_of'"):
+        _ = piezoid.calibration_of
 
 
 @pytest.mark.parametrize("name", sorted(VERBS | RECORDS))
-def test_every_name_is_there_and_says_what_it_is(name: str) -> None:
-    found = getattr(piezoid, name)
-    assert inspect.isfunction(found) == (name in VERBS)
-    assert inspect.getdoc(found)
-    assert found.__name__ == name
+def test_every_public_name_has_a_docstring(name):
+    value = getattr(piezoid, name)
+    assert inspect.isfunction(value) == (name in VERBS)
+    assert inspect.getdoc(value)
+    assert value.__name__ == name
 
 
-def test_verbs_are_not_hidden_by_folders_of_their_name() -> None:
+def test_folders_do_not_hide_verbs_of_their_name():
     code = (
         "import piezoid.design.design_stage, piezoid.export.bundle, piezoid\n"
         "from piezoid import design, export\n"
@@ -47,16 +49,13 @@ def test_verbs_are_not_hidden_by_folders_of_their_name() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_what_is_not_public_is_told() -> None:
-    with pytest.raises(AttributeError, match="no public name 'calibration_of'"):
-        _ = piezoid.calibration_of
-
-
-def test_importing_the_package_loads_none_of_what_it_offers_and_computing_no_pictures() -> None:
+def test_imports_are_lazy_and_computing_loads_no_plotting():
     heavy = ("numpy", "scipy", "pandas", "matplotlib", "piezoid.verbs", "piezoid.control_verbs")
     code = (
         f"import sys, piezoid; print([name for name in {heavy} if name in sys.modules])\n"
         "piezoid.fit; print('matplotlib' in sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert done.stdout.split() == ["[]", "False"]
+    result = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    )
+    assert result.stdout.split() == ["[]", "False"]

@@ -1,4 +1,4 @@
-"""The types of the public names, as mypy --strict sees them in a user's script."""
+"""Types of the public names in a script of a user, checked by mypy --strict."""
 
 import importlib.util
 import os
@@ -64,15 +64,15 @@ piezoid.design(model, sampling_rate_kHz=20.0)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder whose ``names`` leads mypy to the package, installed or a checkout."""
+    """Return a folder whose ``names`` links to the package, installed or a checkout."""
     folder = tmp_path_factory.mktemp("script")
     (folder / "names").mkdir()
     (folder / "names" / "piezoid").symlink_to(Path(piezoid.__file__).parent)
     return folder
 
 
-def checked(folder: Path, script: str) -> str:
-    """Return what mypy --strict says of a script."""
+def mypy_output(folder: Path, script: str) -> str:
+    """Return the messages of mypy --strict about a script."""
     (folder / "script.py").write_text(script, encoding="utf-8")
     options = ("--strict", "--follow-imports=silent", "--no-error-summary", "--config-file=")
     run = subprocess.run(
@@ -86,11 +86,11 @@ def checked(folder: Path, script: str) -> str:
     return run.stdout + run.stderr
 
 
-def test_a_users_script_passes_mypy_strict(folder: Path) -> None:
-    assert checked(folder, SCRIPT) == ""
+def test_a_users_script_passes_mypy_strict(folder):
+    assert mypy_output(folder, SCRIPT) == ""
 
 
-def test_mypy_finds_a_misspelt_field_and_argument(folder: Path) -> None:
-    complaints = checked(folder, MISTAKES)
+def test_mypy_finds_a_misspelt_field_and_argument(folder):
+    complaints = mypy_output(folder, MISTAKES)
     assert 'has no attribute "held_out_rms_nm"' in complaints
     assert 'Unexpected keyword argument "sampling_rate_kHz"' in complaints

@@ -1,4 +1,4 @@
-"""Whatever stands in the way of a controller, model and report do not get lost."""
+"""Controllers of a calibration: what ships, what is refused, and the reasons."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,7 +9,7 @@ import pytest
 from piezoid.calibration.controllers import Controllers, controllers_of
 from piezoid.design.design import AxisDesign
 from piezoid.design.design_stage import AxisDesignResult, design_axes
-from piezoid.errors import DesignError, PiezoidError, RuntimeLibraryError, TemplateError
+from piezoid.errors import DesignError, RuntimeLibraryError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import write_model
@@ -18,35 +18,33 @@ from tests.verification.known_fit import fitted
 from tests.verification.rig import RATE_Hz
 
 LAB = Lab(verification={"overshoot_percent": 5.0})
-SAID = {"needed": "8 N", "remedy": "Push less."}
+ADVICE = {"needed": "8 N", "remedy": "Push less."}
 STEPS = ("design", "export", "verification")
 
 
 @pytest.fixture(scope="module")
-def good() -> AxisDesign:
-    """A controller of axis x of the known stage."""
+def design_x() -> AxisDesign:
+    """Return a design of axis x of the known stage."""
     (outcome,) = design_axes(fitted(), sampling_rate_Hz=RATE_Hz, forms=("inverse",))
     assert outcome.design is not None
     return outcome.design
 
 
-def with_reference(design: AxisDesign, filter_: Sequence[float], **others: float) -> AxisDesign:
+def with_reference(design: AxisDesign, filter_: Sequence[float], **changes: float) -> AxisDesign:
     loop = design.recommended
     reference = replace(loop.reference, filter=np.array(filter_))
-    return replace(design, loops=(replace(loop, reference=reference, **others),))
+    return replace(design, loops=(replace(loop, reference=reference, **changes),))
 
 
-def stage(axis: AxisModel, *more: AxisModel) -> ActuatorModel:
-    return replace(fitted(), axes={held.axis: held for held in (axis, *more)})
+def stage(first_axis: AxisModel, *further_axes: AxisModel) -> ActuatorModel:
+    return replace(
+        fitted(), axes={axis_model.axis: axis_model for axis_model in (first_axis, *further_axes)}
+    )
 
 
-def controllers(model: ActuatorModel, *outcomes: AxisDesignResult, lab: Lab = LAB) -> Controllers:
-    return made_of(model, outcomes, lab=lab)
-
-
-def made_of(
+def controllers(
     model: ActuatorModel,
-    outcomes: tuple[AxisDesignResult, ...] = (),
+    *outcomes: AxisDesignResult,
     fault: Exception | None = None,
     lab: Lab = LAB,
 ) -> Controllers:
@@ -55,55 +53,53 @@ def made_of(
     )
 
 
-def test_a_loop_that_damps_a_mode_and_fails_is_tried_once_more_below_the_mode(
-    good: AxisDesign,
-) -> None:
-    """The fast loop overshoots by 18 % where 5 % are allowed; the slow one ships and says why."""
-    fast = with_reference(good, (9.0, -8.0), bandwidth_Hz=155.0)
-    made = controllers(fitted(), AxisDesignResult(axis="x", design=fast, slower=good))
-    assert made.shipped == {"x"}
-    assert made.design is not None
-    assert made.design.axes == (good,)
-    (remark,) = made.design.remarks
+def test_a_failed_loop_with_damping_is_replaced_by_a_loop_below_the_mode(design_x):
+    """The fast loop overshoots by 18 % instead of 5 %; the slow loop ships with a remark."""
+    fast = with_reference(design_x, (9.0, -8.0), bandwidth_Hz=155.0)
+    result = controllers(fitted(), AxisDesignResult(axis="x", design=fast, slower=design_x))
+    assert result.shipped == {"x"}
+    assert result.design is not None
+    assert result.design.axes == (design_x,)
+    (remark,) = result.design.remarks
     assert "a loop of 155 Hz that damps the mode did not pass" in remark
     assert "overshoot of axis x" in remark
     assert "This one of 90.0 Hz" in remark
-    assert made.passed
-    assert made.reason == ""
-    assert not made.unshipped
-    assert not any(name.startswith("refused/") for name in made.files)
+    assert result.passed
+    assert result.reason == ""
+    assert not result.unshipped
+    assert not any(name.startswith("refused/") for name in result.files)
 
 
-def test_an_axis_that_does_not_ship_is_told_and_keeps_no_other_back(good: AxisDesign) -> None:
-    """Axis y moves the other way than the plant that its controller was designed for."""
+def test_an_axis_that_does_not_ship_is_reported_and_the_others_ship(design_x):
+    """Axis y moves against the direction of its design."""
     x = fitted()["x"]
-    made = controllers(
+    result = controllers(
         stage(x, replace(x, axis="y", polarity=-1)),
-        AxisDesignResult(axis="x", design=good),
-        AxisDesignResult(axis="y", design=replace(good, axis="y")),
+        AxisDesignResult(axis="x", design=design_x),
+        AxisDesignResult(axis="y", design=replace(design_x, axis="y")),
     )
-    assert made.shipped == {"x"}
-    assert made.verification is not None
-    assert made.verification.passed
-    assert set(made.unshipped) == {"y"}
-    assert "polarity is -1" in made.unshipped["y"]
-    assert not made.passed
+    assert result.shipped == {"x"}
+    assert result.verification is not None
+    assert result.verification.passed
+    assert set(result.unshipped) == {"y"}
+    assert "polarity is -1" in result.unshipped["y"]
+    assert not result.passed
 
 
-def test_what_nobody_declared_is_no_failure_but_a_limit_nothing_meets_is() -> None:
-    unknown = AxisDesignResult(axis="x", obstacle=DesignError("no pole is declared", **SAID))
-    missed = AxisDesignResult(axis="x", refusal=TemplateError("missed by 3 dB", **SAID))
+def test_a_missing_declaration_is_no_failure_but_an_infeasible_limit_is():
+    unknown = AxisDesignResult(axis="x", obstacle=DesignError("no pole is declared", **ADVICE))
+    missed = AxisDesignResult(axis="x", refusal=TemplateError("missed by 3 dB", **ADVICE))
     assert controllers(fitted(), unknown).passed
     assert not controllers(fitted(), missed).passed
     assert not controllers(fitted(), unknown, missed).passed
 
 
 @pytest.mark.parametrize("kind", [DesignError, RuntimeLibraryError])
-def test_a_refusal_of_a_design_is_told_in_its_own_words(kind: type[PiezoidError]) -> None:
-    made = made_of(fitted(), fault=kind("9 N", **SAID))
-    assert made.reason == "9 N. Needed: 8 N. Push less."
-    assert not made.has_crashed
-    assert (made.design, made.parameters, made.verification) == (None, None, None)
+def test_a_refused_design_states_its_reason(kind):
+    result = controllers(fitted(), fault=kind("9 N", **ADVICE))
+    assert result.reason == "9 N. Needed: 8 N. Push less."
+    assert not result.has_crashed
+    assert (result.design, result.parameters, result.verification) == (None, None, None)
 
 
 @pytest.mark.parametrize(
@@ -118,30 +114,28 @@ def test_a_refusal_of_a_design_is_told_in_its_own_words(kind: type[PiezoidError]
     ],
     ids=STEPS[1:],
 )
-def test_a_refusal_of_a_later_step_is_told_and_the_design_is_kept(
-    polarity: int, lab: Lab, reason: str, good: AxisDesign
-) -> None:
+def test_a_refusal_after_the_design_keeps_the_design(polarity, lab, reason, design_x):
     axis = replace(fitted()["x"], polarity=polarity)
-    made = controllers(stage(axis), AxisDesignResult(axis="x", design=good), lab=lab)
-    assert reason in made.reason
-    assert made.refused
-    assert not made.has_crashed
-    assert made.design is not None
-    assert (made.parameters, made.verification) == (None, None)
+    result = controllers(stage(axis), AxisDesignResult(axis="x", design=design_x), lab=lab)
+    assert reason in result.reason
+    assert result.refused
+    assert not result.has_crashed
+    assert result.design is not None
+    assert (result.parameters, result.verification) == (None, None)
 
 
 @pytest.mark.parametrize("step", STEPS)
-def test_an_internal_error_is_named_and_nothing_ships(step: str, good: AxisDesign) -> None:
-    """No filter at all in front of a loop, and errors of numbers that the model has not."""
+def test_an_internal_error_is_named_and_nothing_ships(step, design_x):
+    """An empty filter breaks the export, and unknown parameters break the verification."""
     axis = fitted()["x"]
     unknown = replace(axis.uncertainty, names=tuple("abcdefghijkl"))
     model = stage(replace(axis, uncertainty=unknown) if step == "verification" else axis)
-    design = with_reference(good, (0.0,)) if step == "export" else good
+    design = with_reference(design_x, (0.0,)) if step == "export" else design_x
     fault = ValueError("40 states") if step == "design" else None
-    made = made_of(model, (AxisDesignResult(axis="x", design=design),), fault)
-    assert made.reason.startswith("internal error (")
-    assert (made.reason == "internal error (ValueError: 40 states)") == (step == "design")
-    assert made.has_crashed
-    assert not made.passed
-    assert (made.parameters, made.verification) == (None, None)
-    assert (made.design is None) == (step == "design")
+    result = controllers(model, AxisDesignResult(axis="x", design=design), fault=fault)
+    assert result.reason.startswith("internal error (")
+    assert (result.reason == "internal error (ValueError: 40 states)") == (step == "design")
+    assert result.has_crashed
+    assert not result.passed
+    assert (result.parameters, result.verification) == (None, None)
+    assert (result.design is None) == (step == "design")

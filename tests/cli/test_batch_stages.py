@@ -1,4 +1,4 @@
-"""Workers write what a batch makes, wherever that is; the client is told a kilobyte a stage."""
+"""Workers of a batch write the files of every stage, in a folder or an object store."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -28,14 +28,14 @@ BAD = "unit-4"
 
 @pytest.fixture(scope="module")
 def client() -> Iterator[Client]:
-    """Two workers in threads of this process, which see its memory."""
+    """Two workers in threads of this process, which share its memory."""
     with (
         LocalCluster(
             n_workers=2, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
         ) as cluster,
-        Client(cluster) as here,
+        Client(cluster) as connected,
     ):
-        yield here
+        yield connected
 
 
 @pytest.fixture
@@ -53,11 +53,11 @@ def results(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return f"memory://{uuid4()}" if request.param == "memory" else str(tmp_path / "results")
 
 
-def named(
+def write_digests(
     task: StageTask, inputs: Mapping[str, str], *, log: Path | None = None
 ) -> tuple[FleetStage, Mapping[str, bytes]]:
-    """What stands for a calibration: a file of the inputs' digests."""
-    if log:  # another process may do it
+    """Write the digests of the inputs instead of a calibration."""
+    if log:
         with log.open("a") as stream:
             stream.write(f"{task.name}\n")
     stage = FleetStage(name=task.name, state=PASSED, version=task.version, inputs=inputs)
@@ -67,25 +67,23 @@ def named(
 def run(
     client: Client, tasks: Sequence[StageTask], work: Callable[..., object]
 ) -> tuple[int, dict[str, str]]:
-    """Return how many stages were finished before, and how every stage ended."""
+    """Return the number of stages with an earlier result, and the state of every stage."""
     with StagesOnDisk() as stages:
-        doing = partial(run_task, calibrate=work)  # type: ignore[arg-type]
-        earlier = calibrate_stages(client, tasks, stages, 1, work=doing)
+        task_runner = partial(run_task, calibrate=work)  # type: ignore[arg-type]
+        earlier = calibrate_stages(client, tasks, stages, 1, work=task_runner)
         return earlier, {stage.name: stage.state for stage in stages}
 
 
-def test_workers_write_every_stage_and_a_second_start_does_what_lost_its_record(
-    client: Client, night: Path, results: str, tmp_path: Path
-) -> None:
+def test_a_second_start_calibrates_only_stages_without_a_record(client, night, results, tmp_path):
     tasks, log = find_stages(night, results), tmp_path / "log"
-    work = partial(named, log=log)
+    work = partial(write_digests, log=log)
     assert run(client, tasks, work) == (0, {f"unit-{k}": PASSED for k in range(COUNT)})
     files, root = fsspec.core.url_to_fs(results)
     for number in range(COUNT):
-        place = f"{root}/stages/unit-{number}"
+        folder = f"{root}/stages/unit-{number}"
         digests = digest_of_bytes(f"# {number}\n".encode()) + digest_of_bytes(b"1,2\n")
-        assert files.cat_file(f"{place}/sub/model.json") == digests.encode()
-        record = unseal(files.cat_file(f"{place}/batch.json"), STAGE_SCHEMA, place)
+        assert files.cat_file(f"{folder}/sub/model.json") == digests.encode()
+        record = unseal(files.cat_file(f"{folder}/batch.json"), STAGE_SCHEMA, folder)
         assert record["inputs"].keys() == {"lab.toml", "sweep.csv"}
     assert sorted(log.read_text().split()) == sorted(task.name for task in tasks)
     files.rm_file(f"{root}/stages/{BAD}/batch.json")
@@ -94,11 +92,9 @@ def test_workers_write_every_stage_and_a_second_start_does_what_lost_its_record(
     assert log.read_text() == f"{BAD}\n"
 
 
-def test_what_would_be_replaced_is_refused_before_anything_is_done(
-    client: Client, night: Path, results: str, tmp_path: Path
-) -> None:
+def test_changed_inputs_are_refused_before_any_calibration(client, night, results, tmp_path):
     tasks, log = find_stages(night, results), tmp_path / "log"
-    work = partial(named, log=log)
+    work = partial(write_digests, log=log)
     run(client, tasks, work)
     (night / BAD / "sweep.csv").write_text("1,3\n")
     log.write_text("")
@@ -110,39 +106,35 @@ def test_what_would_be_replaced_is_refused_before_anything_is_done(
     assert log.read_text() == f"{BAD}\n"
 
 
-def test_only_the_stage_that_fails_again_breaks_off(
-    client: Client, night: Path, results: str
-) -> None:
-    def failing(task: StageTask, inputs: Mapping[str, str]) -> object:
+def test_a_failing_stage_does_not_stop_the_others(client, night, results):
+    def fail_at_bad_stage(task: StageTask, inputs: Mapping[str, str]) -> object:
         if task.name == BAD:
             raise OSError("the disk is away")
-        return named(task, inputs)
+        return write_digests(task, inputs)
 
-    _, ended = run(client, find_stages(night, results), failing)
-    assert ended.pop(BAD) == CRASHED
-    assert set(ended.values()) == {PASSED}
-    assert len(ended) == COUNT - 1
+    _, states = run(client, find_stages(night, results), fail_at_bad_stage)
+    assert states.pop(BAD) == CRASHED
+    assert set(states.values()) == {PASSED}
+    assert len(states) == COUNT - 1
 
 
-def test_a_worker_that_does_not_see_the_results_says_so(tmp_path: Path, night: Path) -> None:
+def test_a_worker_without_access_to_the_results_is_reported(tmp_path, night):
     (task, *_) = find_stages(night, str(tmp_path / "elsewhere"))
     with pytest.raises(OSError, match=r"does not see .*elsewhere.*s3://"):
-        run_task(task, named)
+        run_task(task, write_digests)
 
 
-def test_the_summary_is_the_same_bytes_in_whatever_order_stages_end(
-    night: Path, results: str
-) -> None:
+def test_the_summary_does_not_depend_on_the_order_of_the_stages(night, results):
     files, root = fsspec.core.url_to_fs(results)
-    made = []
+    contents = []
     for order in (1, -1):
         with StagesOnDisk() as stages:
             for task in find_stages(night, results)[::order]:
-                stage, _ = named(task, {})
+                stage, _ = write_digests(task, {})
                 stages.add(stage.name, stage.packed())
             write_summary(results, Fleet(name="night", stages=stages))
         names = ("summary.html", "parameters.parquet", "batch.json")
-        made.append([files.cat_file(f"{root}/{name}") for name in names])
-    assert made[0] == made[1]
-    record = unseal(made[0][-1], "piezoid.batch/1", "batch.json")
+        contents.append([files.cat_file(f"{root}/{name}") for name in names])
+    assert contents[0] == contents[1]
+    record = unseal(contents[0][-1], "piezoid.batch/1", "batch.json")
     assert [stage["name"] for stage in record["stages"]] == [f"unit-{k}" for k in range(COUNT)]

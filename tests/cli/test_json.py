@@ -1,57 +1,51 @@
-"""Every verb speaks to scripts: --json prints one text with a schema, --quiet nothing."""
+"""Output of the verbs for scripts: --json prints a document with a schema, --quiet nothing."""
 
 import json
-from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from piezoid_cli.main import VERBS, app
+from piezoid_cli.main import VERBS
 from piezoid_datasets import LAB
+from tests.cli.calls import invoke
 
-FOLDER = LAB.parent
-RUNNER = CliRunner()
-
-
-def options(verb: str) -> str:
-    return RUNNER.invoke(app, [verb, "--help"], env={"COLUMNS": "200"}).output
+CHECK = LAB.parent / "x_check.csv"
 
 
 @pytest.mark.parametrize("verb", [verb.__name__ for verb in VERBS])
-def test_every_verb_takes_both_and_no_switch_has_a_twin(verb: str) -> None:
-    shown = options(verb)
-    assert "--json" in shown
-    assert "--quiet" in shown
-    assert "--no-" not in shown
+def test_every_verb_has_json_and_quiet_and_no_negated_switch(verb):
+    help_text = invoke(verb, "--help").output
+    assert "--json" in help_text
+    assert "--quiet" in help_text
+    assert "--no-" not in help_text
 
 
-def test_what_was_simulated_is_handed_over(tmp_path: Path) -> None:
-    words = ["simulate", "--out", str(tmp_path / "made"), "--seed", "3"]
-    done = RUNNER.invoke(app, [*words, "--json"])
-    found = json.loads(done.output)
-    assert found["schema"] == "piezoid.simulated/1"
-    assert found["seed"] == 3
-    assert all((tmp_path / "made" / name).is_file() for name in found["files"])
-    assert RUNNER.invoke(app, [*words, "--force", "--quiet"]).output == ""
+def test_a_simulation_lists_its_files(tmp_path):
+    words = ("simulate", "--out", tmp_path / "made", "--seed", 3)
+    document = json.loads(invoke(*words, "--json").output)
+    assert document["schema"] == "piezoid.simulated/1"
+    assert document["seed"] == 3
+    assert all((tmp_path / "made" / name).is_file() for name in document["files"])
+    assert invoke(*words, "--force", "--quiet").output == ""
 
 
-def test_a_draft_names_what_must_be_completed(tmp_path: Path) -> None:
-    doubtful = tmp_path / "run.csv"
-    doubtful.write_text("a,b\n1,2\n2,3\n")
-    files = [str(FOLDER / "x_check.csv"), str(doubtful)]
-    place = tmp_path / "lab.toml"
-    done = RUNNER.invoke(app, ["init", *files, "--out", str(place), "--json"])
-    assert done.exit_code == 3
-    found = json.loads(done.stdout)
-    assert found == {"schema": "piezoid.drafted/1", "file": str(place), "incomplete": ["run.csv"]}
+def test_a_draft_names_incomplete_entries(tmp_path):
+    incomplete = tmp_path / "run.csv"
+    incomplete.write_text("a,b\n1,2\n2,3\n")
+    path = tmp_path / "lab.toml"
+    result = invoke("init", CHECK, incomplete, "--out", path, "--json")
+    assert result.exit_code == 3
+    assert json.loads(result.stdout) == {
+        "schema": "piezoid.drafted/1",
+        "file": str(path),
+        "incomplete": ["run.csv"],
+    }
 
 
-def test_a_quiet_inspection_tells_refusals_alone(tmp_path: Path) -> None:
+def test_a_quiet_inspection_prints_only_refusals(tmp_path):
     empty = tmp_path / "empty.csv"
     empty.write_bytes(b"")
-    readable = str(FOLDER / "x_check.csv")
-    fine = RUNNER.invoke(app, ["inspect", readable, "--quiet"])
-    assert (fine.exit_code, fine.output) == (0, "")
-    refused = RUNNER.invoke(app, ["inspect", readable, str(empty), "--quiet"])
+    result = invoke("inspect", CHECK, "--quiet")
+    assert (result.exit_code, result.output) == (0, "")
+    refused = invoke("inspect", CHECK, empty, "--quiet")
     assert (refused.exit_code, refused.stdout) == (3, "")
     assert "empty.csv: the file is empty. Needed: a table of numbers." in refused.stderr

@@ -1,4 +1,4 @@
-"""`piezoid fit --stream` writes the folder of a stage without holding its whole recordings."""
+"""`piezoid fit --stream` writes the folder of a stage from recordings read in chunks."""
 
 from pathlib import Path
 
@@ -25,40 +25,36 @@ def files(tmp_path: Path) -> list[Path]:
     return [tmp_path / "x_sweep.csv", tmp_path / "x_check.csv"]
 
 
-def test_a_fit_in_chunks_writes_model_and_report_and_says_what_it_leaves_out(
-    files: list[Path],
-) -> None:
-    told: list[str] = []
-    found = calibrate_streamed(files, None, told.append)
-    assert {"model.json", "report.html"} <= set(found.files)
-    assert "diagnosis.json" not in found.files
-    assert b"not diagnosed" in found.files["report.html"]
-    assert found.controllers.reason
-    assert told[0] == "reading x_sweep.csv"
-    assert found.model["x"].quality.held_out_kind != IN_SAMPLE
+def test_a_fit_in_chunks_writes_model_and_report_without_diagnosis(files):
+    messages: list[str] = []
+    result = calibrate_streamed(files, None, messages.append)
+    assert {"model.json", "report.html"} <= set(result.files)
+    assert "diagnosis.json" not in result.files
+    assert b"not diagnosed" in result.files["report.html"]
+    assert result.controllers.reason
+    assert messages[0] == "reading x_sweep.csv"
+    assert result.model["x"].quality.held_out_kind != IN_SAMPLE
 
 
-def test_recordings_that_need_no_thinning_are_fitted_as_from_memory(files: list[Path]) -> None:
+def test_recordings_without_thinning_have_the_fit_from_memory(files):
     check = files[1]
     chunked = fit(read_thinned([check], chunk_rows=1024))
     assert write_model(chunked) == write_model(fit(read(check)))
 
 
-def test_a_thinned_recording_gives_the_known_stage(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
-    """Two plays, 5 nm of noise and a lag of half a sample that is left after thinning."""
+def test_a_thinned_recording_gives_the_known_stage(tmp_path, rng):
+    """The stage has two plays, 5 nm of noise and a lag of half a sample after thinning."""
     rate_Hz, cycles = 2000.0, 40
     t = np.arange(round(cycles * rate_Hz)) / rate_Hz
     drive_V = 5 * (0.3 + 0.7 * np.abs(np.cos(np.pi * t / 7))) * np.sin(2 * np.pi * t)
-    memory, moved_m = 0.0, np.empty(len(t))
-    late_V = np.concatenate([np.zeros(4), drive_V[:-4]])
-    for k, v in enumerate(late_V):
+    memory, displacement_m = 0.0, np.empty(len(t))
+    delayed_V = np.concatenate([np.zeros(4), drive_V[:-4]])
+    for k, v in enumerate(delayed_V):
         memory = max(v - 1.0, min(v + 1.0, memory))
-        moved_m[k] = 2e-6 * v + 5e-7 * memory
-    moved_m += 5e-9 * rng.standard_normal(len(t))
+        displacement_m[k] = 2e-6 * v + 5e-7 * memory
+    displacement_m += 5e-9 * rng.standard_normal(len(t))
     path = tmp_path / "run.csv"
-    rows = np.column_stack([t, drive_V, 1e6 * moved_m])
+    rows = np.column_stack([t, drive_V, 1e6 * displacement_m])
     header = "time [s],voltage [V],position [um]"
     np.savetxt(path, rows, "%.9g", ",", header=header, comments="")
     recordings = read_thinned([path], max_rows=1 << 14)

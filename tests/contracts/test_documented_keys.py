@@ -1,4 +1,4 @@
-"""Tables of keys in the documentation list every key that is read, and no other."""
+"""Tables of keys in the documentation list exactly the keys that are read."""
 
 import re
 from dataclasses import fields
@@ -9,7 +9,7 @@ from piezoid.design.specification import Specification
 GUIDE = Path(__file__).parents[2] / "docs/guide/command_line.md"
 
 
-def test_the_table_of_design_toml_lists_its_keys() -> None:
+def test_the_table_of_design_toml_lists_its_keys():
     section = GUIDE.read_text().split("## design.toml")[1].split("\n## ")[0]
     rows = [line for line in section.splitlines() if line.startswith("| `")]
     keys = [key for row in rows for key in re.findall(r"`(\w+)`", row.split("|")[1])]

@@ -1,4 +1,4 @@
-"""Rules that hold for the whole house, tested over all of it."""
+"""Rules for all product code."""
 
 import ast
 import dataclasses
@@ -13,38 +13,38 @@ import piezoid
 from piezoid import errors
 
 ROOT = Path(__file__).resolve().parents[2]
-FACES = {"piezoid": "piezoid", "cli": "piezoid_cli", "reports": "piezoid_reports"}
-FACES |= {"datasets": "piezoid_datasets"}
+INSTALLED_NAMES = {"piezoid": "piezoid", "cli": "piezoid_cli", "reports": "piezoid_reports"}
+INSTALLED_NAMES |= {"datasets": "piezoid_datasets"}
 FORBIDDEN = {"utils", "common", "helpers", "core", "base", "manager"}
 
 
 def modules() -> list[ModuleType]:
-    found = pkgutil.walk_packages(piezoid.__path__, "piezoid.")
+    infos = pkgutil.walk_packages(piezoid.__path__, "piezoid.")
     return [
         importlib.import_module(info.name)
-        for info in found
+        for info in infos
         if not info.name.rpartition(".")[2].startswith("_")
     ]
 
 
 @cache
 def sources() -> dict[Path, ast.Module]:
-    paths = [path for folder in FACES for path in sorted((ROOT / folder).rglob("*.py"))]
+    paths = [path for folder in INSTALLED_NAMES for path in sorted((ROOT / folder).rglob("*.py"))]
     return {path: ast.parse(path.read_text(encoding="utf-8")) for path in paths}
 
 
-def test_every_package_folder_is_installed() -> None:
+def test_every_package_folder_is_installed():
     configuration = tomllib.loads((ROOT / "pyproject.toml").read_text())
     installed = set(configuration["tool"]["setuptools"]["packages"])
     present = {
-        ".".join([FACES[folder], *path.parent.relative_to(ROOT / folder).parts])
-        for folder in FACES
+        ".".join([INSTALLED_NAMES[folder], *path.parent.relative_to(ROOT / folder).parts])
+        for folder in INSTALLED_NAMES
         for path in (ROOT / folder).rglob("__init__.py")
     }
     assert installed == present
 
 
-def test_every_record_is_frozen_and_keyword_only() -> None:
+def test_every_record_is_frozen_and_keyword_only():
     for module in modules():
         for value in vars(module).values():
             if not (isinstance(value, type) and dataclasses.is_dataclass(value)):
@@ -53,36 +53,36 @@ def test_every_record_is_frozen_and_keyword_only() -> None:
                 continue
             parameters = value.__dataclass_params__  # type: ignore[attr-defined]
             if not parameters.frozen:
-                # A filter or a row maker carries state from chunk to chunk; it says so by `run`.
+                # A filter or row maker has state between chunks and a method `run`.
                 assert hasattr(value, "run"), f"{module.__name__}.{value.__name__} is mutable"
                 continue
             fields = dataclasses.fields(value)
             assert all(field.kw_only for field in fields), f"{value.__name__} is positional"
 
 
-def test_every_module_begins_with_what_it_knows_and_is_named_for_something() -> None:
+def test_every_module_has_a_docstring_and_a_specific_name():
     for path, tree in sources().items():
         assert ast.get_docstring(tree), path
         assert not {path.stem, path.parent.name} & FORBIDDEN, path
 
 
-def test_every_private_name_is_used() -> None:
-    defined, used = set(), set()
+def test_every_private_name_is_used():
+    defined, referenced = set(), set()
     for tree in sources().values():
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef | ast.ClassDef):
                 defined.add(node.name)
             elif isinstance(node, ast.Attribute):
-                used.add(node.attr)
+                referenced.add(node.attr)
             elif isinstance(node, ast.Name):
-                (used if isinstance(node.ctx, ast.Load) else defined).add(node.id)
+                (referenced if isinstance(node.ctx, ast.Load) else defined).add(node.id)
             elif isinstance(node, ast.ImportFrom):
-                used.update(alias.name for alias in node.names)
+                referenced.update(alias.name for alias in node.names)
     private = {name for name in defined if len(name) > 1 and name == "_" + name.strip("_")}
-    assert private - used == set()
+    assert private - referenced == set()
 
 
-def test_the_library_neither_prints_nor_reads_clock_or_environment() -> None:
+def test_the_library_neither_prints_nor_reads_clock_or_environment():
     for path, tree in sources().items():
         for node in ast.walk(tree) if path.is_relative_to(ROOT / "piezoid") else ():
             if isinstance(node, ast.Import | ast.ImportFrom):
@@ -92,7 +92,7 @@ def test_the_library_neither_prints_nor_reads_clock_or_environment() -> None:
                 assert node.attr != "environ", path
 
 
-def test_every_error_has_three_parts_and_a_status() -> None:
+def test_every_error_has_three_parts_and_a_status():
     classes = [
         value
         for value in vars(errors).values()

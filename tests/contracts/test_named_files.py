@@ -8,7 +8,7 @@ ROOT = Path(__file__).parents[2]
 PRODUCT = ("piezoid", "cli", "reports", "datasets")
 FILE = re.compile(r"[\w/]*\w\.(?:py|c|h)\b")
 NAME = re.compile(r"``([A-Za-z_][\w.]*)``")
-# Written by the export, or part of software by others that a page refers to.
+# Files that the export writes, and files of other software.
 GENERATED = {"piezo_params.h", "plant_of_axis.h", "x_feedforward.h", "library/example.py"}
 GENERATED |= {"nanonis/send.py", "logic/chains.py", "iir.py", "bundle/piezoid_runtime.c"}
 GENERATED |= {"library/piezoid_controller.h"}
@@ -45,7 +45,7 @@ def missing_in(path: Path) -> list[str]:
     return missing_files(text, existing)
 
 
-def test_files_named_in_docstrings_and_documentation_exist() -> None:
+def test_files_named_in_docstrings_and_documentation_exist():
     missing = {str(path): missing_in(path) for path in (*MODULES, *PAGES)}
     assert {path: names for path, names in missing.items() if names} == {}
 
@@ -55,11 +55,11 @@ def unknown_names(package: Path) -> list[str]:
     code = code.replace(docstring(package), "")
     modules = {path.stem for path in package.parent.rglob("*.py")}
     names = [part for name in NAME.findall(docstring(package)) for part in name.split(".")]
-    known = {"piezoid", "piezoid_cli", "piezoid_reports", "piezoid_datasets", *PRODUCT, *modules}
-    return [n for n in names if n not in known and not re.search(rf"\b{n}\b", code)]
+    allowed = {"piezoid", "piezoid_cli", "piezoid_reports", "piezoid_datasets", *PRODUCT, *modules}
+    return [n for n in names if n not in allowed and not re.search(rf"\b{n}\b", code)]
 
 
-def test_names_in_package_docstrings_exist() -> None:
+def test_names_in_package_docstrings_exist():
     packages = [path for path in MODULES if path.name == "__init__.py"]
     unknown = {str(package): unknown_names(package) for package in packages}
     assert {package: names for package, names in unknown.items() if names} == {}

@@ -58,34 +58,36 @@ def long_sentences(text: str) -> int:
     for node in nodes:
         if id(node) in skipped or not isinstance(node, ast.Constant | ast.JoinedStr):
             continue
-        message = written(node)
+        message = literal_text(node)
         excused = "# sentence:" in lines[node.lineno - 1] or "\n" in message
         lengths = (len(sentence.split()) for sentence in re.split(r"[.;:]\s", message))
         count += 0 if excused else sum(length > LONGEST_SENTENCE for length in lengths)
     return count
 
 
-def written(node: ast.expr) -> str:
+def literal_text(node: ast.expr) -> str:
     """Return the words of a string or f-string, one for each formatted value."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
     if isinstance(node, ast.JoinedStr):
-        return "".join(written(part) or "value" for part in node.values)
+        return "".join(literal_text(part) or "value" for part in node.values)
     return ""
 
 
-def test_no_room_gets_more_bad_names_or_long_sentences() -> None:
+def test_no_room_gets_more_bad_names_or_long_sentences():
     counted: Counter[tuple[str, str]] = Counter()
     for path in sources():
         text, room = path.read_text(encoding="utf-8"), room_of(path)
         counted["names", room] += empty_names(text)
         counted["sentences", room] += long_sentences(text)
     allowed = {key: ALLOWED[key[0]].get(key[1], 0) for key in counted}
-    worse = {key: f"{n}, allowed {allowed[key]}" for key, n in counted.items() if n > allowed[key]}
-    assert worse == {}
+    exceeded = {
+        key: f"{n}, allowed {allowed[key]}" for key, n in counted.items() if n > allowed[key]
+    }
+    assert exceeded == {}
 
 
-def test_a_bad_name_and_a_long_sentence_are_counted() -> None:
+def test_a_bad_name_and_a_long_sentence_are_counted():
     assert empty_names("found = 1\nfor one in x:\n    residual_m = one\n") == 2
     assert empty_names("found = 1  # name: a quotation\n") == 0
     assert long_sentences(f"raise DesignError('{'word ' * 31}')") == 1

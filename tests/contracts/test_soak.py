@@ -1,11 +1,9 @@
-"""The soak draws the same stage again and says how to reproduce a fault."""
-
-from pathlib import Path
+"""The soak draws reproducible stages and names the command that reproduces a fault."""
 
 from benchmarks.soak import Outcome, table, write_stage
 
 
-def test_a_stage_of_the_soak_has_the_same_bytes_again(tmp_path: Path) -> None:
+def test_a_stage_of_the_soak_has_the_same_bytes_again(tmp_path):
     folders = [tmp_path / name for name in ("first", "second")]
     for folder in folders:
         folder.mkdir()
@@ -16,7 +14,7 @@ def test_a_stage_of_the_soak_has_the_same_bytes_again(tmp_path: Path) -> None:
     assert "lab.toml" in contents[0]
 
 
-def test_a_fault_comes_with_the_command_that_reproduces_it() -> None:
+def test_a_fault_comes_with_the_command_that_reproduces_it():
     clean = Outcome(number=4, stage="cedar 1, dahl", change="none", status=0, seconds=1.0)
     crash = Outcome(
         number=7, stage="cedar 2, dahl", change="copy", status=70, seconds=1.0, fault="exception"

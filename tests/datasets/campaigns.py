@@ -1,4 +1,4 @@
-"""Campaigns of the laboratory that several tests look at, recorded once."""
+"""Campaigns of the laboratory that several tests share."""
 
 from functools import lru_cache
 
@@ -20,7 +20,7 @@ def pairs(seed: int, name: str, size: float | None = None) -> list[tuple[Rows, R
 
 
 def pair(recording: str, seed: int, name: str, size: float | None = None) -> tuple[Rows, Rows]:
-    return next(both for both in pairs(seed, name, size) if both[0].run.name == recording)
+    return next(rows for rows in pairs(seed, name, size) if rows[0].run.name == recording)
 
 
 def number(seed: int, name: str, key: str, size: float | None = None) -> float:

@@ -1,4 +1,4 @@
-"""Paths of a field, and what a ceramic of the virtual laboratory makes of them."""
+"""Paths of a field, and the strain of a ceramic of the virtual laboratory."""
 
 import itertools
 

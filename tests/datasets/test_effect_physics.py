@@ -1,4 +1,4 @@
-"""Each effect is the physics its file tells, read from the recordings alone."""
+"""Each effect follows its documented physics, as seen in the recordings."""
 
 import numpy as np
 import pytest
@@ -9,24 +9,24 @@ from piezoid_datasets.virtual_lab.effects.ceramic import follow_slowly, freer_en
 from piezoid_datasets.virtual_lab.effects.drive import limited
 from piezoid_datasets.virtual_lab.truths.closed_form import BOUC_WEN
 from piezoid_datasets.virtual_lab.truths.closed_form import WALL_PINNING as WALLS
-from piezoid_datasets.virtual_lab.truths.truth import Ceramic, Truth
+from piezoid_datasets.virtual_lab.truths.truth import Ceramic
 from tests.datasets.campaigns import campaign, number, pair, pairs
 
 Array = NDArray[np.float64]
 
 
-def test_creep_goes_on_in_proportion_to_the_logarithm_of_time() -> None:
+def test_creep_grows_with_the_logarithm_of_time():
     faulty, sound = pair("long_hold", 4, "creep", 1.0)
     change = change_m(faulty, sound)
     start = np.argmax(sound.time_s > 2.0)  # the hold begins at 2 s, after 1 s up and 1 s back
-    moved = [change[start + int(100 * t)] - change[start] for t in (1.0, 10.0, 80.0)]
+    creep_m = [change[start + int(100 * t)] - change[start] for t in (1.0, 10.0, 80.0)]
     level_m = sound.noise_free_m[start]
     expected = number(4, "creep", "creep_per_decade", 1.0) * level_m
-    assert moved[1] - moved[0] > 0.5 * expected
-    assert abs((moved[2] - moved[1]) / np.log10(8.0) / expected - 1.0) < 0.25
+    assert creep_m[1] - creep_m[0] > 0.5 * expected
+    assert abs((creep_m[2] - creep_m[1]) / np.log10(8.0) / expected - 1.0) < 0.25
 
 
-def test_drift_does_not_know_the_drive() -> None:
+def test_drift_does_not_depend_on_the_drive():
     drifts = []
     for truth in ("preisach", "bouc_wen"):
         sizes = {"thermal_drift": 0.5}
@@ -36,17 +36,17 @@ def test_drift_does_not_know_the_drive() -> None:
     assert np.allclose(drifts[0], drifts[1], atol=1e-12)
 
 
-def test_walls_lag_in_proportion_to_a_slow_rate_and_to_the_logarithm_of_a_fast_one() -> None:
+def test_the_lag_of_walls_grows_as_arcsinh_of_the_rate():
     tau_s, scale = 2e-3, 0.01
     still = np.linspace(0.0, 0.3, 5001)
     for rate_Hz in (50.0, 5e3, 500e3):
         lag = np.max(still - follow_slowly(still, tau_s, scale, rate_Hz))
         expected = scale * np.arcsinh(0.3 / 5000 * rate_Hz * tau_s / scale)
-        one_step = 0.3 / 5000  # the target moves within a step, the wall sees its end
+        one_step = 0.3 / 5000  # the wall follows the end of each step of the target
         assert abs(lag - expected) < 1e-3 * expected + one_step
 
 
-def test_the_wall_solves_its_kinetics() -> None:
+def test_the_wall_solves_its_kinetics():
     still, tau_s, scale, rate_Hz = np.linspace(0.0, 0.1, 2001), 0.02, 0.01, 1e4
     wall = 0.0
     for target in still[1:]:
@@ -55,8 +55,8 @@ def test_the_wall_solves_its_kinetics() -> None:
     assert abs(follow_slowly(still, tau_s, scale, rate_Hz)[-1] - wall) < 1e-4
 
 
-def test_resonance_is_a_mode_that_takes_its_share_of_the_displacement() -> None:
-    kinds = set()
+def test_a_resonance_is_a_mode_with_its_share_of_the_displacement():
+    is_complete = set()
     for seed in (3, 4):
         faulty, sound = pair("chirp", seed, "resonance")
         f_Hz, z, share = (
@@ -67,33 +67,33 @@ def test_resonance_is_a_mode_that_takes_its_share_of_the_displacement() -> None:
         expected = np.fft.irfft(
             share * (ratio - 1.0) * np.fft.rfft(sound.noise_free_m), len(faulty.time_s)
         )
-        left = change_m(faulty, sound) - expected
-        assert np.std(left) < 0.1 * np.std(expected)  # the rows are coarser than the chain
-        kinds.add(share == 1.0)
-    assert kinds == {True, False}
+        residual_m = change_m(faulty, sound) - expected
+        assert np.std(residual_m) < 0.1 * np.std(expected)  # the rows are coarser than the chain
+        is_complete.add(share == 1.0)
+    assert is_complete == {True, False}
 
 
-def test_delay_is_in_seconds_or_in_rows_and_the_same_everywhere() -> None:
+def test_a_delay_is_constant_in_seconds_or_in_rows():
     for seed in (3, 4):
         numbers = campaign(seed, "delay").answer.effects[0].numbers
         for faulty, sound in pairs(seed, "delay")[:3]:
             rate_Hz = faulty.run.sampling_rate_Hz
             rows = float(numbers["rows"]) if "rows" in numbers else numbers["delay_s"] * rate_Hz
             index = np.arange(len(faulty.time_s))
-            late = np.interp(index - rows, index, sound.noise_free_m)
-            assert np.max(np.abs(faulty.noise_free_m - late)) < 0.03 * np.ptp(late)
-            assert np.std(faulty.noise_free_m - late) < 0.1 * np.std(change_m(faulty, sound))
+            delayed_m = np.interp(index - rows, index, sound.noise_free_m)
+            assert np.max(np.abs(faulty.noise_free_m - delayed_m)) < 0.03 * np.ptp(delayed_m)
+            assert np.std(faulty.noise_free_m - delayed_m) < 0.1 * np.std(change_m(faulty, sound))
 
 
-def test_lag_is_a_filter_behind_the_sensor() -> None:
+def test_lag_is_a_filter_behind_the_sensor():
     faulty, sound = pair("rates", 4, "lag", 0.4)
     tau_s = number(4, "lag", "time_constant_s", 0.4)
     speed = np.gradient(faulty.noise_free_m, faulty.time_s)
-    left = sound.noise_free_m - faulty.noise_free_m - tau_s * speed
-    assert np.std(left) < 0.05 * np.std(tau_s * speed)
+    residual_m = sound.noise_free_m - faulty.noise_free_m - tau_s * speed
+    assert np.std(residual_m) < 0.05 * np.std(tau_s * speed)
 
 
-def test_coupling_has_two_paths_and_is_silent_where_the_other_axis_rests() -> None:
+def test_coupling_has_two_paths_and_needs_a_driven_axis():
     paths = set()
     for seed in range(4):
         paths.add(campaign(seed, "cross_coupling").answer.effects[0].numbers["path"])
@@ -103,7 +103,7 @@ def test_coupling_has_two_paths_and_is_silent_where_the_other_axis_rests() -> No
     assert paths == {"mechanical", "electrical"}
 
 
-def test_mains_is_a_line_of_the_grid_that_does_not_know_the_drive() -> None:
+def test_mains_interference_is_a_line_of_the_grid():
     faulty, sound = pair("staircase", 4, "mains_interference")
     change = change_m(faulty, sound)
     lines = np.abs(np.fft.rfft(change * np.hanning(len(change))))
@@ -111,7 +111,7 @@ def test_mains_is_a_line_of_the_grid_that_does_not_know_the_drive() -> None:
     assert abs(loudest_Hz - number(4, "mains_interference", "grid_Hz")) < 0.3
 
 
-def test_the_periodic_error_repeats_with_displacement() -> None:
+def test_the_periodic_error_repeats_with_displacement():
     faulty, sound = pair("sweep", 4, "sensor_periodic_error")
     period_m = number(4, "sensor_periodic_error", "period_m")
     turn = np.floor(sound.noise_free_m / period_m * 40.0) % 40.0
@@ -120,7 +120,7 @@ def test_the_periodic_error_repeats_with_displacement() -> None:
     assert within < 0.15 * np.std(change)
 
 
-def test_a_saturated_amplifier_stops_where_the_command_goes_on() -> None:
+def test_a_saturated_amplifier_stops_while_the_command_continues():
     for seed in (2, 3, 4):
         numbers = campaign(seed, "amplifier_saturation").answer.effects[0].numbers
         faulty, _ = pair("sweep", seed, "amplifier_saturation")
@@ -128,44 +128,46 @@ def test_a_saturated_amplifier_stops_where_the_command_goes_on() -> None:
         for side, sign in (("high_V", 1.0), ("low_V", -1.0)):
             beyond |= sign * 15.0 * faulty.voltage_V > sign * float(numbers.get(side, sign * 1e9))
         runs = np.split(faulty.noise_free_m, np.flatnonzero(np.diff(beyond)) + 1)
-        flat = [part[2:-2] for part, hit in zip(runs, _alternating(beyond), strict=True) if hit]
+        flat = [
+            part[2:-2] for part, hit in zip(runs, alternating_runs(beyond), strict=True) if hit
+        ]
         assert max(np.ptp(part) for part in flat if len(part)) < 1e-9
 
 
-def _alternating(flags: NDArray[np.bool_]) -> list[bool]:
+def alternating_runs(flags: NDArray[np.bool_]) -> list[bool]:
     return [bool(flags[0]), *flags[np.flatnonzero(np.diff(flags)) + 1].tolist()]
 
 
-def test_a_slew_limit_lets_slow_drives_pass_and_slows_fast_ones_to_its_rate() -> None:
-    asked = np.concatenate((np.linspace(0.0, 1.0, 11), np.linspace(1.5, 5.0, 8)))
-    followed = limited(asked, 0.2)
-    assert np.array_equal(followed[:11], asked[:11])
+def test_a_slew_limit_slows_only_fast_drives():
+    command = np.concatenate((np.linspace(0.0, 1.0, 11), np.linspace(1.5, 5.0, 8)))
+    followed = limited(command, 0.2)
+    assert np.array_equal(followed[:11], command[:11])
     assert np.allclose(np.diff(followed[11:]), 0.2)
-    assert limited(asked[:11], 0.2) is not None
+    assert limited(command[:11], 0.2) is not None
     sweep, sound = pair("sweep", 4, "slew_limit")
     assert np.array_equal(sweep.displacement_m, sound.displacement_m)
 
 
-def test_the_gain_changes_at_its_instant_and_stays_changed() -> None:
+def test_the_gain_changes_at_its_instant_and_stays_changed():
     gain = number(4, "gain_change", "relative_change")
     order = int(number(4, "gain_change", "recording"))
     for k, (faulty, sound) in enumerate(pairs(4, "gain_change")):
-        after = faulty.time_s > number(4, "gain_change", "instant_s") + 0.1
-        expected = gain * sound.noise_free_m * (after if k == order else float(k > order))
-        settled = after | (faulty.time_s < number(4, "gain_change", "instant_s"))
+        is_after = faulty.time_s > number(4, "gain_change", "instant_s") + 0.1
+        expected = gain * sound.noise_free_m * (is_after if k == order else float(k > order))
+        settled = is_after | (faulty.time_s < number(4, "gain_change", "instant_s"))
         wrong = (change_m(faulty, sound) - expected)[settled]
         assert np.max(np.abs(wrong)) < 1e-9
 
 
-def test_coarse_readings_lie_on_the_coarse_steps() -> None:
+def test_coarse_readings_lie_on_the_coarse_steps():
     faulty, _ = pair("check", 4, "quantisation")
     step_m = number(4, "quantisation", "step_m")
     codes = faulty.displacement_m / step_m
-    near = campaign(4).rig.adc_step_m / step_m
-    assert np.max(np.abs(codes - np.round(codes))) < near
+    tolerance = campaign(4).rig.adc_step_m / step_m
+    assert np.max(np.abs(codes - np.round(codes))) < tolerance
 
 
-def test_a_slip_lasts_and_leaves_no_trace_in_the_time_column() -> None:
+def test_a_slip_lasts_and_is_not_in_the_time_column():
     kinds = set()
     for seed in (1, 4, 8, 10):
         numbers = campaign(seed, "timestamp_fault").answer.effects[0].numbers
@@ -174,70 +176,71 @@ def test_a_slip_lasts_and_leaves_no_trace_in_the_time_column() -> None:
             rows = len(faulty.time_s)
             assert np.array_equal(faulty.time_s, sound.time_s[:rows])
             assert np.array_equal(faulty.voltage_V, sound.voltage_V[:rows])
-            place = numbers.get(f"place_in_recording_{order}")
-            if place is None:
+            slip_row = numbers.get(f"place_in_recording_{order}")
+            if slip_row is None:
                 assert np.array_equal(faulty.displacement_m, sound.displacement_m)
                 continue
             shift = int(numbers["rows"]) * (1 if numbers["kind"] == "lost" else -1)
-            at = int(0.7 * rows)
-            assert faulty.noise_free_m[at] == sound.noise_free_m[at + shift]
+            row = int(0.7 * rows)
+            assert faulty.noise_free_m[row] == sound.noise_free_m[row + shift]
             assert np.array_equal(
                 faulty.noise_free_m[: rows // 10], sound.noise_free_m[: rows // 10]
             )
     assert kinds == {"lost", "stalled"}
 
 
-def test_outliers_are_single_readings_of_either_sign() -> None:
+def test_outliers_are_single_readings_of_either_sign():
     for faulty, sound in pairs(4, "outliers"):
         hit = np.flatnonzero(change_m(faulty, sound))
         assert 4 <= len(hit) <= 0.002 * len(faulty.time_s)
         assert np.mean(np.diff(np.sort(hit)) > 1) > 0.8
 
 
-def test_a_wrong_memory_is_forgotten_after_the_whole_range_was_visited() -> None:
+def test_an_initial_state_is_forgotten_after_a_full_cycle():
     faulty, sound = pair("rates", 4, "initial_state", 1.0)
     change = np.abs(change_m(faulty, sound))
     cycle = round(faulty.run.sampling_rate_Hz / 2.3)
     assert np.max(change[:cycle]) > 20.0 * np.max(change[cycle:])
 
 
-def test_asymmetry_bends_both_branches_to_one_side() -> None:
+def test_asymmetry_bends_both_branches_to_one_side():
     faulty, sound = pair("sweep", 4, "asymmetry")
     change = change_m(faulty, sound) * np.sign(number(4, "asymmetry", "curvature"))
     inside = (sound.voltage_V > 2.0) & (sound.voltage_V < 8.0)
     assert np.min(change[inside]) > 0.0
 
 
-def test_non_congruence_opens_loops_at_one_end_and_closes_them_at_the_other() -> None:
+def test_non_congruence_opens_loops_at_a_single_end():
     faulty, sound = pair("rates", 4, "non_congruence", 0.6)
     cycle = slice(0, round(faulty.run.sampling_rate_Hz / 2.3))
     change, volts = change_m(faulty, sound)[cycle], faulty.voltage_V[cycle]
     rising = np.gradient(volts) > 0.0
     openings = [
-        np.mean(change[~rising & _near(volts, at)]) - np.mean(change[rising & _near(volts, at)])
+        np.mean(change[~rising & is_near(volts, at)])
+        - np.mean(change[rising & is_near(volts, at)])
         for at in (2.5, 7.5)
     ]
     assert openings[0] * openings[1] < 0.0
-    assert abs(np.mean(change[_near(volts, 5.0)])) < 0.1 * max(map(abs, openings))
+    assert abs(np.mean(change[is_near(volts, 5.0)])) < 0.1 * max(map(abs, openings))
 
 
 @pytest.mark.parametrize("truth", [WALLS, BOUC_WEN])
-def test_walls_become_freer_where_they_are_freer_by_nature(truth: Truth) -> None:
+def test_the_freer_end_of_walls_has_the_narrower_loops(truth):
     for seed in range(3):
         ceramic = truth.draw(np.random.default_rng(seed))
-        wide = [_width(ceramic, bias) for bias in (-0.5, 0.5)]
+        wide = [loop_width(ceramic, bias) for bias in (-0.5, 0.5)]
         if abs(wide[1] / wide[0] - 1.0) > 0.03:
             assert freer_end(ceramic) == np.sign(wide[1] - wide[0])
 
 
-def _width(ceramic: Ceramic, bias: float) -> float:
-    """Return the rms opening of a small loop, of its twentieth round."""
+def loop_width(ceramic: Ceramic, bias: float) -> float:
+    """Return the rms opening of a small loop in its twentieth cycle."""
     up = np.linspace(bias - 0.25, bias + 0.25, 201)
-    once = np.concatenate([up, up[-2:0:-1]])
-    _, moved = ceramic.respond(np.tile(once, 20), np.array([-1.0, 1.0]))
-    last = moved[-len(once) :]
-    return float(np.sqrt(np.mean((last[1:200] - last[:200:-1]) ** 2)))
+    cycle = np.concatenate([up, up[-2:0:-1]])
+    _, strain = ceramic.respond(np.tile(cycle, 20), np.array([-1.0, 1.0]))
+    last_cycle = strain[-len(cycle) :]
+    return float(np.sqrt(np.mean((last_cycle[1:200] - last_cycle[:200:-1]) ** 2)))
 
 
-def _near(volts: Array, at: float) -> NDArray[np.bool_]:
+def is_near(volts: Array, at: float) -> NDArray[np.bool_]:
     return np.abs(volts - at) < 0.3

@@ -1,4 +1,4 @@
-"""Each effect is there at the size that was asked for, absent at zero, and told in its file."""
+"""Each effect has its requested size, is absent at zero, and cites its source."""
 
 import inspect
 
@@ -29,11 +29,11 @@ NAMES = (
     "asymmetry",
     "non_congruence",
 )
-# Delays and slips come in whole rows, past memories from a draw; the rest is within some percent.
-ABOUT = 1.35
+# Delays and slips are whole rows and memories are drawn; other sizes are within a few percent.
+MAX_RATIO = 1.35
 
 
-def test_the_effects_are_those_of_the_table_and_tell_their_physics_and_source() -> None:
+def test_the_effects_are_those_of_the_table_and_cite_their_source():
     assert sorted(effect.name for effect in EFFECTS) == sorted(NAMES)
     for effect in EFFECTS:
         assert "\nSource: " in (inspect.getdoc(effect.install) or "")
@@ -41,18 +41,18 @@ def test_the_effects_are_those_of_the_table_and_tell_their_physics_and_source() 
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_effect_changes_the_reading_by_about_the_size_it_was_asked_for(name: str) -> None:
-    found = campaign(4, name).answer.effects[0]
-    assert 1.0 / ABOUT < found.measured_percent / found.asked_percent < ABOUT
-    changes = [change_m(*both) for both in pairs(4, name)]
-    largest = max(found.measure.of(change) for change in changes)
+def test_an_effect_has_about_the_requested_size(name):
+    effect = campaign(4, name).answer.effects[0]
+    assert 1.0 / MAX_RATIO < effect.measured_percent / effect.asked_percent < MAX_RATIO
+    changes = [change_m(*rows) for rows in pairs(4, name)]
+    largest = max(effect.measure.of(change) for change in changes)
     stroke_m = campaign(4).rig.stroke_m
-    assert abs(100.0 * largest / stroke_m - found.measured_percent) < 1e-9
+    assert abs(100.0 * largest / stroke_m - effect.measured_percent) < 1e-9
 
 
-def test_an_effect_of_size_zero_is_silent() -> None:
+def test_an_effect_of_size_zero_changes_nothing():
     sizes = ({name: 0.0 for name in NAMES}, {})
     silent, sound = (draw_campaign(4, effects=e, plans=("check", "other_axis")) for e in sizes)
-    for one, other in zip(silent.recordings, sound.recordings, strict=True):
-        assert np.array_equal(one.displacement_m, other.displacement_m)
+    for rows, expected in zip(silent.recordings, sound.recordings, strict=True):
+        assert np.array_equal(rows.displacement_m, expected.displacement_m)
     assert silent.answer.effects == ()

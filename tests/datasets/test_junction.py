@@ -1,4 +1,4 @@
-"""The virtual junction obeys its own physics; its records depend on their seeds alone."""
+"""The virtual junction obeys its physics; its records depend only on their seeds."""
 
 from dataclasses import replace
 
@@ -17,15 +17,15 @@ STILL = Junction(
 )
 
 
-def test_a_still_junction_rests_at_its_set_point() -> None:
-    """Within the drive's step, 0.11 nepers at 4 eV."""
+def test_an_undisturbed_junction_stays_at_its_set_point():
+    """The step of the drive is 0.11 nepers at 4 eV."""
     (record,) = simulate_junctions([STILL], reference_nepers=np.zeros(4000), seeds=[1])
     nepers = np.log(record.current_A / record.set_point_A)
     assert np.max(np.abs(nepers)) < 0.15
     assert np.mean(nepers) == pytest.approx(0.0, abs=0.01)
 
 
-def test_a_larger_drive_extends_the_tip_and_raises_the_current() -> None:
+def test_a_larger_drive_extends_the_tip_and_raises_the_current():
     fine = replace(STILL, drive_range_V=0.1)
     step = np.concatenate([np.zeros(2000), np.full(2000, 0.3)])
     (record,) = simulate_junctions([fine], reference_nepers=step, seeds=[2], settle_samples=0)
@@ -34,44 +34,43 @@ def test_a_larger_drive_extends_the_tip_and_raises_the_current() -> None:
     assert np.log(record.current_A[-500:].mean() / 1e-9) == pytest.approx(0.3, abs=1e-3)
 
 
-def test_the_loop_follows_the_drift() -> None:
+def test_the_loop_follows_the_drift():
     drifting = replace(STILL, drift_m_per_s=100e-12)
     (record,) = simulate_junctions([drifting], reference_nepers=np.zeros(20000), seeds=[3])
     slope = np.polyfit(np.arange(20000) / 20000.0, record.drive_V * 18e-9, 1)[0]
-    assert slope == pytest.approx(
-        100e-12, rel=0.05, abs=0.0
-    )  # the drive's step is 5 % of a second's drift
+    # The step of the drive is 5 % of the drift in a second.
+    assert slope == pytest.approx(100e-12, rel=0.05, abs=0.0)
 
 
-def test_the_current_of_a_still_tip_shows_shot_noise() -> None:
-    """2 e i times the noise bandwidth pi/2 f of one pole; the loop is opened by a zero gain."""
+def test_the_current_of_a_still_tip_shows_shot_noise():
+    """The loop is open, and the noise bandwidth of a pole is pi/2 f."""
     open_loop = replace(STILL, integral_gain_V=0.0, sensor_pole_Hz=2000.0)
     (record,) = simulate_junctions([open_loop], reference_nepers=np.zeros(40000), seeds=[4])
     expected_A = np.sqrt(2 * 1.602e-19 * 1e-9 * 2000.0 * np.pi / 2)
     assert np.std(record.current_A) == pytest.approx(expected_A, rel=0.03, abs=0.0)
 
 
-def test_both_converters_put_out_whole_steps() -> None:
+def test_both_converters_are_quantised():
     (record,) = simulate_junctions([Junction()], reference_nepers=np.zeros(500), seeds=[5])
     for values, step in ((record.drive_V, 10.0 / 2**15), (record.current_A, 1e-8 / 2**15)):
         assert np.round(values / step) * step == pytest.approx(values, abs=1e-6 * step)
 
 
-def test_a_record_depends_on_its_own_seed_alone() -> None:
+def test_a_record_depends_only_on_its_seed():
     reference = multisine(500, 4, lines=[3, 7], rms=0.1, rng=np.random.default_rng(6))
-    alone = simulate_junctions([Junction()], reference_nepers=reference, seeds=[7])[0]
-    among = simulate_junctions([Junction()] * 3, reference_nepers=reference, seeds=[8, 7, 9])
-    assert np.array_equal(alone.current_A, among[1].current_A)
-    assert not np.array_equal(alone.current_A, among[0].current_A)
+    single = simulate_junctions([Junction()], reference_nepers=reference, seeds=[7])[0]
+    several = simulate_junctions([Junction()] * 3, reference_nepers=reference, seeds=[8, 7, 9])
+    assert np.array_equal(single.current_A, several[1].current_A)
+    assert not np.array_equal(single.current_A, several[0].current_A)
 
 
-def test_the_dither_has_its_lines_and_size() -> None:
+def test_the_dither_has_its_lines_and_size():
     dither = multisine(500, 4, lines=[3, 7], rms=0.1, rng=np.random.default_rng(6))
     spectrum = np.abs(np.fft.rfft(dither[:500]))
     assert np.std(dither) == pytest.approx(0.1, rel=1e-9)
     assert set(np.flatnonzero(spectrum > 1e-6 * spectrum.max())) == {3, 7}
 
 
-def test_a_latency_of_more_than_a_tick_is_refused() -> None:
+def test_a_latency_of_more_than_a_tick_is_refused():
     with pytest.raises(ValueError, match="latency_s"):
         Junction(latency_s=60e-6)

@@ -1,4 +1,4 @@
-"""`piezoid simulate` writes what a lab would hand over, and the truth somewhere else."""
+"""`piezoid simulate` writes recordings and lab.toml, and the truth in another folder."""
 
 import json
 import tomllib
@@ -22,15 +22,15 @@ def run(*arguments: str) -> tuple[int, str]:
 
 
 @pytest.fixture
-def written(tmp_path: Path) -> Path:
+def campaign_folder(tmp_path: Path) -> Path:
     out = tmp_path / "virtual"
     code, _ = run("--out", str(out), "--seed", "7", "--effect", "cross_coupling=0.6")
     assert code == 0
     return out
 
 
-def test_the_recordings_can_be_read_and_say_nothing_of_the_truth(written: Path) -> None:
-    folder = written / "recordings"
+def test_the_recordings_are_readable_and_do_not_reveal_the_truth(campaign_folder):
+    folder = campaign_folder / "recordings"
     lab = read_lab(folder / "lab.toml")
     recordings = collect(sorted(folder.glob("*.csv")), lab).recordings
     assert len(recordings) >= 3
@@ -40,24 +40,26 @@ def test_the_recordings_can_be_read_and_say_nothing_of_the_truth(written: Path) 
     assert "truth" not in words
 
 
-def test_the_truth_names_the_effect_and_its_size(written: Path) -> None:
-    truth = json.loads((written / "truth" / "truth.json").read_text())
+def test_the_truth_names_the_effect_and_its_size(campaign_folder):
+    truth = json.loads((campaign_folder / "truth" / "truth.json").read_text())
     assert truth["schema"] == "piezoid.truth/1"
     (effect,) = truth["effects"]
     assert effect["effect"] == "cross_coupling"
     assert effect["asked_percent"] == 0.6
     assert abs(effect["measured_percent"] - 0.6) < 0.1
-    assert set(truth["recordings"]) == {p.stem for p in (written / "recordings").glob("*.csv")}
+    assert set(truth["recordings"]) == {
+        p.stem for p in (campaign_folder / "recordings").glob("*.csv")
+    }
 
 
-def test_the_lab_file_declares_the_healthy_rig(written: Path) -> None:
-    lab = tomllib.loads((written / "recordings" / "lab.toml").read_text())
+def test_the_lab_file_declares_the_healthy_rig(campaign_folder):
+    lab = tomllib.loads((campaign_folder / "recordings" / "lab.toml").read_text())
     assert lab["amplifier"]["bandwidth_Hz"] == 4000.0
     assert lab["acquisition"]["input_range_V"] == [-10.0, 10.0]
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (("--effect", "crep"), "known are amplifier_saturation"),
         (("--effect", "creep=big"), "'big' is not a number"),
@@ -66,18 +68,14 @@ def test_the_lab_file_declares_the_healthy_rig(written: Path) -> None:
         (("--effect", "cross_coupling", "--recording", "sweep"), "no other axis is driven"),
     ],
 )
-def test_a_wrong_word_is_a_usage_error_that_lists_the_right_ones(
-    arguments: tuple[str, ...], told: str, tmp_path: Path
-) -> None:
+def test_an_unknown_word_is_a_usage_error_with_the_known_words(arguments, message, tmp_path):
     code, output = run("--out", str(tmp_path / "out"), *arguments)
     assert code == 2
-    assert told in " ".join(output.replace("│", " ").split())
+    assert message in " ".join(output.replace("│", " ").split())
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_of_other_files_is_never_written_and_results_only_with_force(
-    tmp_path: Path,
-) -> None:
+def test_foreign_files_are_kept_and_results_replaced_with_force_only(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     arguments = ("--recording", "check")
     for words in (arguments, (*arguments, "--force")):

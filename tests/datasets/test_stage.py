@@ -1,4 +1,4 @@
-"""The signal chain is the rig's: its lags, its converters, its noise, nothing else."""
+"""The signal chain has the lags, converters and noise of the rig, and nothing else."""
 
 from dataclasses import replace
 
@@ -27,16 +27,16 @@ def ramp(rate_Hz: float, volts_per_s: float, samples: int = 2000) -> Run:
     )
 
 
-def act(place: Place, change: object) -> Act:
+def act(stage_place: Place, change: object) -> Act:
     def changed(signal: Array, _scene: Scene, _rng: np.random.Generator) -> Array:
         assert callable(change)
         return np.asarray(change(signal), dtype=np.float64)
 
-    return Act(name="test", place=place, change=changed)
+    return Act(name="test", place=stage_place, change=changed)
 
 
 @pytest.mark.parametrize("rate_Hz", [500.0, 20e3])
-def test_a_ramp_arrives_late_by_hold_amplifier_and_sensor(rate_Hz: float) -> None:
+def test_a_ramp_is_delayed_by_hold_amplifier_and_sensor(rate_Hz):
     rows = record(STAGE, ramp(rate_Hz, 4.0 if rate_Hz < 1e3 else 80.0, 1000))
     speed_m_per_s = 30e-6 / 10.0 * (4.0 if rate_Hz < 1e3 else 80.0)
     late_s = rows.time_s[500:] - rows.noise_free_m[500:] / speed_m_per_s
@@ -44,7 +44,7 @@ def test_a_ramp_arrives_late_by_hold_amplifier_and_sensor(rate_Hz: float) -> Non
     assert abs(np.mean(late_s) - (HOLD_s + AMPLIFIER_s + SENSOR_s)) < 1e-6 + 0.1 * dac_s
 
 
-def test_the_voltage_column_is_the_command_whatever_the_amplifier_makes_of_it() -> None:
+def test_the_voltage_column_is_the_command_before_the_amplifier():
     clipped = replace(STAGE, acts=(act(Place.OUTPUT, lambda volts: np.minimum(volts, 20.0)),))
     run = ramp(20e3, 80.0)
     sound, faulty = record(STAGE, run), record(clipped, run)
@@ -53,39 +53,39 @@ def test_the_voltage_column_is_the_command_whatever_the_amplifier_makes_of_it() 
     assert abs(np.max(faulty.noise_free_m) - 30e-6 * 20.0 / 150.0) < 1e-9
 
 
-def test_readings_lie_on_the_steps_of_the_converter() -> None:
+def test_readings_lie_on_the_steps_of_the_converter():
     codes = record(STAGE, ramp(20e3, 80.0)).displacement_m / STAGE.rig.adc_step_m
     assert np.max(np.abs(codes - np.round(codes))) < 1e-9
 
 
-def test_noise_has_the_declared_size_and_does_not_depend_on_what_else_goes_on() -> None:
-    quiet = replace(STAGE.rig, flicker_share=0.0)
-    sound = replace(STAGE, rig=quiet)
-    louder = replace(sound, acts=(act(Place.MECHANICS, lambda x: 1.1 * x),))
-    noises = [_noise(record(stage, ramp(20e3, 80.0, 20_000))) for stage in (sound, louder)]
+def test_noise_has_the_declared_size_and_is_independent_of_effects():
+    rig = replace(STAGE.rig, flicker_share=0.0)
+    sound = replace(STAGE, rig=rig)
+    amplified = replace(sound, acts=(act(Place.MECHANICS, lambda x: 1.1 * x),))
+    noises = [noise_of(record(stage, ramp(20e3, 80.0, 20_000))) for stage in (sound, amplified)]
     assert abs(np.std(noises[0]) / 10e-9 - 1.0) < 0.03  # converter steps add 0.1 %
-    assert np.max(np.abs(noises[0] - noises[1])) <= 2.0 * quiet.adc_step_m
+    assert np.max(np.abs(noises[0] - noises[1])) <= 2.0 * rig.adc_step_m
 
 
-def _noise(rows: Rows) -> Array:
+def noise_of(rows: Rows) -> Array:
     return rows.displacement_m - rows.noise_free_m
 
 
-def test_another_recording_and_another_seed_have_other_noise() -> None:
+def test_another_recording_and_another_seed_have_other_noise():
     run = ramp(500.0, 1.0)
-    first = _noise(record(STAGE, run))
-    assert abs(np.corrcoef(first, _noise(record(STAGE, run, order=1)))[0, 1]) < 0.2
-    assert abs(np.corrcoef(first, _noise(record(replace(STAGE, seed=5), run)))[0, 1]) < 0.2
+    first = noise_of(record(STAGE, run))
+    assert abs(np.corrcoef(first, noise_of(record(STAGE, run, order=1)))[0, 1]) < 0.2
+    assert abs(np.corrcoef(first, noise_of(record(replace(STAGE, seed=5), run)))[0, 1]) < 0.2
 
 
-def test_acts_are_applied_in_the_order_of_the_chain() -> None:
+def test_acts_are_applied_in_the_order_of_the_chain():
     add = act(Place.MECHANICS, lambda x: x + 1e-6)
     double = act(Place.CERAMIC, lambda x: 2.0 * x)
     rows = record(replace(STAGE, acts=(add, double)), ramp(500.0, 0.0, 10))
     assert np.allclose(rows.noise_free_m, 1e-6, atol=1e-12)
 
 
-def test_rows_lost_from_the_reading_are_lost_from_every_column() -> None:
+def test_rows_missing_in_the_reading_are_missing_in_every_column():
     short = replace(STAGE, acts=(act(Place.RECORD, lambda x: x[:-7]),))
     rows = record(short, replace(ramp(500.0, 1.0, 50), others_V={"y": np.zeros(50)}))
     columns = (rows.time_s, rows.voltage_V, rows.displacement_m, rows.others_V["y"])

@@ -1,4 +1,4 @@
-"""The ceramics that are drawn solve their equations; what every law does: test_zoo.py."""
+"""The drawn ceramics solve their equations; test_zoo.py has the properties of every law."""
 
 from types import SimpleNamespace
 
@@ -21,13 +21,13 @@ EVERETT = Everett(
 )
 
 
-def test_branches_cut_a_path_at_its_reversals() -> None:
+def test_branches_cut_a_path_at_its_reversals():
     path = np.array([0.0, 0.0, 1.0, 2.0, 2.0, 1.0, 1.0, 3.0])
     assert list(branches(path)) == [(0, 4, True), (4, 6, False), (6, 7, True)]
     assert list(branches(np.zeros(3))) == []
 
 
-def test_a_preisach_ceramic_is_the_sum_of_its_relays() -> None:
+def test_a_preisach_ceramic_is_the_sum_of_its_relays():
     grid = np.linspace(FLOOR, 1.2, 421)
     middle, cell = 0.5 * (grid[1:] + grid[:-1]), (grid[1] - grid[0]) ** 2
     above, below = np.meshgrid(middle, middle, indexing="ij")
@@ -50,7 +50,7 @@ def test_a_preisach_ceramic_is_the_sum_of_its_relays() -> None:
     assert np.max(np.abs(output - summed)) < 0.02 * np.ptp(output)  # two cells of the grid
 
 
-def test_a_bouc_wen_ceramic_solves_its_equation() -> None:
+def test_a_bouc_wen_ceramic_solves_its_equation():
     law = SimpleNamespace(sharpness=1.4, beta=1.8, gamma=0.3, bend=0.2)
     path = walk(FLOOR, 0.9, -0.6, 0.3, -0.9, points=4000)
     p = bent_scale(path, law.bend)
@@ -70,7 +70,7 @@ def _bouc_wen_slope(law: SimpleNamespace, z: float, dp: float) -> float:
     return 1.0 - abs(z) ** law.sharpness * grip
 
 
-def test_a_pinned_wall_solves_its_equation() -> None:
+def test_a_pinned_wall_solves_its_equation():
     path = walk(FLOOR, 0.9, -0.6, 0.3, -0.9, points=4000)
     wall = np.empty_like(path)
     output = wall_pinning_memory(np.tanh, 0.4, path)

@@ -1,4 +1,4 @@
-"""The known stage, designed once for all tests."""
+"""Design of the known stage, computed once for all tests."""
 
 import json
 from functools import cache

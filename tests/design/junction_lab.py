@@ -1,4 +1,4 @@
-"""A tunnelling loop as identified, and the laboratory that declares the rest."""
+"""An identified tunnelling loop, and the lab.toml of its stage."""
 
 from dataclasses import replace
 
@@ -33,7 +33,9 @@ SLOW = replace(NOMINAL, sensor_pole_Hz=8e3, delay_s=1.3 / RATE_Hz)
 
 
 def loop_plant(
-    *, ratios: tuple[float, ...] = (1.0, 0.8, 1.25), others: tuple[JunctionPlant, ...] = (SLOW,)
+    *,
+    ratios: tuple[float, ...] = (1.0, 0.8, 1.25),
+    further_members: tuple[JunctionPlant, ...] = (SLOW,),
 ) -> LoopPlant:
     """Amplifier 4 kHz, sensor 10 kHz, one sample of delay; members differ in gain."""
     gains = tuple(replace(NOMINAL, gain_nepers_per_V=NEPER_PER_V * ratio) for ratio in ratios)
@@ -46,7 +48,7 @@ def loop_plant(
         barrier_interval_eV=(0.9, 1.1),
         naive_gain=1.0,
         naive_reason="",
-        family=(*gains, *others),
+        family=(*gains, *further_members),
         family_records=1,
         confidence=Confidence.HIGH,
         reasons=(),

@@ -1,4 +1,4 @@
-"""Plants written as fractions, and observers by their poles."""
+"""Plants from fractions, and observers from their poles."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,10 +27,10 @@ def plant_from_fraction(
     matrix[:-1, 1:] = np.eye(order - 1)
     output = np.eye(order)[0]
     taps = np.zeros((order, max(len(b) - 1 - order, 0) + 1))
-    head = b[1 : order + 1]
-    taps[: len(head), 0] = head
-    for late, value in enumerate(b[order + 1 :], start=1):
-        taps[-1, late] = value
+    first_taps = b[1 : order + 1]
+    taps[: len(first_taps), 0] = first_taps
+    for delay, value in enumerate(b[order + 1 :], start=1):
+        taps[-1, delay] = value
     return Plant(
         label=label,
         sampling_rate_Hz=sampling_rate_Hz,

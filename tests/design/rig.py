@@ -1,4 +1,4 @@
-"""Plants the design tests share: the two axes of a published rig, and random chains."""
+"""Plants of the design tests: the two axes of a published rig, and random chains."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.varied_chains import Chain, family_from_chains, plant_from_chain, varied
 from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import closed_loop_target, place_poles, section_poles
-from piezoid.design.specification import Specification
+from piezoid.design.specification import Specification, default_specification
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import from_roots, roots_of
 
@@ -34,7 +34,7 @@ def lateral_chain(gain: float = 1.0, delay_s: float = 0.0) -> Chain:
 
 
 def lateral_family() -> PlantFamily:
-    """Nominal with a Butterworth filter the model has not, and corners of the uncertainty."""
+    """Return a nominal plant with a Butterworth filter that is not modelled, and corners."""
     chain = lateral_chain(LATERAL_m_per_V)
     truth = replace(
         chain,
@@ -48,7 +48,7 @@ def lateral_family() -> PlantFamily:
 
 
 def lateral_model() -> Plant:
-    """What the observer computes with."""
+    """Return the model of the observer."""
     return plant_from_chain(lateral_chain(LATERAL_m_per_V))
 
 
@@ -70,12 +70,12 @@ def vertical_chain(barrier_eV: float = 1.0) -> Chain:
 
 def vertical_family() -> PlantFamily:
     """Barriers 16:1, loop gains 4:1."""
-    others = [vertical_chain(barrier) for barrier in (0.25, 0.5, 2.0, 4.0)]
-    return family_from_chains(vertical_chain(), others)
+    corners = [vertical_chain(barrier) for barrier in (0.25, 0.5, 2.0, 4.0)]
+    return family_from_chains(vertical_chain(), corners)
 
 
 def lateral_specification(bandwidth_Hz: float = 90.0) -> Specification:
-    """1 nm of sensor noise, 0.35 um left by hysteresis at 10 Hz."""
+    """Return limits for 1 nm of sensor noise and 0.35 um of hysteresis at 10 Hz."""
     return Specification(
         bandwidth_Hz=bandwidth_Hz,
         delay_margin_s=1.0 / RATE_Hz,
@@ -87,8 +87,19 @@ def lateral_specification(bandwidth_Hz: float = 90.0) -> Specification:
     )
 
 
+def default_limits(family: PlantFamily, disturbance_rms: float) -> Specification:
+    """Return the default limits for drives of -10 to 10 V and 1 nm of sensor noise."""
+    return default_specification(
+        family,
+        voltage_min_V=-10.0,
+        voltage_max_V=10.0,
+        sensor_noise_rms=1e-9,
+        disturbance_rms=disturbance_rms,
+    )
+
+
 def vertical_specification(bandwidth_Hz: float = 300.0) -> Specification:
-    """Ms <= 5.8 dB and 1.2 samples of delay."""
+    """Return limits of Ms <= 5.8 dB and 1.2 samples of delay."""
     return replace(
         lateral_specification(bandwidth_Hz),
         modulus_margin=10.0 ** (-5.8 / 20.0),
@@ -100,11 +111,11 @@ def vertical_specification(bandwidth_Hz: float = 300.0) -> Specification:
 
 def poles(*sections: tuple[float, float | None]) -> Array:
     """Return values of z of (frequency, damping) sections at 20 kHz."""
-    parts = [
+    roots = [
         roots_of(from_roots(section_poles(Section(frequency_Hz=f, damping=zeta), RATE_Hz)))
         for f, zeta in sections
     ]
-    return np.concatenate(parts)
+    return np.concatenate(roots)
 
 
 def printed_observer_poles() -> tuple[Array, Array]:
@@ -133,7 +144,7 @@ def random_chain(rng: np.random.Generator) -> Chain:
 
 
 def loop(frequency_Hz: float, damping: float) -> tuple[Array, Array]:
-    """R and S placed on the vertical axis for one of LOOPS."""
+    """Return R and S of the vertical axis for the target of ``LOOPS``."""
     dominant = Section(frequency_Hz=frequency_Hz, damping=damping)
     target = closed_loop_target(dominant, RATE_Hz, auxiliary_root=0.2, auxiliary_count=2)
     c = place_poles(plant_from_chain(vertical_chain()), target, H_R=[1.0, 1.0])

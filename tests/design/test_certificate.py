@@ -1,4 +1,4 @@
-"""Guarantees: norms by hand, and an error never exceeded in closed loop around hysteresis."""
+"""Certificates: norms with known values, and bounds of the error in closed loop."""
 
 import numpy as np
 import pytest
@@ -23,29 +23,29 @@ CONTROLLER = linear_controller(OBSERVER)
 def run_around_hysteresis(
     path: ReferencePath, reference_m: Array, step_V: float
 ) -> tuple[Array, Array]:
-    """Step the affine form around hysteresis, dynamics of unit gain behind it; return y and u."""
-    o = OBSERVER
+    """Simulate the affine form with hysteresis and dynamics of unit gain; return y and u."""
+    observer = OBSERVER
     unit = plant_from_chain(lateral_chain(1.0))
     A, B, C = unit.realised()
     z = np.zeros(len(THRESHOLD_V))
     weight = hysteresis().plays.weight
     filtered = np.convolve(reference_m, path.filter)[: len(reference_m)]
-    x, x_, d_ = np.zeros(len(A)), np.zeros(len(o.A)), 0.0
+    x, x_, d_ = np.zeros(len(A)), np.zeros(len(observer.A)), 0.0
     y, u = np.empty(len(reference_m)), np.empty(len(reference_m))
     for k, r in enumerate(filtered):
         y[k] = C @ x
-        nu = y[k] - o.C @ x_
-        xh, d = x_ + o.state_gain * nu, d_ + o.disturbance_gain[0] * nu
-        u[k] = o.reference_gain * r - o.feedback_gain @ xh - d
+        nu = y[k] - observer.C @ x_
+        xh, d = x_ + observer.state_gain * nu, d_ + observer.disturbance_gain[0] * nu
+        u[k] = observer.reference_gain * r - observer.feedback_gain @ xh - d
         if step_V:
             u[k] = step_V * np.round(u[k] / step_V)
         z = np.maximum(u[k] - THRESHOLD_V, np.minimum(u[k] + THRESHOLD_V, z))
         x = A @ x + B * (weight @ z)
-        x_, d_ = o.A @ xh + o.B * (u[k] + d), d
+        x_, d_ = observer.A @ xh + observer.B * (u[k] + d), d
     return y, u
 
 
-def certificate_of(slew_m_per_s, step_V=0.0, plants=(PLANT,)):
+def path_and_certificate(slew_m_per_s, step_V=0.0, plants=(PLANT,)):
     c = CONTROLLER
     path = fit_reference_path([PLANT], c.R, c.S, c.T, band_Hz=100.0)
     certificate = certify(
@@ -64,15 +64,15 @@ def test_the_norm_of_a_lag_is_its_geometric_sum():
     assert peak_gain([1.0], [1.0, 0.5]) == pytest.approx(2.0, rel=1e-10)
 
 
-def test_small_gain_is_the_sector_times_the_loops_peak():
-    _, found = certificate_of(1e-4)
+def test_the_small_gain_is_the_sector_times_the_peak_of_the_loop():
+    _, certificate = path_and_certificate(1e-4)
     z = np.exp(1j * np.linspace(1e-4, np.pi, 100_001))
     c = CONTROLLER
     p = [np.polyval(x[::-1], 1 / z) for x in (PLANT.B, c.R, PLANT.A, c.S)]
     peak = np.abs(p[0] * p[1] / (p[2] * p[3] + p[0] * p[1])).max()
-    assert found.loop_peak == pytest.approx(peak, rel=1e-3)
-    assert found.small_gain == pytest.approx(BOUNDS.increment_gain * peak, rel=1e-3)
-    assert found.is_guaranteed
+    assert certificate.loop_peak == pytest.approx(peak, rel=1e-3)
+    assert certificate.small_gain == pytest.approx(BOUNDS.increment_gain * peak, rel=1e-3)
+    assert certificate.is_guaranteed
 
 
 @pytest.mark.parametrize("frequency_Hz", [2.0, 10.0, 40.0])
@@ -82,47 +82,53 @@ def test_the_guaranteed_error_is_never_exceeded_in_closed_loop(frequency_Hz, ste
     t = np.arange(int(2.5 / frequency_Hz * RATE_Hz)) / RATE_Hz
     reference = amplitude_m * np.sin(2 * np.pi * frequency_Hz * t)
     slew = 2 * np.pi * frequency_Hz * amplitude_m
-    path, found = certificate_of(slew, step_V)
+    path, certificate = path_and_certificate(slew, step_V)
     y, u = run_around_hysteresis(path, reference, step_V)
-    assert np.abs(u).max() <= REACH_V  # the certificate's own condition
+    assert np.abs(u).max() <= REACH_V  # a condition of the certificate
     p = path.preview_samples
     error = np.abs(reference[: len(reference) - p] - y[p:]).max()
-    assert error <= found.guaranteed_error_m
-    assert error >= 0.02 * found.guaranteed_error_m  # a bound nobody could use fails here
-    assert found.guaranteed_error_m == pytest.approx(
-        found.hysteresis_error_m + found.reference_error_m + found.converter_error_m
+    assert error <= certificate.guaranteed_error_m
+    assert error >= 0.02 * certificate.guaranteed_error_m  # the bound is of practical use
+    assert certificate.guaranteed_error_m == pytest.approx(
+        certificate.hysteresis_error_m
+        + certificate.reference_error_m
+        + certificate.converter_error_m
     )
 
 
-def test_of_a_slower_reference_as_much_is_guaranteed_as_by_a_certificate_of_its_own():
+def test_a_certificate_also_bounds_the_error_of_slower_references():
     fast_m_per_s = 2e-3
-    _, fast = certificate_of(fast_m_per_s, 5e-3)
+    _, fast = path_and_certificate(fast_m_per_s, 5e-3)
     for slow_m_per_s in (1e-7, 2e-5, 3e-4, fast_m_per_s):
-        _, slow = certificate_of(slow_m_per_s, 5e-3)
+        _, slow = path_and_certificate(slow_m_per_s, 5e-3)
         assert fast.guaranteed_at(slow_m_per_s) == pytest.approx(slow.guaranteed_error_m)
     assert fast.guaranteed_at(2e-5) < 0.1 * fast.guaranteed_error_m
     assert np.isinf(fast.guaranteed_at(1.01 * fast_m_per_s))
 
 
-def test_the_worst_row_of_half_steps_errs_by_what_is_guaranteed_of_a_converter():
-    _, found = certificate_of(1e-4, step_V=2e-3)
+def test_the_worst_rounding_errors_attain_the_bound_of_the_converter():
+    _, certificate = path_and_certificate(1e-4, step_V=2e-3)
     c = CONTROLLER
-    through = impulse_response(np.convolve(PLANT.B, c.S), closed_loop_polynomial(PLANT, c.R, c.S))
-    half_steps_V = 1e-3 * np.sign(through[::-1])
-    assert half_steps_V @ through[::-1] == pytest.approx(found.converter_error_m, rel=1e-9)
+    response = impulse_response(np.convolve(PLANT.B, c.S), closed_loop_polynomial(PLANT, c.R, c.S))
+    half_steps_V = 1e-3 * np.sign(response[::-1])
+    assert half_steps_V @ response[::-1] == pytest.approx(certificate.converter_error_m, rel=1e-9)
 
 
-def test_three_standard_deviations_of_the_noise_are_its_own_line():
-    _, found = certificate_of(1e-4)
-    # White noise is a row of independent pushes: their squares add.
-    push, c = 1e-9 * np.eye(3000)[0], CONTROLLER
-    y = lfilter(np.convolve(PLANT.B, c.R), closed_loop_polynomial(PLANT, c.R, c.S), push)
-    assert found.noise_error_m == pytest.approx(3.0 * np.linalg.norm(y), rel=1e-6)
-    sum_m = found.hysteresis_error_m + found.reference_error_m + found.converter_error_m
-    assert found.guaranteed_error_m == pytest.approx(sum_m)
+def test_the_noise_is_stated_apart_with_three_standard_deviations():
+    _, certificate = path_and_certificate(1e-4)
+    # White noise is a sum of independent impulses, whose squares add.
+    impulse, c = 1e-9 * np.eye(3000)[0], CONTROLLER
+    y = lfilter(np.convolve(PLANT.B, c.R), closed_loop_polynomial(PLANT, c.R, c.S), impulse)
+    assert certificate.noise_error_m == pytest.approx(3.0 * np.linalg.norm(y), rel=1e-6)
+    sum_m = (
+        certificate.hysteresis_error_m
+        + certificate.reference_error_m
+        + certificate.converter_error_m
+    )
+    assert certificate.guaranteed_error_m == pytest.approx(sum_m)
 
 
 def test_an_unstable_member_has_no_certificate():
-    wrong = plant_from_chain(lateral_chain(8.0 * BOUNDS.gain_m_per_V))
+    unstable = plant_from_chain(lateral_chain(8.0 * BOUNDS.gain_m_per_V))
     with pytest.raises(UnstableLoopError, match="has a pole of magnitude"):
-        certificate_of(1e-4, plants=(PLANT, wrong))
+        path_and_certificate(1e-4, plants=(PLANT, unstable))

@@ -1,4 +1,4 @@
-"""A mode at 700 Hz of quality 40, known to 10 %: what a loop that damps it does to a real one."""
+"""Loops that damp a mode at 700 Hz of quality 40, whose frequency is known to 10 %."""
 
 from dataclasses import replace
 
@@ -13,17 +13,18 @@ from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.lateral import damped_mode, describe_mode, design_lateral, raise_bandwidth
 from piezoid.design.plant import PlantFamily, Section
 from piezoid.design.rst import ringing_mode
-from piezoid.design.specification import Specification, default_specification
+from piezoid.design.specification import Specification
 from piezoid.errors import TemplateError
 from piezoid.export.export_stage import observer_values
 from piezoid.numerics.arrays import Array
-from piezoid.runtime.controller import Controller
+from tests.design.rig import default_limits
 from tests.design.test_runtime_agreement import LIMITS
+from tests.runtime.runtime_parameters import started
 
 RATE_Hz = 20e3
 GAIN_m_per_V = 1e-6
 MODE_Hz, DAMPING = 700.0, 0.0125
-ASKED_Hz = 500.0
+BANDWIDTH_Hz = 500.0
 SLOPES = HysteresisBounds(
     form="inverse",
     gain_m_per_V=GAIN_m_per_V,
@@ -35,7 +36,7 @@ SLOPES = HysteresisBounds(
 )
 
 
-def family(spread: float = 0.1, mode_Hz: float = MODE_Hz, ends: int = 9) -> PlantFamily:
+def family(spread: float = 0.1, mode_Hz: float = MODE_Hz, members: int = 9) -> PlantFamily:
     chain = Chain(
         label="nominal",
         sampling_rate_Hz=RATE_Hz,
@@ -44,43 +45,40 @@ def family(spread: float = 0.1, mode_Hz: float = MODE_Hz, ends: int = 9) -> Plan
         sections=(Section(frequency_Hz=mode_Hz, damping=DAMPING),),
         delay_s=1.0 / RATE_Hz,
     )
-    others = np.linspace(1.0 - spread, 1.0 + spread, ends).tolist()
-    return family_from_chains(chain, [varied(chain, mode_factor=k) for k in others if k != 1.0])
+    factors = np.linspace(1.0 - spread, 1.0 + spread, members).tolist()
+    return family_from_chains(chain, [varied(chain, mode_factor=k) for k in factors if k != 1.0])
 
 
-def default(of: PlantFamily) -> Specification:
-    return default_specification(
-        of, voltage_min_V=-10.0, voltage_max_V=10.0, sensor_noise_rms=1e-9, disturbance_rms=2e-8
-    )
+def default_of(plants: PlantFamily) -> Specification:
+    return default_limits(plants, disturbance_rms=2e-8)
 
 
-def designed(of: PlantFamily, asked: Specification) -> AxisDesign:
-    return design_lateral("x", {"inverse": of}, asked, bounds={"inverse": SLOPES})
+def design(plants: PlantFamily, specification: Specification) -> AxisDesign:
+    return design_lateral("x", {"inverse": plants}, specification, bounds={"inverse": SLOPES})
 
 
 @pytest.fixture(scope="module")
 def loop() -> LoopDesign:
-    of = family()
-    return designed(of, replace(default(of), bandwidth_Hz=ASKED_Hz)).recommended
+    plants = family()
+    return design(plants, replace(default_of(plants), bandwidth_Hz=BANDWIDTH_Hz)).recommended
 
 
-def left_of_a_tone(loop: LoopDesign, mode_Hz: float, tone_Hz: float) -> float:
-    """Return what the shipped C leaves of a tone on the position of a stage sampled here."""
+def tone_attenuation(loop: LoopDesign, mode_Hz: float, tone_Hz: float) -> float:
+    """Return the attenuation of a tone by the shipped C on an independently sampled stage."""
     assert loop.observer is not None
     values = {**LIMITS, **observer_values(loop.observer), "method": "dob"}
-    controller = Controller(values)
-    controller.start(0.0, 0.0)
+    controller = started(values)
     w = 2.0 * np.pi * mode_Hz
-    rows = [[0.0, 1.0], [-(w**2), -2.0 * DAMPING * w]], [[0.0], [w**2]], [[1.0, 0.0]], [[0.0]]
-    A, B, C, _, _ = cont2discrete(tuple(map(np.array, rows)), 1.0 / RATE_Hz)
-    x, late_V = np.zeros(2), 0.0
+    system = [[0.0, 1.0], [-(w**2), -2.0 * DAMPING * w]], [[0.0], [w**2]], [[1.0, 0.0]], [[0.0]]
+    A, B, C, _, _ = cont2discrete(tuple(map(np.array, system)), 1.0 / RATE_Hz)
+    x, delayed_V = np.zeros(2), 0.0
     k = np.arange(6000)
     tone = 1e-8 * np.sin(2.0 * np.pi * tone_Hz * k / RATE_Hz)
     position = np.empty(len(k))
     for now in k:
         position[now] = float(C[0] @ x) * GAIN_m_per_V + tone[now]
         voltage_V = controller.step(0.0, position[now])
-        x, late_V = A @ x + B[:, 0] * late_V, voltage_V
+        x, delayed_V = A @ x + B[:, 0] * delayed_V, voltage_V
     return _amplitude(position[-4000:], tone_Hz) / _amplitude(tone[-4000:], tone_Hz)
 
 
@@ -90,14 +88,14 @@ def _amplitude(signal: Array, tone_Hz: float) -> float:
 
 
 @pytest.mark.parametrize("factor", [0.9, 0.962, 1.0, 1.1])
-def test_what_ships_attenuates_by_three_decibels_at_its_bandwidth_for_any_mode(loop, factor):
-    left = left_of_a_tone(loop, factor * MODE_Hz, ASKED_Hz)
-    assert left < 10.0 ** (-3.0 / 20.0) + 1e-3
-    assert left > 0.3  # the tone was heard
+def test_the_controller_attenuates_at_its_bandwidth_for_any_mode(loop, factor):
+    attenuation = tone_attenuation(loop, factor * MODE_Hz, BANDWIDTH_Hz)
+    assert attenuation < 10.0 ** (-3.0 / 20.0) + 1e-3
+    assert attenuation > 0.3  # the tone reaches the position
 
 
-def test_the_margins_hold_between_the_members_too(loop):
-    """P of eighty modes over the interval, which the design has not seen, on a fine grid."""
+def test_the_margins_hold_between_the_members(loop):
+    """The interval has 81 modes that are not members, on a fine grid of frequencies."""
     z = np.exp(1j * np.linspace(1e-4, np.pi, 20_001))
     r, s = np.polyval(loop.R[::-1], 1.0 / z), np.polyval(loop.S[::-1], 1.0 / z)
     for factor in np.linspace(0.9, 1.1, 81).tolist():
@@ -108,7 +106,7 @@ def test_the_margins_hold_between_the_members_too(loop):
         assert np.abs(1.0 + plant * r / s).min() > 0.499
 
 
-def test_a_loop_says_from_what_to_what_it_damps_the_mode(loop):
+def test_a_loop_states_the_damping_before_and_after(loop):
     damping = damped_mode(loop)
     assert damping is not None
     assert damping > 5.0 * DAMPING
@@ -116,25 +114,32 @@ def test_a_loop_says_from_what_to_what_it_damps_the_mode(loop):
     assert any("damped by state feedback" in c.name for c in loop.candidates if c.is_chosen)
 
 
-def test_a_default_is_raised_as_far_as_what_guarantees_it_lasts():
-    of = family(0.02, ends=3)
-    asked = default(of)
-    base = designed(of, asked)
-    found = raise_bandwidth(base, of, asked, lambda s: designed(of, s), form="inverse").recommended
-    assert base.recommended.bandwidth_Hz < 0.16 * MODE_Hz
-    assert found.bandwidth_Hz > 2.0 * base.recommended.bandwidth_Hz
-    assert found.worst_modulus_margin >= 0.5
-    assert isinstance(found.certificate, Certificate)
-    assert found.certificate.is_guaranteed
-    unproven = replace(base.recommended, certificate=None)
-    bare = replace(base, loops=(unproven,))
-    assert raise_bandwidth(bare, of, asked, lambda s: designed(of, s), form="inverse") is bare
+def test_a_default_bandwidth_is_raised_while_the_certificate_holds():
+    plants = family(0.02, members=3)
+    specification = default_of(plants)
+    original = design(plants, specification)
+    raised = raise_bandwidth(
+        original, plants, specification, lambda s: design(plants, s), form="inverse"
+    ).recommended
+    assert original.recommended.bandwidth_Hz < 0.16 * MODE_Hz
+    assert raised.bandwidth_Hz > 2.0 * original.recommended.bandwidth_Hz
+    assert raised.worst_modulus_margin >= 0.5
+    assert isinstance(raised.certificate, Certificate)
+    assert raised.certificate.is_guaranteed
+    unproven = replace(original.recommended, certificate=None)
+    unproven_design = replace(original, loops=(unproven,))
+    assert (
+        raise_bandwidth(
+            unproven_design, plants, specification, lambda s: design(plants, s), form="inverse"
+        )
+        is unproven_design
+    )
 
 
-def test_a_mode_that_the_delay_turns_too_far_is_refused_with_the_angle():
-    of = family(mode_Hz=4000.0, ends=2)
-    mode = ringing_mode(of.nominal)
+def test_a_mode_with_too_much_delay_is_refused_with_its_phase():
+    plants = family(mode_Hz=4000.0, members=2)
+    mode = ringing_mode(plants.nominal)
     assert mode is not None
     assert mode.frequency_Hz == pytest.approx(4000.0)
     with pytest.raises(TemplateError, match=r"75.0 µs, delay it by 108°.*bandwidth_Hz = "):
-        designed(of, replace(default(of), bandwidth_Hz=900.0))
+        design(plants, replace(default_of(plants), bandwidth_Hz=900.0))

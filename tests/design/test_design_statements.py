@@ -1,4 +1,4 @@
-"""Why a loop is slow and which bound of its error is of use, each stated once with its number."""
+"""Statements about the limit of the bandwidth and the bound of the error."""
 
 from dataclasses import replace
 
@@ -23,54 +23,54 @@ from tests.verification.rig import RATE_Hz
 UNKNOWN = unmeasured(None, "nothing was recorded")
 
 
-def of(axis: AxisModel) -> piezoid.ActuatorModel:
+def model_of(axis: AxisModel) -> piezoid.ActuatorModel:
     return replace(fitted(), axes={"x": axis})
 
 
 def levels_of(design: Design, axis: AxisModel) -> dict[str, Level]:
-    return {fact.quantity: fact.level for fact in design_statements(design, of(axis))}
+    return {fact.quantity: fact.level for fact in design_statements(design, model_of(axis))}
 
 
 @pytest.fixture(scope="module")
-def unshown() -> Design:
+def design() -> Design:
     axis = replace(fitted()["x"], bandwidth=UNKNOWN)
-    return design_stage(of(axis), model_digest="", sampling_rate_Hz=RATE_Hz, forms=("inverse",))
+    return design_stage(
+        model_of(axis), model_digest="", sampling_rate_Hz=RATE_Hz, forms=("inverse",)
+    )
 
 
-def test_a_loop_without_a_known_resonance_asks_for_a_chirp(unshown: Design) -> None:
+def test_a_loop_without_a_known_resonance_asks_for_a_chirp(design):
     axis = replace(fitted()["x"], bandwidth=UNKNOWN)
-    design, levels = unshown.axis("x"), levels_of(unshown, axis)
-    limit_Hz = bandwidth_limit_Hz(design, axis)
+    axis_design, levels = design.axis("x"), levels_of(design, axis)
+    limit_Hz = bandwidth_limit_Hz(axis_design, axis)
     assert limit_Hz == pytest.approx(200.0 / 60.0)  # lowest possible resonance over its peak
-    assert design.recommended.bandwidth_Hz <= limit_Hz
+    assert axis_design.recommended.bandwidth_Hz <= limit_Hz
     assert levels["bandwidth"] is Level.ACTION
 
 
-def test_the_limit_of_the_bandwidth_names_what_is_known_of_the_resonance(
-    unshown: Design,
-) -> None:
+def test_the_bandwidth_limit_states_the_knowledge_of_the_resonance(design):
     visible = replace(UNKNOWN, kind="resonance", peak_ratio=12.0, peak_Hz=300.0)
-    of_bandwidth = {
+    verdicts = {
         "no resonance was recorded": UNKNOWN,
         "the resonance near 300 Hz could not be fitted": visible,
         "the stated 630 Hz was not recorded": replace(UNKNOWN, stated_Hz=630.0),
         "use a faster recorder": replace(UNKNOWN, stated_Hz=RATE_Hz),
     }
-    axis = unshown.axis("x")
-    loop = replace(axis.recommended, bandwidth_Hz=RATE_Hz)  # near any limit
-    design = replace(unshown, axes=(replace(axis, loops=(loop,)),))
-    for words, verdict in of_bandwidth.items():
-        facts = design_statements(design, of(replace(fitted()["x"], bandwidth=verdict)))
+    axis_design = design.axis("x")
+    loop = replace(axis_design.recommended, bandwidth_Hz=RATE_Hz)  # near any limit
+    limited = replace(design, axes=(replace(axis_design, loops=(loop,)),))
+    for words, verdict in verdicts.items():
+        facts = design_statements(limited, model_of(replace(fitted()["x"], bandwidth=verdict)))
         (text,) = (fact.text for fact in facts if fact.quantity == "bandwidth")
         assert words in text
 
 
-def test_a_resonance_beyond_the_converter_limits_no_bandwidth() -> None:
+def test_a_resonance_above_the_nyquist_frequency_is_no_limit():
     assert bandwidth_limit_Hz(known_design().axis("x"), fitted()["x"]) is None
     assert "bandwidth" not in levels_of(known_design(), fitted()["x"])
 
 
-def test_a_bound_above_a_tenth_of_the_range_is_of_no_use() -> None:
+def test_a_bound_above_a_tenth_of_the_range_is_a_warning():
     axis = fitted()["x"]
     certificate = known_design().axis("x").recommended.certificate
     assert certificate is not None

@@ -1,4 +1,4 @@
-"""What the search sees of a family on its coarse grid, by second routes."""
+"""Evaluation of a family on the coarse grid of the search, against independent computations."""
 
 from dataclasses import replace
 
@@ -22,16 +22,16 @@ from tests.design.rig import (
 
 
 @pytest.mark.parametrize("factor", [1.0, 8.0])
-def test_the_searchs_grid_agrees_with_the_fine_check(factor):
-    family, asked = vertical_family(), vertical_specification(100.0)
-    grid = family_grid(family, asked, count=2000)
+def test_the_coarse_grid_agrees_with_the_fine_check(factor):
+    family, specification = vertical_family(), vertical_specification(100.0)
+    grid = family_grid(family, specification, count=2000)
     for frequency_Hz, damping in LOOPS:
         R, S = loop(frequency_Hz, damping)
-        seen = evaluate_loop(grid, factor * R, S)
-        if seen.excess_dB <= -0.01:
-            assert not unmet(family.members, factor * R, S, asked)
+        evaluation = evaluate_loop(grid, factor * R, S)
+        if evaluation.excess_dB <= -0.01:
+            assert not unmet(family.members, factor * R, S, specification)
         is_stable = all(margins(m, factor * R, S).is_stable for m in family.members)
-        assert (seen.excess_dB < 50.0) == is_stable
+        assert (evaluation.excess_dB < 50.0) == is_stable
 
 
 @pytest.mark.parametrize(("sensor", "step_V"), [(1e-9, 0.0), (0.0, 1e-3)])
@@ -39,7 +39,7 @@ def test_predicted_noise_is_the_simulated_noise(sensor, step_V, rng):
     """White noise of the sensor at the output, or of converter steps at the input."""
     plant = plant_from_chain(vertical_chain())
     R, S = loop(1e3, 0.9)
-    asked = replace(
+    specification = replace(
         lateral_specification(),
         sensor_noise_rms=sensor,
         voltage_step_V=step_V,
@@ -49,20 +49,21 @@ def test_predicted_noise_is_the_simulated_noise(sensor, step_V, rng):
     noise = (sensor or step_V / np.sqrt(12.0)) * rng.normal(size=n)
     P = closed_loop_polynomial(plant, R, S)
     y = lfilter(np.convolve(plant.B, R if sensor else S), P, noise)
-    assert noise_rms(plant, R, S, asked) == pytest.approx(y[1000:].std(), rel=0.05)
-    grid = family_grid(PlantFamily(members=(plant,)), asked, count=1000)
+    assert noise_rms(plant, R, S, specification) == pytest.approx(y[1000:].std(), rel=0.05)
+    grid = family_grid(PlantFamily(members=(plant,)), specification, count=1000)
     predicted = evaluate_loop(grid, R, S).predicted_error
-    assert predicted == pytest.approx(noise_rms(plant, R, S, asked), rel=0.02)
+    assert predicted == pytest.approx(noise_rms(plant, R, S, specification), rel=0.02)
 
 
-def test_what_is_predicted_of_a_scan_is_the_sum_over_its_harmonics():
-    family, asked = vertical_family(), vertical_specification(100.0)
-    asked = replace(asked, sensor_noise_rms=0.0)
+def test_the_predicted_error_of_a_scan_is_the_sum_over_harmonics():
+    family, specification = vertical_family(), vertical_specification(100.0)
+    specification = replace(specification, sensor_noise_rms=0.0)
     R, S = loop(1e3, 0.9)
-    found = evaluate_loop(family_grid(family, asked), R, S)
-    odd = np.array([1, 3, 5, 7])  # of a triangle: those beyond are small
-    left = [
-        sensitivities(m, R, S, odd * asked.scan_frequency_Hz).Syp / odd for m in family.members
+    evaluation = evaluate_loop(family_grid(family, specification), R, S)
+    odd = np.array([1, 3, 5, 7])  # harmonics of a triangle; higher ones are negligible
+    sensitivity_by_member = [
+        sensitivities(m, R, S, odd * specification.scan_frequency_Hz).Syp / odd
+        for m in family.members
     ]
-    worst = max(float(np.linalg.norm(part)) for part in left)
-    assert found.predicted_error == pytest.approx(worst * asked.disturbance_rms)
+    worst = max(float(np.linalg.norm(sensitivity)) for sensitivity in sensitivity_by_member)
+    assert evaluation.predicted_error == pytest.approx(worst * specification.disturbance_rms)

@@ -1,4 +1,4 @@
-"""Both gains of an observer's loop: state feedback by placed poles, and that of Kalman."""
+"""Gains of the loop of an observer: state feedback by pole placement, and the Kalman gain."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.design.rig import RATE_Hz, lateral_chain
 
 @pytest.mark.parametrize(("link", "input_size"), [(0.0, 1.0), (1e-13, 1.0), (1e-7, 1e6)])
 def test_a_state_that_the_input_cannot_reach_is_refused(link, input_size):
-    """Or so little, beside what it does to another, that rounding reaches it as well."""
+    """A state reached only at the level of rounding counts as not controllable."""
     with pytest.raises(DesignError, match="is not controllable"):
         placement(np.array([[0.5, 0.0], [link, 0.3]]), np.array([input_size, 0.0]))
 
@@ -22,10 +22,10 @@ def test_a_state_that_the_input_cannot_reach_is_refused(link, input_size):
 def test_the_kalman_gain_solves_its_riccati_equation(input_variance):
     plant = plant_from_chain(lateral_chain())
     model = disturbance_model(RATE_Hz)
-    found = kalman_gain(
+    gain = kalman_gain(
         plant, model, input_variance=input_variance, drift_variance=1e-3, sensor_variance=1e-2
     )
-    # Second route: iterate the covariance from nothing.
+    # The reference iterates the covariance from the identity.
     A_e, C_e = extended(plant, model)
     drive = np.concatenate([plant.input_taps.sum(axis=1), [0.0]])
     Q = input_variance * np.outer(drive, drive) + np.diag([0.0, 0.0, 0.0, 0.0, 1e-3])
@@ -34,10 +34,10 @@ def test_the_kalman_gain_solves_its_riccati_equation(input_variance):
         variance = C_e @ P @ C_e + 1e-2
         L = P @ C_e / variance
         P = A_e @ (P - np.outer(L, C_e @ P)) @ A_e.T + Q
-    np.testing.assert_allclose(found, L, rtol=1e-7)
+    np.testing.assert_allclose(gain, L, rtol=1e-7)
 
 
-def test_a_disturbance_the_output_does_not_show_has_no_observer():
+def test_an_unobservable_disturbance_has_no_observer():
     blind = plant_from_fraction(
         "blind", [0.0, 1.0, -1.0], [1.0, -0.5, 0.1], sampling_rate_Hz=RATE_Hz, output_unit="m"
     )
@@ -51,8 +51,8 @@ def test_a_disturbance_the_output_does_not_show_has_no_observer():
         )
 
 
-def test_the_rounding_of_an_instantaneous_pole_hides_no_state():
-    """A mode beside a direct path, without delay: the fast pole leaves 2.8e-16 of its state."""
+def test_the_rounding_of_an_instantaneous_pole_keeps_every_state():
+    """A mode with a direct path and no delay; the fast pole leaves 2.8e-16 of its state."""
     A = np.array(
         [[0.9670511, 0.2536913, 0.0], [-0.2536913, 0.9567867, 0.0], [0.9500301, 0.2419992, 0.0]]
     )

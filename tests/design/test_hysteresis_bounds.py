@@ -1,4 +1,4 @@
-"""Bounds of what hysteresis leaves: never exceeded, nearly attained, a sector of gains."""
+"""Bounds of the error by hysteresis and of the sector of gains."""
 
 import numpy as np
 import pytest
@@ -7,35 +7,39 @@ from piezoid.design.hysteresis_bounds import affine_bounds, inverse_bounds
 from piezoid.operators.dead_zone import LINEAR, DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from tests.design.hysteretic import ATTAINED, REACH_V, curved, hysteresis
+from tests.design.hysteretic import (
+    REACH_V,
+    ROUNDING_FACTOR,
+    curved,
+    hysteresis,
+    random_drives,
+)
 from tests.design.rig import LATERAL_m_per_V
 
 
-def bent(by: float = 0.0) -> DeadZones:
+def envelope_curve(change: float = 0.0) -> DeadZones:
     return DeadZones(
-        threshold=np.array([-1.0, 0.0, 1.5]), weight=np.array([-0.08, 1.05 + by, 0.06])
+        threshold=np.array([-1.0, 0.0, 1.5]), weight=np.array([-0.08, 1.05 + change, 0.06])
     )
 
 
 def test_the_affine_bound_is_never_exceeded_and_nearly_attained(rng):
-    for zones, envelope in ((LINEAR, LINEAR), (curved(), LINEAR), (LINEAR, bent())):
+    for zones, envelope in ((LINEAR, LINEAR), (curved(), LINEAR), (LINEAR, envelope_curve())):
         model = hysteresis(zones=zones, envelope=envelope)
         bounds = affine_bounds(model, REACH_V, remainder_m=0.0)
-        worst, least, most = 0.0, np.inf, 0.0
-        for _ in range(60):
-            u = np.cumsum(rng.normal(size=400))
-            u *= REACH_V / np.abs(u).max() * rng.uniform(0.2, 1.0)
+        max_error_m, min_slope, max_slope = 0.0, np.inf, 0.0
+        for u in random_drives(rng, 60):
             y, _ = model.run(u, model.virgin_memory())
-            worst = max(worst, np.abs(y - bounds.gain_m_per_V * u).max())
+            max_error_m = max(max_error_m, np.abs(y - bounds.gain_m_per_V * u).max())
             slope = np.diff(y) / np.diff(u) / bounds.gain_m_per_V
-            least, most = min(least, slope.min()), max(most, slope.max())
-        assert 0.5 * bounds.error_m < worst <= bounds.error_m * ATTAINED
-        assert bounds.slope_min - 1e-9 <= least
-        assert most <= bounds.slope_max + 1e-9
+            min_slope, max_slope = min(min_slope, slope.min()), max(max_slope, slope.max())
+        assert 0.5 * bounds.error_m < max_error_m <= bounds.error_m * ROUNDING_FACTOR
+        assert bounds.slope_min - 1e-9 <= min_slope
+        assert max_slope <= bounds.slope_max + 1e-9
         assert bounds.slope_min + bounds.slope_max == pytest.approx(2.0)
 
 
-def one_play(envelope: DeadZones = LINEAR) -> ModifiedPrandtlIshlinskii:
+def single_play(envelope: DeadZones = LINEAR) -> ModifiedPrandtlIshlinskii:
     plays = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([LATERAL_m_per_V]))
     return ModifiedPrandtlIshlinskii(plays=plays, dead_zones=LINEAR, envelope=envelope)
 
@@ -43,66 +47,68 @@ def one_play(envelope: DeadZones = LINEAR) -> ModifiedPrandtlIshlinskii:
 KINKED = DeadZones(threshold=np.array([-3e-6, 0.0, 3e-6]), weight=np.array([0.4, 1.0, 0.4]))
 
 
-WRONG = (-0.1, -0.05, 0.05, 0.1)
+ERRORS = (-0.1, -0.05, 0.05, 0.1)
 
 
 @pytest.mark.parametrize(
     ("model", "truths"),
     [
         pytest.param(
-            hysteresis(zones=curved(), envelope=bent()),
-            [hysteresis(1.0 + a, curved(), bent(0.3 * a)) for a in WRONG],
-            id="everything is a little wrong",
+            hysteresis(zones=curved(), envelope=envelope_curve()),
+            [hysteresis(1.0 + a, curved(), envelope_curve(0.3 * a)) for a in ERRORS],
+            id="errors of all parts",
         ),
-        pytest.param(one_play(bent()), [one_play(bent(a)) for a in WRONG], id="envelope alone"),
+        pytest.param(
+            single_play(envelope_curve()),
+            [single_play(envelope_curve(a)) for a in ERRORS],
+            id="envelope alone",
+        ),
         pytest.param(
             hysteresis(zones=KINKED),
-            [hysteresis(1.0 + 4.0 * a, KINKED) for a in WRONG],
-            id="the truth is past a kink, the model is not yet",
+            [hysteresis(1.0 + 4.0 * a, KINKED) for a in ERRORS],
+            id="truth beyond a kink of the model",
         ),
     ],
 )
-def test_the_inverse_of_a_model_leaves_no_more_than_its_bounds(model, truths, rng):
+def test_the_error_of_the_inverse_stays_within_its_bounds(model, truths, rng):
     bounds = inverse_bounds(
         model, truths, REACH_V, gain_m_per_V=LATERAL_m_per_V, remainder_m=0.0, confidence=1.0
     )
-    least, most, worst = np.inf, 0.0, 0.0
+    min_slope, max_slope, max_error_m = np.inf, 0.0, 0.0
     for truth in truths:
-        for _ in range(30):
-            u = np.cumsum(rng.normal(size=400))
-            u *= REACH_V / np.abs(u).max() * rng.uniform(0.2, 1.0)
-            wanted, _ = model.run(u, model.virgin_memory())
+        for u in random_drives(rng, 30):
+            model_m, _ = model.run(u, model.virgin_memory())
             y, _ = truth.run(u, truth.virgin_memory())
-            slope = np.diff(y) / np.diff(wanted)
-            least, most = min(least, slope.min()), max(most, slope.max())
-            worst = max(worst, np.abs(y - wanted).max())
+            slope = np.diff(y) / np.diff(model_m)
+            min_slope, max_slope = min(min_slope, slope.min()), max(max_slope, slope.max())
+            max_error_m = max(max_error_m, np.abs(y - model_m).max())
     assert bounds.slope_min + bounds.slope_max == pytest.approx(2.0)
     centre = bounds.gain_m_per_V / LATERAL_m_per_V
-    assert bounds.slope_min * centre <= least * ATTAINED
-    assert most <= bounds.slope_max * centre * ATTAINED
-    assert 0.3 * bounds.error_m < worst <= bounds.error_m * ATTAINED
-    assert (bounds.slope_max - bounds.slope_min) * centre < 3.0 * (most - least)
+    assert bounds.slope_min * centre <= min_slope * ROUNDING_FACTOR
+    assert max_slope <= bounds.slope_max * centre * ROUNDING_FACTOR
+    assert 0.3 * bounds.error_m < max_error_m <= bounds.error_m * ROUNDING_FACTOR
+    assert (bounds.slope_max - bounds.slope_min) * centre < 3.0 * (max_slope - min_slope)
 
 
-def test_what_one_part_has_too_much_and_another_too_little_is_not_added_up(rng):
-    plain = hysteresis()
-    reach_m = float(plain.plays.loading_curve(np.array([REACH_V]))[0])
-    more = DeadZones(
+def test_opposite_errors_of_two_parts_cancel_in_the_bound(rng):
+    model = hysteresis()
+    reach_m = float(model.plays.loading_curve(np.array([REACH_V]))[0])
+    zones = DeadZones(
         threshold=np.array([-0.2 * reach_m, 0.0, 0.2 * reach_m]), weight=np.array([0.2, 1.0, 0.2])
     )
-    less = DeadZones(
+    envelope = DeadZones(
         threshold=np.array([-0.2, 0.0, 0.2]) * REACH_V, weight=np.array([-0.16, 1.0, -0.16])
     )
-    truth = hysteresis(zones=more, envelope=less)
+    truth = hysteresis(zones=zones, envelope=envelope)
     bounds = inverse_bounds(
-        plain, [truth], REACH_V, gain_m_per_V=LATERAL_m_per_V, remainder_m=0.0, confidence=1.0
+        model, [truth], REACH_V, gain_m_per_V=LATERAL_m_per_V, remainder_m=0.0, confidence=1.0
     )
-    worst = 0.0
-    for _ in range(200):
-        u = np.cumsum(rng.normal(size=300))
-        u *= REACH_V / np.abs(u).max() * rng.uniform(0.5, 1.0)
-        apart = truth.run(u, truth.virgin_memory())[0] - plain.run(u, plain.virgin_memory())[0]
-        worst = max(worst, np.abs(apart).max())
-    bends_m = 0.8 * 0.2 * reach_m  # what either part alone does at the end of the range
-    assert worst <= bounds.error_m < 2.0 * worst
+    max_error_m = 0.0
+    for u in random_drives(rng, 200, samples=300, min_share=0.5):
+        difference_m = (
+            truth.run(u, truth.virgin_memory())[0] - model.run(u, model.virgin_memory())[0]
+        )
+        max_error_m = max(max_error_m, np.abs(difference_m).max())
+    bends_m = 0.8 * 0.2 * reach_m  # error of either part alone at the end of the range
+    assert max_error_m <= bounds.error_m < 2.0 * max_error_m
     assert bounds.error_m < 0.2 * bends_m

@@ -1,4 +1,4 @@
-"""From an identified axis to its design: what is known is used, what is not is refused."""
+"""Design task of an identified lateral axis: its family, its bounds, refusals."""
 
 from dataclasses import replace
 
@@ -48,41 +48,38 @@ def default() -> Design:
     return design_stage(stage(), model_digest=DIGEST, forms=("inverse",))
 
 
-def test_the_family_spans_the_interval_of_the_gain_and_the_affine_one_its_slopes(
-    task: LateralTask,
-) -> None:
+def test_the_family_spans_the_interval_of_the_gain_and_the_slopes(task):
     uncertainty, bounds = rigged().uncertainty, task.bounds["affine"]
-    half = uncertainty.loading_half_m[-1] / abs(uncertainty.loading_m[-1])
+    relative_half_width = uncertainty.loading_half_m[-1] / abs(uncertainty.loading_m[-1])
     members = task.families["affine"].members
     ratios = [member.gain / members[0].gain for member in members]
     count = len(task.families["inverse"].members)
-    assert max(ratios[:count]) == pytest.approx(1.0 + half)
-    assert min(ratios[:count]) == pytest.approx(1.0 - half)
+    assert max(ratios[:count]) == pytest.approx(1.0 + relative_half_width)
+    assert min(ratios[:count]) == pytest.approx(1.0 - relative_half_width)
     assert ratios[count:] == pytest.approx([bounds.slope_min, bounds.slope_max])
 
 
-def test_a_gain_whose_interval_reaches_beyond_zero_keeps_its_sign_and_its_slopes() -> None:
-    """The recordings of a stranger's stage left the end of its loading curve open by 160 %."""
+def test_a_gain_with_an_interval_beyond_zero_keeps_its_sign_and_slopes():
+    """The loading curve is uncertain by 160 % at its end, as for a real stage."""
     axis = rigged()
-    open_end = replace(axis.uncertainty, loading_half_m=1.6 * np.abs(axis.uncertainty.loading_m))
-    family = plant_family(rigged(uncertainty=open_end), RATE_Hz)
+    uncertainty = replace(
+        axis.uncertainty, loading_half_m=1.6 * np.abs(axis.uncertainty.loading_m)
+    )
+    family = plant_family(rigged(uncertainty=uncertainty), RATE_Hz)
     gains = [member.gain for member in family.members]
-    least, greatest = axis.hysteresis.slope_sector_m_per_V
-    assert min(gains) == pytest.approx(least)
-    assert max(gains) == pytest.approx(greatest)
+    min_slope, max_slope = axis.hysteresis.slope_sector_m_per_V
+    assert min(gains) == pytest.approx(min_slope)
+    assert max(gains) == pytest.approx(max_slope)
 
 
-def test_a_stage_that_falls_as_the_drive_rises_has_a_negative_plant() -> None:
+def test_the_plant_has_polarity_and_delay_of_the_model(task):
     assert plant_family(rigged(polarity=-1), RATE_Hz).nominal.gain < 0.0
-
-
-def test_a_fitted_delay_delays_the_plant_by_itself(task: LateralTask) -> None:
     B = plant_family(rigged(lag=Lag(kind="delay", time_s=3.0 / RATE_Hz)), RATE_Hz).nominal.B
     assert np.flatnonzero(B)[0] - np.flatnonzero(task.families["inverse"].nominal.B)[0] == 3
 
 
-def test_identified_dynamics_put_their_mode_and_their_phase_into_the_plant() -> None:
-    """At a third of the mode the sampled plant lags as the dynamics do, half a sample apart."""
+def test_the_plant_has_mode_and_phase_of_identified_dynamics():
+    """At a third of the mode, the sampled plant lags the dynamics by half a sample."""
     dynamics = one_mode(frequency_Hz=300.0, damping=0.04, delay_s=120e-6)
     axis = rigged(dynamics=dynamics)
     family = plant_family(axis, RATE_Hz)
@@ -99,12 +96,12 @@ def test_identified_dynamics_put_their_mode_and_their_phase_into_the_plant() -> 
 
 
 def one_mode(*, frequency_Hz: float, damping: float, delay_s: float) -> LinearDynamics:
-    least, greatest = axis_model().hysteresis.slope_sector_m_per_V
+    min_slope, max_slope = axis_model().hysteresis.slope_sector_m_per_V
     return replace(
         truth(),
         mode_frequency_Hz=np.array([frequency_Hz]),
         mode_damping=np.array([damping]),
-        mode_gain_m_per_V=np.array([0.5 * (least + greatest)]),
+        mode_gain_m_per_V=np.array([0.5 * (min_slope + max_slope)]),
         delay_s=delay_s,
         declared=(
             Filter(name="amplifier", frequency_Hz=4e3),
@@ -115,55 +112,56 @@ def one_mode(*, frequency_Hz: float, damping: float, delay_s: float) -> LinearDy
     )
 
 
-def test_an_operator_with_an_envelope_has_bounds_and_families_in_both_forms() -> None:
-    bent = DeadZones(threshold=np.array([0.0, 2.0]), weight=np.array([1.0, -0.1]))
-    axis = rigged(hysteresis=replace(axis_model().hysteresis, envelope=bent))
-    found = lateral_task(axis, RATE_Hz)
-    assert set(found.bounds) == set(found.families) == {"inverse", "affine"}
-    least, greatest = axis.hysteresis.slope_sector_m_per_V
-    affine = found.bounds["affine"]
-    assert affine.slope_min * affine.gain_m_per_V == pytest.approx(least)
-    assert affine.slope_max * affine.gain_m_per_V == pytest.approx(greatest)
+def test_an_operator_with_an_envelope_has_bounds_and_families_in_both_forms():
+    envelope = DeadZones(threshold=np.array([0.0, 2.0]), weight=np.array([1.0, -0.1]))
+    axis = rigged(hysteresis=replace(axis_model().hysteresis, envelope=envelope))
+    axis_task = lateral_task(axis, RATE_Hz)
+    assert set(axis_task.bounds) == set(axis_task.families) == {"inverse", "affine"}
+    min_slope, max_slope = axis.hysteresis.slope_sector_m_per_V
+    affine = axis_task.bounds["affine"]
+    assert affine.slope_min * affine.gain_m_per_V == pytest.approx(min_slope)
+    assert affine.slope_max * affine.gain_m_per_V == pytest.approx(max_slope)
 
 
-def test_replicates_scatter_as_the_intervals_say_also_of_a_fitted_envelope(
-    rng: np.random.Generator,
-) -> None:
-    known = axis_model().uncertainty
-    names = (*known.names, "envelope_weight[0]", "envelope_weight[1]")
+def test_replicates_scatter_by_the_stated_uncertainty(rng):
+    uncertainty = axis_model().uncertainty
+    names = (*uncertainty.names, "envelope_weight[0]", "envelope_weight[1]")
     covariance = np.zeros((len(names), len(names)))
-    covariance[:-2, :-2], covariance[-1, -1] = known.covariance, 0.02**2
-    bent = DeadZones(threshold=np.array([0.0, 2.0]), weight=np.array([1.0, -0.1]))
+    covariance[:-2, :-2], covariance[-1, -1] = uncertainty.covariance, 0.02**2
+    envelope = DeadZones(threshold=np.array([0.0, 2.0]), weight=np.array([1.0, -0.1]))
     axis = rigged(
-        hysteresis=replace(axis_model().hysteresis, envelope=bent),
+        hysteresis=replace(axis_model().hysteresis, envelope=envelope),
         uncertainty=replace(
-            known, names=names, values=np.r_[known.values, 1.0, -0.1], covariance=covariance
+            uncertainty,
+            names=names,
+            values=np.r_[uncertainty.values, 1.0, -0.1],
+            covariance=covariance,
         ),
     )
-    drawn = draw_replicates(axis, rng)
-    assert all(operator.is_invertible for operator in drawn)
-    assert {float(operator.envelope.weight[0]) for operator in drawn} == {1.0}
-    # 200 draws know a standard deviation to 5 %; a quarter is five of those.
-    assert np.std([o.envelope.weight[1] for o in drawn]) == pytest.approx(0.02, rel=0.25)
-    place = known.names.index("play_weight_m_per_V[0]")
-    expected = np.sqrt(known.covariance[place, place])
-    assert np.std([o.plays.weight[0] for o in drawn]) == pytest.approx(expected, rel=0.25)
+    replicates = draw_replicates(axis, rng)
+    assert all(operator.is_invertible for operator in replicates)
+    assert {float(operator.envelope.weight[0]) for operator in replicates} == {1.0}
+    # 200 draws determine a standard deviation to 5 %; the tolerance is five times that.
+    assert np.std([o.envelope.weight[1] for o in replicates]) == pytest.approx(0.02, rel=0.25)
+    index = uncertainty.names.index("play_weight_m_per_V[0]")
+    expected = np.sqrt(uncertainty.covariance[index, index])
+    assert np.std([o.plays.weight[0] for o in replicates]) == pytest.approx(expected, rel=0.25)
 
 
-def test_without_a_fitted_pole_nothing_is_designed_and_what_is_known_is_named() -> None:
+def test_an_axis_without_a_pole_is_refused_with_the_known_facts():
     unknown = unmeasured(300.0, "nothing was recorded")
     visible = replace(unknown, kind="resonance", peak_ratio=12.0, peak_Hz=280.0)
-    named = (
+    verdicts = (
         (r"no pole is declared.*bandwidth_Hz of \[amplifier\]", axis_model().bandwidth),
         (r"bandwidth_Hz = 300 of \[actuator\] does not suffice", unknown),
         ("near 280 Hz", visible),
     )
-    for words, verdict in named:
+    for words, verdict in verdicts:
         with pytest.raises(DesignError, match=words):
             plant_family(replace(axis_model(), bandwidth=verdict), RATE_Hz)
 
 
-def test_no_first_mode_is_assumed_above_a_resonance_that_recordings_show() -> None:
+def test_the_assumed_first_mode_is_below_a_recorded_resonance():
     unknown = unmeasured(None, "nothing was recorded")
     visible = replace(unknown, kind="resonance", peak_ratio=12.0, peak_Hz=110.0)
     stated = replace(visible, stated_Hz=630.0)
@@ -192,20 +190,18 @@ def test_no_first_mode_is_assumed_above_a_resonance_that_recordings_show() -> No
     ],
     ids=["no rate", "neither rate nor pole", "no axis", "another class"],
 )
-def test_what_cannot_be_designed_is_refused_with_the_reason(
-    model: ActuatorModel, words: str
-) -> None:
+def test_a_stage_that_cannot_be_designed_is_refused_with_the_reason(model, words):
     with pytest.raises(DesignError, match=words):
         design_stage(model, model_digest=DIGEST)
 
 
-def test_a_drive_recorded_outside_the_converters_range_is_not_the_converters() -> None:
+def test_a_drive_recorded_outside_the_range_of_the_converter_is_refused():
     lab = Lab(acquisition=Acquisition(input_range_V=(-1.0, 1.0)))
     with pytest.raises(LabFileError, match=r"recorded from 0 to 10 V.*from -1 to 1 V"):
         design_stage(stage(), model_digest=DIGEST, lab=lab)
 
 
-def test_the_default_design_holds_over_its_family_and_comes_back(default: Design) -> None:
+def test_the_default_design_holds_its_margins_and_is_read_back(default):
     loop = default.axis("x").recommended
     assert loop.method == "mpi_dob"
     assert loop.worst_modulus_margin >= 0.5
@@ -215,21 +211,19 @@ def test_the_default_design_holds_over_its_family_and_comes_back(default: Design
     assert design_from_json(default.to_json()).to_json() == default.to_json()
 
 
-def test_a_delay_of_more_samples_than_the_controller_has_states_is_designed_for() -> None:
-    late = Lag(kind="delay", time_s=1.5e-3)
-    late_stage = replace(stage_model(rigged(lag=late)), controller_rate_Hz=RATE_Hz)
+def test_a_delay_longer_than_the_states_of_the_controller_is_designed():
+    lag = Lag(kind="delay", time_s=1.5e-3)
+    late_stage = replace(stage_model(rigged(lag=lag)), controller_rate_Hz=RATE_Hz)
     design = design_stage(late_stage, model_digest=DIGEST, forms=("inverse",))
     (loop,) = design.axes[0].loops
-    assert all(len(one.B) > 30 for one in loop.members)  # the family keeps its delay
-    assert all(one.is_stable and one.modulus_margin >= 0.5 for one in loop.margins)
+    assert all(len(member.B) > 30 for member in loop.members)  # the family keeps its delay
+    assert all(member.is_stable and member.modulus_margin >= 0.5 for member in loop.margins)
     values = export_stage(late_stage, design, design_digest=DIGEST).axes[0].values
     assert values["observer_order"] == 16
 
 
-def test_what_no_recording_shows_and_no_data_sheet_states_limits_the_loop(
-    default: Design,
-) -> None:
-    """A first mode of quality 60 at 200 Hz or above, which nobody excluded, does no harm."""
+def test_an_unrecorded_first_mode_limits_the_loop(default):
+    """A first mode of quality 60 at 200 Hz or above keeps the loop stable."""
     recommended = default.axes[0].recommended
     nominal = recommended.members[0]
     s = 2j * np.pi * np.geomspace(1.0, 9e3, 4000)
@@ -247,14 +241,14 @@ def test_what_no_recording_shows_and_no_data_sheet_states_limits_the_loop(
         assert (loop * peak)[beyond].max() < 1.0
 
 
-def test_a_loop_that_damps_its_mode_is_safe_from_a_further_one_beyond_the_recordings() -> None:
-    """A second mode of 1.9 times the gain at rest anywhere beyond the band, by small gain."""
+def test_a_loop_with_damping_tolerates_a_second_mode_beyond_the_recordings():
+    """The small gain holds for a second mode of 1.9 times the static gain beyond the band."""
     dynamics = one_mode(frequency_Hz=630.0, damping=0.037, delay_s=50e-6)
-    found = design_stage(
+    design = design_stage(
         stage(axes={"x": rigged(dynamics=dynamics)}), model_digest=DIGEST, forms=("inverse",)
     )
-    loop = found.axes[0].recommended
-    assert loop.bandwidth_Hz > 0.16 * 630.0  # it does damp the mode
+    loop = design.axes[0].recommended
+    assert loop.bandwidth_Hz > 0.16 * 630.0  # the loop damps the mode
     z = np.exp(2j * np.pi * np.linspace(1000.0, 0.49 * RATE_Hz, 4000) / RATE_Hz)
     for plant in plant_family(rigged(dynamics=dynamics), RATE_Hz).members:
         b, a, r, s = (np.polyval(p[::-1], 1.0 / z) for p in (plant.B, plant.A, loop.R, loop.S))
@@ -262,37 +256,38 @@ def test_a_loop_that_damps_its_mode_is_safe_from_a_further_one_beyond_the_record
         assert (1.9 * abs(plant.gain) * effort_per_m).max() < 1.0
 
 
-def test_a_data_sheets_resonance_lets_the_loop_be_faster() -> None:
-    known = rigged(bandwidth=unmeasured(12e3, "nothing was recorded"))
+def test_a_declared_resonance_permits_a_faster_loop():
+    declared = rigged(bandwidth=unmeasured(12e3, "nothing was recorded"))
     slow, fast = (
-        lateral_task(axis, RATE_Hz, forms=("inverse",)).specification for axis in (rigged(), known)
+        lateral_task(axis, RATE_Hz, forms=("inverse",)).specification
+        for axis in (rigged(), declared)
     )
     assert slow.bandwidth_Hz < 5.0 < 100.0 < fast.bandwidth_Hz
 
 
-def test_what_stands_in_the_way_of_some_axes_is_said_and_the_others_are_designed() -> None:
-    """One axis is of another class; of another one more is asked than anything meets."""
-    wrong = replace(axis_model(reason="it opens the wrong way"), axis="w")
-    quick = rigged(axis="y", bandwidth=unmeasured(12e3, "nothing was recorded"))
-    found = design_stage(
-        stage(axes={"w": wrong, "x": rigged(), "y": quick}),
+def test_axes_that_cannot_be_designed_are_reported_and_the_others_designed():
+    """Axis w has another model class, and axis y an infeasible bandwidth."""
+    inapplicable = replace(axis_model(reason="it opens the wrong way"), axis="w")
+    demanding = rigged(axis="y", bandwidth=unmeasured(12e3, "nothing was recorded"))
+    design = design_stage(
+        stage(axes={"w": inapplicable, "x": rigged(), "y": demanding}),
         model_digest=DIGEST,
         requested=SpecificationText(text="[y]\nbandwidth_Hz = 4000\n"),
         forms=("inverse",),
     )
-    assert [axis.axis for axis in found.axes] == ["x"]
-    (remark,) = found.remarks
+    assert [axis.axis for axis in design.axes] == ["x"]
+    (remark,) = design.remarks
     assert "axis w: the model class does not apply" in remark
-    assert "axis y, bandwidth 4000 Hz" in found.refused["y"]
-    assert "Ask for bandwidth_Hz" in found.refused["y"]
-    again = design_from_json(found.to_json())
-    assert (again.remarks, again.refused) == (found.remarks, found.refused)
+    assert "axis y, bandwidth 4000 Hz" in design.refused["y"]
+    assert "Ask for bandwidth_Hz" in design.refused["y"]
+    read = design_from_json(design.to_json())
+    assert (read.remarks, read.refused) == (design.remarks, design.refused)
 
 
-def test_a_design_of_a_version_that_knew_no_refusals_is_read(default: Design) -> None:
+def test_a_design_without_the_field_refused_is_read(default):
     record = unseal(default.to_json(), SCHEMA, "design.json")
-    older = {k: v for k, v in record.items() if k not in ("schema", "digest", "refused")}
-    assert design_from_json(seal(SCHEMA, older)).refused == {}
-    del older["axes"]
+    fields = {k: v for k, v in record.items() if k not in ("schema", "digest", "refused")}
+    assert design_from_json(seal(SCHEMA, fields)).refused == {}
+    del fields["axes"]
     with pytest.raises(ParameterFileError, match="the fields are"):
-        design_from_json(seal(SCHEMA, older))
+        design_from_json(seal(SCHEMA, fields))

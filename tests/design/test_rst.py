@@ -20,12 +20,12 @@ def example(*, p_extra: Array | None = None, s_extra: Array | None = None) -> Rs
     target = closed_loop_target(
         Section(frequency_Hz=1e3, damping=0.9), RATE_Hz, auxiliary_root=0.2, auxiliary_count=2
     )
-    one = np.ones(1)
+    unit = np.ones(1)
     return place_poles(
         plant_from_chain(vertical_chain()),
-        product(target, one if p_extra is None else p_extra),
+        product(target, unit if p_extra is None else p_extra),
         H_R=OPEN_AT_NYQUIST,
-        H_S=product([1.0, -1.0], one if s_extra is None else s_extra),
+        H_S=product([1.0, -1.0], unit if s_extra is None else s_extra),
     )
 
 
@@ -49,11 +49,11 @@ def test_the_worked_example_has_its_printed_coefficients():
 
 def test_the_worked_example_has_its_printed_margins():
     plant, c = plant_from_chain(vertical_chain()), example()
-    reached = margins(plant, c.R, c.S)
-    assert reached.modulus_peak_dB == pytest.approx(2.80, abs=0.005)
-    assert reached.modulus_margin == pytest.approx(0.724, abs=0.0005)
-    # Printed as 9.11, from a grid; the crossing itself is at 416.47 Hz.
-    assert reached.delay_margin_s * RATE_Hz == pytest.approx(9.11, abs=0.05)
+    result = margins(plant, c.R, c.S)
+    assert result.modulus_peak_dB == pytest.approx(2.80, abs=0.005)
+    assert result.modulus_margin == pytest.approx(0.724, abs=0.0005)
+    # The printed 9.11 comes from a grid; the exact crossing is at 416.47 Hz.
+    assert result.delay_margin_s * RATE_Hz == pytest.approx(9.11, abs=0.05)
     at_315 = abs(sensitivities(plant, c.R, c.S, np.array([315.0])).Syp[0])
     assert 20 * np.log10(at_315) == pytest.approx(-3.0, abs=0.05)
 
@@ -64,18 +64,18 @@ def test_the_printed_band_stop_attenuates_as_printed():
     np.testing.assert_allclose(denominator, (1, -1.8517145433, 0.8599691522), atol=PRINTED)
     plant = plant_from_chain(vertical_chain())
     c = example(p_extra=denominator, s_extra=numerator)
-    before, after = (
+    without_stop, with_stop = (
         abs(sensitivities(plant, x.R, x.S, np.array([300.0])).Syp[0]) for x in (example(), c)
     )
-    assert before == pytest.approx(0.677, abs=0.001)
-    assert after == pytest.approx(0.221, abs=0.001)
-    reached = margins(plant, c.R, c.S)
-    assert reached.modulus_peak_dB == pytest.approx(3.98, abs=0.01)
-    assert reached.delay_margin_s * RATE_Hz == pytest.approx(4.3, abs=0.05)
+    assert without_stop == pytest.approx(0.677, abs=0.001)
+    assert with_stop == pytest.approx(0.221, abs=0.001)
+    result = margins(plant, c.R, c.S)
+    assert result.modulus_peak_dB == pytest.approx(3.98, abs=0.01)
+    assert result.delay_margin_s * RATE_Hz == pytest.approx(4.3, abs=0.05)
 
 
 def test_200_random_plants_are_placed_to_1e_10_with_fixed_parts(rng):
-    worst = 0.0
+    max_error = 0.0
     for _ in range(200):
         plant = plant_from_chain(random_chain(rng))
         w = 2.0 * np.pi * rng.uniform(40.0, 400.0) / RATE_Hz
@@ -90,11 +90,11 @@ def test_200_random_plants_are_placed_to_1e_10_with_fixed_parts(rng):
         )
         c = place_poles(plant, target, H_R=h_r, H_S=h_s)
         error = total(np.convolve(plant.A, c.S), np.convolve(plant.B, c.R), -target)
-        worst = max(worst, float(np.abs(error).max() / np.abs(target).max()))
-        for fixed, polynomial in ((h_s, c.S), (h_r, c.R)):  # a root of the fixed part is a root
-            at = np.polyval(polynomial[::-1], 1.0 / np.roots(fixed))
-            assert np.abs(at).max(initial=0.0) <= 1e-9 * np.abs(polynomial).max()
-    assert worst <= 1e-10
+        max_error = max(max_error, float(np.abs(error).max() / np.abs(target).max()))
+        for fixed, polynomial in ((h_s, c.S), (h_r, c.R)):
+            values = np.polyval(polynomial[::-1], 1.0 / np.roots(fixed))
+            assert np.abs(values).max(initial=0.0) <= 1e-9 * np.abs(polynomial).max()
+    assert max_error <= 1e-10
 
 
 @pytest.mark.parametrize(("root", "message"), [(1.0, "magnitude 1"), (1.01, r"magnitude 1\.01")])

@@ -1,4 +1,4 @@
-"""The search: the least cost that keeps its reserve, or the least excess where nothing does."""
+"""Search for the least cost that keeps a reserve, or for the least excess."""
 
 import numpy as np
 import pytest
@@ -8,31 +8,33 @@ from piezoid.numerics.arrays import Array
 
 LOWER, UPPER = np.array([-1.0, 10.0]), np.array([1.0, 30.0])
 STARTS = [np.array([0.9, 28.0]), np.array([-0.5, 12.0])]
-FOUND = 2e-3  # of the box, where a search stops
+TOLERANCE = 2e-3  # of the box, where a search stops
 
 
-def towards(aim: Array, room_dB: float):
-    """Cost: the distance from an aim. Excess: 10 dB for each unit of x_0 above 0.3."""
+def distance_to(optimum: Array, reserve_dB: float):
+    """Return a judge: cost is the distance from an optimum, excess 10 dB per unit of x_0."""
 
     def judge(x: Array) -> tuple[float, float]:
-        return float(np.hypot(*((x - aim) / (UPPER - LOWER)))), 10.0 * (x[0] - 0.3) - room_dB
+        return float(np.hypot(*((x - optimum) / (UPPER - LOWER)))), 10.0 * (
+            x[0] - 0.3
+        ) - reserve_dB
 
     return judge
 
 
 @pytest.mark.parametrize("reserve_dB", [0.1, 2.0])
-def test_the_best_point_leaves_the_reserve_and_no_more(reserve_dB):
-    judge = towards(np.array([0.8, 20.0]), 0.0)
-    found = search(judge, LOWER, UPPER, STARTS, reserve_dB=reserve_dB)
-    cost, excess_dB = judge(found)
+def test_the_optimum_keeps_exactly_the_reserve(reserve_dB):
+    judge = distance_to(np.array([0.8, 20.0]), 0.0)
+    point = search(judge, LOWER, UPPER, STARTS, reserve_dB=reserve_dB)
+    cost, excess_dB = judge(point)
     edge = 0.3 - reserve_dB / 10.0
     assert excess_dB <= -reserve_dB
-    assert edge - 2.0 * FOUND <= found[0] <= edge
-    assert cost < 1.03 * 0.5 * (0.8 - edge)  # flat beside the edge
+    assert edge - 2.0 * TOLERANCE <= point[0] <= edge
+    assert cost < 1.03 * 0.5 * (0.8 - edge)  # the cost is flat along the edge
 
 
-def test_where_nothing_meets_the_limits_the_least_excess_is_found_inside_the_box():
-    found = search(towards(np.array([0.8, 20.0]), -50.0), LOWER, UPPER, STARTS)
-    assert found[0] == pytest.approx(LOWER[0], abs=2.0 * FOUND)
-    assert (found >= LOWER).all()
-    assert (found <= UPPER).all()
+def test_an_infeasible_search_returns_the_smallest_excess_inside_the_box():
+    point = search(distance_to(np.array([0.8, 20.0]), -50.0), LOWER, UPPER, STARTS)
+    assert point[0] == pytest.approx(LOWER[0], abs=2.0 * TOLERANCE)
+    assert (point >= LOWER).all()
+    assert (point <= UPPER).all()

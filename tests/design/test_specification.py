@@ -1,4 +1,4 @@
-"""What is asked: defaults from the plant, tables of design.toml, refusals."""
+"""Specifications: defaults from the plant, tables of design.toml, refusals."""
 
 from dataclasses import replace
 
@@ -9,7 +9,6 @@ from benchmarks.varied_chains import plant_from_chain
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.specification import (
     Specification,
-    default_specification,
     slowest_Hz,
     specifications_from_toml,
 )
@@ -17,6 +16,7 @@ from piezoid.errors import LabFileError
 from tests.design.rig import (
     LATERAL_m_per_V,
     RATE_Hz,
+    default_limits,
     lateral_chain,
     lateral_specification,
     vertical_chain,
@@ -26,33 +26,29 @@ from tests.design.rig import (
 def test_the_slowest_frequency_and_the_delay_are_the_chains():
     plant = plant_from_chain(lateral_chain())
     assert slowest_Hz(plant) == pytest.approx(630.0, rel=1e-9)
-    # Sum of 1/w and 2 zeta/w, and half a sample of hold.
+    # The sum of 1/w and 2 zeta/w, and half a sample of hold.
     expected_s = 39.79e-6 + 18.72e-6 + 25.26e-6 + 25e-6
     assert plant.rest_delay_s == pytest.approx(expected_s, rel=1e-3)
-    late = plant_from_chain(lateral_chain(delay_s=70e-6))
-    assert late.rest_delay_s == pytest.approx(expected_s + 70e-6, rel=1e-3)
+    delayed = plant_from_chain(lateral_chain(delay_s=70e-6))
+    assert delayed.rest_delay_s == pytest.approx(expected_s + 70e-6, rel=1e-3)
 
 
-def asked_by_default(plant: Plant | None = None) -> Specification:
+def default_for(plant: Plant | None = None) -> Specification:
     member = plant or plant_from_chain(lateral_chain(LATERAL_m_per_V))
-    return default_specification(
-        PlantFamily(members=(member,)),
-        voltage_min_V=-10.0,
-        voltage_max_V=10.0,
-        sensor_noise_rms=1e-9,
-        disturbance_rms=1e-7,
-    )
+    return default_limits(PlantFamily(members=(member,)), disturbance_rms=1e-7)
 
 
-def test_defaults_ask_for_margins_and_at_most_ten_times_the_static_drive():
-    asked = asked_by_default()
-    assert asked.modulus_margin == 0.5
-    assert asked.delay_margin_s == pytest.approx(1.0 / RATE_Hz)
-    assert asked.bandwidth_Hz == pytest.approx(94.5)
-    assert asked.scan_frequency_Hz == pytest.approx(9.45)
-    rejection, control = asked.all_templates  # dB over log f, and no limit beyond the knots
-    at_Hz = asked.bandwidth_Hz * np.array([1.0, 0.1, 1.001])
-    np.testing.assert_allclose(rejection.limit_dB(at_Hz), [-3.0, -23.0, np.inf])
+def test_defaults_have_margins_and_at_most_ten_times_the_static_drive():
+    specification = default_for()
+    assert specification.modulus_margin == 0.5
+    assert specification.delay_margin_s == pytest.approx(1.0 / RATE_Hz)
+    assert specification.bandwidth_Hz == pytest.approx(94.5)
+    assert specification.scan_frequency_Hz == pytest.approx(9.45)
+    rejection, control = (
+        specification.all_templates
+    )  # dB over log f, and no limit beyond the knots
+    frequency_Hz = specification.bandwidth_Hz * np.array([1.0, 0.1, 1.001])
+    np.testing.assert_allclose(rejection.limit_dB(frequency_Hz), [-3.0, -23.0, np.inf])
     allowed_V_per_m = 10.0 ** (control.limit_dB([1e-3, 10.0, RATE_Hz / 2]) / 20.0)
     np.testing.assert_allclose(allowed_V_per_m, 10.0 / LATERAL_m_per_V)
     assert control.function == "Sup"
@@ -60,16 +56,16 @@ def test_defaults_ask_for_margins_and_at_most_ten_times_the_static_drive():
 
 def test_a_fast_plant_is_limited_by_its_delay_unless_it_leads_at_rest():
     plant = plant_from_chain(vertical_chain())
-    asked = asked_by_default(plant)
-    assert asked.bandwidth_Hz == pytest.approx(0.03 / plant.rest_delay_s)
+    specification = default_for(plant)
+    assert specification.bandwidth_Hz == pytest.approx(0.03 / plant.rest_delay_s)
     lateral = plant_from_chain(lateral_chain(LATERAL_m_per_V))
-    leads = np.array([1.0, -np.exp(-2.0 * np.pi * 50.0 / RATE_Hz)])  # a zero at 50 Hz
-    lateral = replace(lateral, B=np.convolve(lateral.B, leads))
+    lead = np.array([1.0, -np.exp(-2.0 * np.pi * 50.0 / RATE_Hz)])  # a zero at 50 Hz
+    lateral = replace(lateral, B=np.convolve(lateral.B, lead))
     assert lateral.rest_delay_s < 0.0
-    assert asked_by_default(lateral).bandwidth_Hz == pytest.approx(0.15 * slowest_Hz(lateral))
+    assert default_for(lateral).bandwidth_Hz == pytest.approx(0.15 * slowest_Hz(lateral))
 
 
-def test_a_table_changes_what_it_names_and_adds_templates():
+def test_a_table_changes_only_its_keys_and_adds_templates():
     text = """
     [x]
     bandwidth_Hz = 120
@@ -81,12 +77,12 @@ def test_a_table_changes_what_it_names_and_adds_templates():
     upper_dB = [3, 3]
     """
     defaults = {"x": lateral_specification(), "y": lateral_specification()}
-    asked = specifications_from_toml(text, defaults)
-    assert asked["x"].bandwidth_Hz == 120
-    assert asked["x"].resonant_harmonics == (1, 3)
-    assert asked["x"].templates[-1].limit_dB([600.0])[0] == 3.0
-    assert asked["y"] == defaults["y"]
-    assert asked["x"].modulus_margin == defaults["x"].modulus_margin
+    specifications = specifications_from_toml(text, defaults)
+    assert specifications["x"].bandwidth_Hz == 120
+    assert specifications["x"].resonant_harmonics == (1, 3)
+    assert specifications["x"].templates[-1].limit_dB([600.0])[0] == 3.0
+    assert specifications["y"] == defaults["y"]
+    assert specifications["x"].modulus_margin == defaults["x"].modulus_margin
 
 
 @pytest.mark.parametrize(
@@ -106,7 +102,7 @@ def test_a_table_changes_what_it_names_and_adds_templates():
         ("[x\n", "not TOML"),
     ],
 )
-def test_what_cannot_be_used_is_refused_with_its_place(text, message):
+def test_an_invalid_specification_is_refused_by_name(text, message):
     with pytest.raises(LabFileError, match=message):
         specifications_from_toml(text, {"x": lateral_specification()})
 
@@ -143,7 +139,7 @@ def test_what_cannot_be_used_is_refused_with_its_place(text, message):
     ],
     ids=range(25),
 )
-def test_a_wish_that_cannot_be_is_refused_with_a_short_message(line):
-    with pytest.raises(LabFileError) as told:
+def test_a_hostile_specification_is_refused_with_a_short_message(line):
+    with pytest.raises(LabFileError) as refusal:
         specifications_from_toml(f"[x]\n{line}\n", {"x": lateral_specification()})
-    assert len(str(told.value)) < 3000
+    assert len(str(refusal.value)) < 3000

@@ -1,4 +1,4 @@
-"""A stage of three axes for the export tests; awkward numbers on purpose."""
+"""A stage of three axes for the export tests, with numbers that are hard to print."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The bundle: compiled as a firmware engineer would, and compared bit for bit."""
+"""The bundle, compiled as a firmware engineer does and compared bit for bit."""
 
 import ctypes
 import hashlib
@@ -18,9 +18,8 @@ from piezoid.runtime.controller import Status
 from piezoid.runtime.library import library
 from piezoid.runtime.schema import PARAMETERS
 from tests.export.stage import lateral, stage
-from tests.runtime.compiler import PRECISION, STRICT, found, run, write_files
+from tests.runtime.compiler import PRECISION, STRICT, require_tool, run, write_files
 
-# The example answers for its own reading of the table; the library for every bit of the numbers.
 DUMP = """
 #include <stdio.h>
 #include "piezo_params.h"
@@ -31,16 +30,16 @@ int main(void) {
 
 
 @cache
-def usual():
+def stage_bundle():
     return bundle(stage())
 
 
-def written(folder, made=None):
-    return write_files(folder, made or usual())
+def write_bundle(folder, files=None):
+    return write_files(folder, files or stage_bundle())
 
 
-def built(folder, *flags, main="example_main.c", out="example"):
-    compiler = found("cc", "gcc", "clang")
+def build(folder, *flags, main="example_main.c", out="example"):
+    compiler = require_tool("cc", "gcc", "clang")
     sources = [str(folder / main), str(folder / "piezoid_runtime.c")]
     run(compiler, *flags, f"-I{folder}", *sources, "-o", str(folder / out))
     return str(folder / out)
@@ -48,93 +47,99 @@ def built(folder, *flags, main="example_main.c", out="example"):
 
 @pytest.mark.parametrize(("precision", "optimisation"), [("double", "-O3"), ("float", "-O0")])
 def test_a_fresh_build_gives_the_golden_answers_bit_for_bit(precision, optimisation, tmp_path):
-    folder = written(tmp_path)
-    program = built(folder, *STRICT, optimisation, *PRECISION[precision])
+    folder = write_bundle(tmp_path)
+    program = build(folder, *STRICT, optimisation, *PRECISION[precision])
     with (folder / "golden.csv").open() as table:
-        said = run(program, stdin=table)
-    assert said == f"{3 * SAMPLES} samples, 0 differ\n"
+        output = run(program, stdin=table)
+    assert output == f"{3 * SAMPLES} samples, 0 differ\n"
 
 
 @pytest.fixture(scope="module")
 def example(tmp_path_factory):
-    """The example as a firmware engineer compiles it, and the lines of its table."""
-    folder = written(tmp_path_factory.mktemp("example"))
-    return built(folder, *STRICT), (folder / "golden.csv").read_text().splitlines(keepends=True)
+    """Return the compiled example program and the lines of its table."""
+    folder = write_bundle(tmp_path_factory.mktemp("example"))
+    return build(folder, *STRICT), (folder / "golden.csv").read_text().splitlines(keepends=True)
 
 
-def refused(program, table, folder, match):
+def assert_program_fails(program, table, folder, match):
     (folder / "changed.csv").write_text(table)
     with (folder / "changed.csv").open() as changed, pytest.raises(AssertionError, match=match):
         run(program, stdin=changed)
 
 
 @pytest.mark.parametrize("answer", [lambda v: np.nextafter(v, 99), lambda _: np.nan])
-def test_another_answer_is_noticed(answer, example, tmp_path):
-    """A number that is none is on neither side of any other."""
+def test_a_differing_answer_is_detected(answer, example, tmp_path):
+    """NaN compares unequal, but is neither greater nor smaller."""
     program, table = example
     cells = table[500].split(",")
     cells[3] = repr(float(answer(float(cells[3]))))
     changed = "".join([*table[:500], ",".join(cells), *table[501:]])
-    refused(program, changed, tmp_path, "1 differ")
+    assert_program_fails(program, changed, tmp_path, "1 differ")
 
 
-def test_a_wrong_status_is_printed_with_its_axis(example, tmp_path):
+def test_a_differing_status_is_printed_with_its_axis(example, tmp_path):
     program, table = example
     cells = table[1500].split(",")
     cells[4] = str(int(cells[4]) + 2)
     changed = "".join([*table[:1500], ",".join(cells) + "\n", *table[1501:]])
     message = rf"axis 1, sample 500: .* status {int(cells[4]) - 2}; expected .* status {cells[4]}"
-    refused(program, changed, tmp_path, message)
+    assert_program_fails(program, changed, tmp_path, message)
 
 
-def test_a_table_that_cannot_be_read_to_its_end_is_noticed(example, tmp_path):
+def test_an_unreadable_table_is_detected(example, tmp_path):
     golden = "".join(example[1])
-    refused(example[0], golden[:20000] + "?" + golden[20000:], tmp_path, "line")
+    assert_program_fails(example[0], golden[:20000] + "?" + golden[20000:], tmp_path, "line")
 
 
 @pytest.mark.parametrize("rows", [0, 1, 257, SAMPLES, 2 * SAMPLES, 3 * SAMPLES - 1])
 @pytest.mark.parametrize("cut", [0, 7])
-def test_a_table_that_ends_early_is_noticed(rows, cut, example, tmp_path):
+def test_a_truncated_table_is_detected(rows, cut, example, tmp_path):
     program, lines = example
-    refused(program, "".join(lines[: rows + 1]) + lines[rows + 1][:cut], tmp_path, "samples of")
+    assert_program_fails(
+        program, "".join(lines[: rows + 1]) + lines[rows + 1][:cut], tmp_path, "samples of"
+    )
 
 
 @pytest.mark.parametrize("precision", PRECISION)
 def test_every_bit_of_the_header_is_that_of_the_packed_parameters(precision, tmp_path):
-    folder = written(tmp_path)
+    folder = write_bundle(tmp_path)
     (folder / "dump.c").write_text(DUMP)
-    program = built(folder, *STRICT, *PRECISION[precision], main="dump.c", out="dump")
+    program = build(folder, *STRICT, *PRECISION[precision], main="dump.c", out="dump")
     run("sh", "-c", f"{program} > {folder / 'dumped'}")
     packed = [bytes(library(precision).pack(axis.values)) for axis in stage().axes]
     assert (folder / "dumped").read_bytes() == b"".join(packed)
 
 
-def test_the_shipped_files_are_the_installed_ones_byte_for_byte():
-    files = usual()
+def test_the_bundle_has_the_installed_files_and_states_the_version():
+    files = stage_bundle()
     assert set(files) == {*SHIPPED, "piezo_params.h", "golden.csv", "README.md"}
     assert all(files[name] == runtime_source(name) for name in SHIPPED)
+    for name in ("piezo_params.h", "README.md"):
+        text = stage_bundle()[name].decode()
+        assert f"Written by piezoid {piezoid.__version__}. " in text
 
 
 def test_a_runtime_of_another_schema_does_not_compile(tmp_path):
-    folder = written(tmp_path)
+    folder = write_bundle(tmp_path)
     runtime = folder / "piezoid_runtime.h"
     runtime.write_text(runtime.read_text().replace("PZ_SCHEMA_VERSION 2", "PZ_SCHEMA_VERSION 3"))
     with pytest.raises(AssertionError, match="has schema version 2"):
-        built(folder, "-std=c99")
+        build(folder, "-std=c99")
 
 
 @pytest.mark.parametrize(
-    "place", [r"PZ_REAL\((3\.525)e-06\)", r"#else\n#define .*\n#define PIEZO_CHECKSUM_X 0x(....)"]
+    "pattern",
+    [r"PZ_REAL\((3\.525)e-06\)", r"#else\n#define .*\n#define PIEZO_CHECKSUM_X 0x(....)"],
 )
-def test_an_edited_header_does_not_start(place, tmp_path):
-    folder = written(tmp_path)
+def test_an_edited_header_does_not_start(pattern, tmp_path):
+    folder = write_bundle(tmp_path)
     header = folder / "piezo_params.h"
     text = header.read_text()
-    match = re.search(place, text)
+    match = re.search(pattern, text)
     assert match is not None
     edited = "3.526" if match[1] == "3.525" else "0000"
     header.write_text(text[: match.start(1)] + edited + text[match.end(1) :])
-    program = built(folder, *STRICT)
+    program = build(folder, *STRICT)
     with (folder / "golden.csv").open() as table, pytest.raises(AssertionError, match="checksum"):
         run(program, stdin=table)
 
@@ -147,34 +152,34 @@ HOSTILE = (
 
 
 @pytest.mark.parametrize("text", HOSTILE, ids=ascii)
-def test_no_text_of_a_stage_becomes_a_token_of_the_header_or_a_line_of_the_readme(text):
+def test_a_hostile_text_adds_no_token_to_the_header_and_no_line_to_the_readme(text):
     tame = bundle(replace(stage("tame"), unshipped={"w": "tame"}))
-    held = bundle(replace(stage(text), sources={text: text}, unshipped={text: text}))
-    assert held.keys() == tame.keys()
-    assert tokens(held["piezo_params.h"]) == tokens(tame["piezo_params.h"])
+    hostile = bundle(replace(stage(text), sources={text: text}, unshipped={text: text}))
+    assert hostile.keys() == tame.keys()
+    assert tokens(hostile["piezo_params.h"]) == tokens(tame["piezo_params.h"])
     for name in ("piezo_params.h", "README.md"):
-        assert held[name].decode("ascii").count("\n") == tame[name].decode("ascii").count("\n")
-        assert not set(held[name]) - set(range(32, 127)) - {10}
-    assert {n: c for n, c in held.items() if n not in MADE_OF_TEXT} == {
-        n: c for n, c in tame.items() if n not in MADE_OF_TEXT
+        assert hostile[name].decode("ascii").count("\n") == tame[name].decode("ascii").count("\n")
+        assert not set(hostile[name]) - set(range(32, 127)) - {10}
+    assert {n: c for n, c in hostile.items() if n not in TEXT_FILES} == {
+        n: c for n, c in tame.items() if n not in TEXT_FILES
     }
 
 
-MADE_OF_TEXT = ("piezo_params.h", "README.md")
+TEXT_FILES = ("piezo_params.h", "README.md")
 
 
 def tokens(header):
-    """What a compiler reads: without comments and the digest, which is another for other text."""
-    bare = re.sub(rb"/\*.*?\*/", b" ", header, flags=re.S)
-    assert b"/*" not in bare
-    return re.sub(rb"sha256:[0-9a-f]{64}", b"", bare).split()
+    """Return the tokens of a header without comments and without the digest."""
+    code = re.sub(rb"/\*.*?\*/", b" ", header, flags=re.S)
+    assert b"/*" not in code
+    return re.sub(rb"sha256:[0-9a-f]{64}", b"", code).split()
 
 
 def test_all_hostile_texts_at_once_compile_and_give_the_golden_answers(tmp_path):
     text = "".join(HOSTILE)
-    made = bundle(replace(stage(text), sources={text: text}, unshipped={t: t for t in HOSTILE}))
-    folder = written(tmp_path, made)
-    program = built(folder, *STRICT, "-Wcomment", "-Wtrigraphs")
+    files = bundle(replace(stage(text), sources={text: text}, unshipped={t: t for t in HOSTILE}))
+    folder = write_bundle(tmp_path, files)
+    program = build(folder, *STRICT, "-Wcomment", "-Wtrigraphs")
     with (folder / "golden.csv").open() as table:
         assert run(program, stdin=table).endswith(" 0 differ\n")
 
@@ -183,13 +188,13 @@ NO_NAMES = ("x\n", "X", "1x", "x-y", "ä", "x y", "x;", "x" * 17, "../x")
 
 
 @pytest.mark.parametrize("axis", [*HOSTILE, *NO_NAMES], ids=ascii)
-def test_an_axis_that_is_no_name_in_c_is_refused(axis):
+def test_an_axis_that_is_no_identifier_in_c_is_refused(axis):
     with pytest.raises(ParameterFileError, match="an axis is named"):
         AxisParameters(axis=axis, values=lateral("mpi_dob"))
 
 
 def test_the_header_explains_every_parameter_in_full():
-    header = usual()["piezo_params.h"].decode()
+    header = stage_bundle()["piezo_params.h"].decode()
     for parameter in PARAMETERS:
         assert re.fullmatch(r"[ -~]{5,90}", parameter.meaning)
         assert "*/" not in parameter.meaning
@@ -197,20 +202,20 @@ def test_the_header_explains_every_parameter_in_full():
     assert ".method = PZ_METHOD_MPI_DOB," in header
 
 
-def test_the_golden_table_visits_faults_and_stays_inside_the_limits():
-    rows = [line.split(",") for line in usual()["golden.csv"].decode().splitlines()[1:]]
+def test_the_golden_table_contains_faults_and_keeps_the_limits():
+    rows = [line.split(",") for line in stage_bundle()["golden.csv"].decode().splitlines()[1:]]
     table = np.array([[float(cell) for cell in row] for row in rows])
     assert len(table) == 3 * SAMPLES
-    said = np.bitwise_or.reduce(table[:, 4].astype(np.int64))
-    assert said & Status.BAD_REFERENCE
-    assert said & Status.BAD_MEASUREMENT
+    status_bits = np.bitwise_or.reduce(table[:, 4].astype(np.int64))
+    assert status_bits & Status.BAD_REFERENCE
+    assert status_bits & Status.BAD_MEASUREMENT
     assert np.isfinite(table[:, 3]).all()
     assert np.abs(table[:, 3]).max() <= 10
     assert np.ptp(table[:SAMPLES, 3]) > 5
 
 
 def readme() -> str:
-    return usual()["README.md"].decode()
+    return stage_bundle()["README.md"].decode()
 
 
 def code_block(section):
@@ -220,30 +225,25 @@ def code_block(section):
 
 
 def test_the_commands_of_the_readme_build_and_pass_the_test(tmp_path):
-    found("cc")
-    folder = written(tmp_path)
+    require_tool("cc")
+    folder = write_bundle(tmp_path)
     assert run("sh", "-ec", code_block("## 1."), cwd=folder).endswith(" 0 differ\n")
 
 
 def test_the_calls_of_the_readme_compile(tmp_path):
-    folder = written(tmp_path)
+    folder = write_bundle(tmp_path)
     (folder / "calls.c").write_text(
         '#include "piezo_params.h"\n'
         "pz_real dac_voltage_V(void), read_sensor(void);\nvoid write_dac(pz_real);\n"
         "void stop_with(const char *), power_up(void), on_timer(void);\n"
         f"static pz_real reference;\n{code_block('## 2.')}\n"
     )
-    run(found("cc", "gcc", "clang"), *STRICT, "-fsyntax-only", str(folder / "calls.c"))
+    run(require_tool("cc", "gcc", "clang"), *STRICT, "-fsyntax-only", str(folder / "calls.c"))
 
 
 def test_the_readme_states_limits_codes_and_bytes():
-    axis = (
-        stage()
-        .axes[0]
-        .with_values(
-            {"voltage_minimum_V": -0.0004, "voltage_maximum_V": 9.79156, "lsb_V": 20 / 65536}
-        )
-    )
+    limits = {"voltage_minimum_V": -0.0004, "voltage_maximum_V": 9.79156, "lsb_V": 20 / 65536}
+    axis = stage().axis("x").with_values(limits)
     text = bundle(replace(stage(), axes=(axis,)))["README.md"].decode()
     assert "| -0.0003051758 to 9.79126 | 0.00030517578125 | -1 to 32084 |" in text
     unrounded = replace(stage(), axes=(axis.with_values({"lsb_V": 0.0}),))
@@ -253,19 +253,13 @@ def test_the_readme_states_limits_codes_and_bytes():
     assert ctypes.sizeof(ctypes.c_float) == library("float").code.pz_size_of_real()
 
 
-def test_the_digests_of_the_readme_are_found_by_its_recipes():
+def test_the_digests_of_the_readme_follow_from_its_instructions():
     parameters = to_json(stage())
     stated = json.loads(parameters)["digest"].removeprefix("sha256:")
     zeroed = parameters.replace(stated.encode(), b"0" * 64)
     source = runtime_source("piezoid_runtime.h") + runtime_source("piezoid_runtime.c")
     for content in (zeroed, source):
         assert hashlib.sha256(content).hexdigest() in readme()
-
-
-def test_header_and_readme_state_the_version():
-    for name in ("piezo_params.h", "README.md"):
-        text = usual()[name].decode()
-        assert f"Written by piezoid {piezoid.__version__}. " in text
 
 
 def test_the_readme_states_the_guards_of_every_axis_and_the_set_point_of_a_tip():

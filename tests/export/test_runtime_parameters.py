@@ -1,11 +1,11 @@
-"""From a design to the runtime: the same loop, whatever the letters."""
+"""The exported parameters of a design give the designed loop in the runtime."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from benchmarks.varied_chains import Chain, plant_from_chain
+from benchmarks.varied_chains import plant_from_chain
 from piezoid.design.certificate import Certificate
 from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.feedforward import ReferencePath
@@ -18,13 +18,12 @@ from piezoid.export.parameter_file import ParameterFile, from_json, to_json
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from piezoid.runtime.controller import Controller
 from tests.design.placed import place_observer
-from tests.design.rig import lateral_specification
+from tests.design.rig import lateral_chain, lateral_specification
 from tests.reports.known_stage import axis_model
 from tests.runtime.observer_design import poles
-from tests.runtime.runtime_parameters import RST_R, RST_S, WIDE
-from tests.verification.rig import AMPLIFIER, MODE, SENSOR, WATCH, GAIN_m_per_V, RATE_Hz
+from tests.runtime.runtime_parameters import RST_R, RST_S, WIDE, started
+from tests.verification.rig import WATCH, GAIN_m_per_V, RATE_Hz
 
 GUARDS = {
     **WATCH,
@@ -36,32 +35,26 @@ GUARDS = {
 
 
 def design_plant(gain=GAIN_m_per_V):
-    """The 630 Hz chain with one sample of delay besides."""
-    chain = Chain(
-        label="nominal",
-        sampling_rate_Hz=RATE_Hz,
-        gain=gain,
-        output_unit="m",
-        sections=(AMPLIFIER, MODE, SENSOR),
-        delay_s=1.0 / RATE_Hz,
-    )
-    return plant_from_chain(chain)
+    """Return the sampled lateral chain with a further sample of delay."""
+    return plant_from_chain(lateral_chain(gain, 1.0 / RATE_Hz))
 
 
-def placed(oscillation_Hz=(), gain=GAIN_m_per_V, form="affine"):
+def placed_observer(oscillation_Hz=(), gain=GAIN_m_per_V, form="affine"):
     model = disturbance_model(RATE_Hz, oscillation_Hz)
-    slow = [poles(f, 0.7) for f in oscillation_Hz]
+    oscillator_poles = [poles(f, 0.7) for f in oscillation_Hz]
     return place_observer(
         design_plant(gain),
         feedback_poles=np.r_[poles(630, 0.9), poles([4e3, 8.5e3])],
-        observer_poles=np.concatenate([poles(1200, 0.8), poles([800, 4200, 8600]), *slow]),
+        observer_poles=np.concatenate(
+            [poles(1200, 0.8), poles([800, 4200, 8600]), *oscillator_poles]
+        ),
         form=form,
         disturbance=model,
     )
 
 
-def as_written(observer, reference, measured):
-    """The loop exactly as the design's docstring writes it, without limits."""
+def reference_loop(observer, reference, measured):
+    """Return the voltages by the equations of the design, without limits."""
     x, w = np.zeros(len(observer.A)), np.zeros(len(observer.disturbance.output))
     c, volts = observer.disturbance.output, []
     for r, y in zip(reference, measured, strict=True):
@@ -77,31 +70,26 @@ def as_written(observer, reference, measured):
 @pytest.mark.parametrize("oscillation_Hz", [(), (20.0,), (20.0, 60.0)])
 @pytest.mark.parametrize("gain", [GAIN_m_per_V, -GAIN_m_per_V])
 def test_the_runtime_runs_the_designed_observer(oscillation_Hz, gain, rng):
-    observer = placed(oscillation_Hz, gain)
+    observer = placed_observer(oscillation_Hz, gain)
     reference, measured = rng.normal(0, 1e-7, (2, 300))
-    given = {**WIDE, **observer_values(observer), "method": "dob", "polarity": np.sign(gain)}
-    controller = Controller(given)
-    controller.start(0.0, 0.0)
-    expected = as_written(observer, reference, measured)
-    found = controller.run(reference, measured).voltage_V
-    assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
+    parameters = {**WIDE, **observer_values(observer), "method": "dob", "polarity": np.sign(gain)}
+    expected = reference_loop(observer, reference, measured)
+    voltage_V = started(parameters).run(reference, measured).voltage_V
+    assert np.abs(voltage_V - expected).max() < 1e-9 * np.abs(expected).max()
 
 
 def test_a_disturbance_without_a_constant_is_refused():
     model = disturbance_model(RATE_Hz)
     fading = replace(model, transition=0.9 * model.transition)
     with pytest.raises(ParameterFileError, match="constant"):
-        observer_values(replace(placed(), disturbance=fading))
+        observer_values(replace(placed_observer(), disturbance=fading))
 
 
-def test_the_integrator_is_taken_out_of_s_and_all_is_monic():
-    given = rst_values(3 * RST_R, 3 * RST_S, 3 * RST_R.sum(keepdims=True), np.ones(1))
-    assert np.convolve(given["rst_S"], [1, -1]) == pytest.approx(RST_S, abs=1e-9)
-    assert given["rst_R_V"] == pytest.approx(RST_R)
-    assert given["rst_T_V"] == pytest.approx(RST_R.sum())
-
-
-def test_a_controller_without_an_integrator_is_refused():
+def test_the_integrator_is_factored_out_of_s_and_required():
+    values = rst_values(3 * RST_R, 3 * RST_S, 3 * RST_R.sum(keepdims=True), np.ones(1))
+    assert np.convolve(values["rst_S"], [1, -1]) == pytest.approx(RST_S, abs=1e-9)
+    assert values["rst_R_V"] == pytest.approx(RST_R)
+    assert values["rst_T_V"] == pytest.approx(RST_R.sum())
     with pytest.raises(ParameterFileError, match="integrator"):
         rst_values(RST_R, RST_S + 1e-6, RST_R, np.ones(1))
 
@@ -134,19 +122,19 @@ def loop_design(method, R, S, T, *, gain=GAIN_m_per_V, observer=None, certificat
 
 def axis_design(*loops, axis="x", voltage_V=(0.0, 10.0)):
     low, high = voltage_V
-    asked = replace(
+    specification = replace(
         lateral_specification(),
         voltage_min_V=low,
         voltage_max_V=high,
         voltage_step_V=(high - low) / 65536,
     )
-    return AxisDesign(axis=axis, output_unit="m", specification=asked, loops=loops)
+    return AxisDesign(axis=axis, output_unit="m", specification=specification, loops=loops)
 
 
 def design(gain=GAIN_m_per_V, certificate=None):
     loops = []
     for method, form in {"mpi_dob": "inverse", "dob": "affine"}.items():
-        observer = placed(gain=gain, form=form)
+        observer = placed_observer(gain=gain, form=form)
         linear = linear_controller(observer)
         loops.append(
             loop_design(
@@ -170,7 +158,7 @@ def model(polarity=1):
     return replace(axis_model(), polarity=polarity, hysteresis=hysteresis, starts=())
 
 
-def test_an_axis_ships_its_recommended_loop_and_carries_the_others():
+def test_an_axis_ships_its_recommended_loop_with_alternatives():
     axis = lateral_axis(model(), design(), {"stuck_samples": 100, "stuck_voltage_V": 0.1})
     assert axis.methods == ("mpi_dob", "dob", "mpi", "none")
     assert axis.values["preview_samples"] == 4
@@ -182,7 +170,7 @@ def test_an_axis_ships_its_recommended_loop_and_carries_the_others():
     assert to_json(from_json(to_json(file), "params.json")) == to_json(file)
 
 
-def test_the_runtime_is_told_up_to_which_speed_the_error_is_bounded():
+def test_the_certified_step_ships_only_with_a_guarantee():
     def shipped(is_guaranteed):
         certificate = Certificate(
             form="inverse",
@@ -206,25 +194,25 @@ def test_the_runtime_is_told_up_to_which_speed_the_error_is_bounded():
 
 
 @pytest.mark.parametrize("polarity", [1, -1])
-def test_the_exported_inverse_is_the_models_own(polarity):
+def test_the_exported_inverse_is_that_of_the_model(polarity):
     axis = lateral_axis(model(polarity), design(polarity * GAIN_m_per_V))
-    controller = Controller(
-        axis.for_method("mpi").with_values({"lsb_V": 0.0, "reference_step_m": 0.0}).values
-    )
+    mpi = axis.for_method("mpi").with_values({"lsb_V": 0.0, "reference_step_m": 0.0})
     operator = model().operator
     u = np.r_[np.linspace(5, 9, 20), np.linspace(9, 1, 40), np.linspace(1, 6, 25)]
-    moved, _ = operator.run(u, operator.virgin_memory())
-    y = 1e-5 + polarity * (moved - 1e-5)
-    controller.start(5.0, np.nan)
-    assert np.abs(controller.run(y, y).voltage_V - u).max() < 1e-10
+    displacement_m, _ = operator.run(u, operator.virgin_memory())
+    y = 1e-5 + polarity * (displacement_m - 1e-5)
+    assert np.abs(started(mpi.values, 5.0, np.nan).run(y, y).voltage_V - u).max() < 1e-10
 
 
-def test_a_design_for_the_other_direction_is_refused():
+def test_a_design_of_another_direction_or_without_observer_is_refused():
     with pytest.raises(ParameterFileError, match="direction"):
         lateral_axis(model(-1), design())
+    mpi_dob, dob = design().loops
+    with pytest.raises(ParameterFileError, match="observer"):
+        lateral_axis(model(), axis_design(replace(mpi_dob, observer=None), dob))
 
 
-def test_the_tip_axis_carries_its_guards_and_its_polynomials():
+def test_a_tip_ships_its_guards_and_polynomials():
     loop = loop_design("rst", RST_R, RST_S, RST_R.sum(keepdims=True))
     vertical = axis_design(loop, axis="z", voltage_V=(-10.0, 10.0))
     axis = tunnelling_axis(vertical, GUARDS)
@@ -234,9 +222,3 @@ def test_the_tip_axis_carries_its_guards_and_its_polynomials():
     for letter, polynomial in (("R", RST_R), ("T", RST_R.sum(keepdims=True))):
         count = int(axis.values[f"rst_{letter}_count"])
         assert axis.values[f"rst_{letter}_V"][:count] == pytest.approx(polynomial)
-
-
-def test_a_loop_without_an_observer_is_no_lateral_loop():
-    mpi_dob, dob = design().loops
-    with pytest.raises(ParameterFileError, match="observer"):
-        lateral_axis(model(), axis_design(replace(mpi_dob, observer=None), dob))

@@ -1,4 +1,4 @@
-"""What a record does to its arrays."""
+"""Records copy, freeze and check their arrays."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ from piezoid.numerics.arrays import (
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Held:
+class Record:
     row: Array
     table: Array
 
@@ -31,19 +31,19 @@ class Held:
 ROW = np.array([-1e308, 1.0, 1e308])
 
 
-def test_a_record_holds_read_only_copies_of_the_arrays_it_was_given() -> None:
+def test_a_record_has_read_only_copies_of_its_arrays():
     row, table = ROW.copy(), np.ones((2, 3)).T
-    held = Held(row=row, table=table)
+    record = Record(row=row, table=table)
     row[1] = table[0, 0] = 7.0
-    assert held.row[1] == held.table[0, 0] == 1.0
-    assert held.table.flags.c_contiguous
-    for array in (held.row, held.table):
+    assert record.row[1] == record.table[0, 0] == 1.0
+    assert record.table.flags.c_contiguous
+    for array in (record.row, record.table):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
 
 
 @pytest.mark.parametrize(
-    ("row", "table", "told"),
+    ("row", "table", "message"),
     [
         (ROW, np.ones(3), "table has 1 axes, expected 2"),
         ([0.0, 1.0, np.nan], np.ones((3, 2)), r"row\[2\] is nan, expected finite"),
@@ -51,22 +51,20 @@ def test_a_record_holds_read_only_copies_of_the_arrays_it_was_given() -> None:
         ([1.0, 2.0, 2.0], np.ones((3, 2)), r"\[1\] = 2.0, \[2\] = 2.0"),
     ],
 )
-def test_a_record_names_the_field_whose_axes_values_shape_or_order_are_wrong(
-    row: Array, table: Array, told: str
-) -> None:
-    with pytest.raises(ValueError, match=told):
-        Held(row=np.array(row), table=table)
+def test_an_invalid_array_is_named(row, table, message):
+    with pytest.raises(ValueError, match=message):
+        Record(row=np.array(row), table=table)
 
 
-def test_arrays_of_unequal_length_are_told_with_their_lengths() -> None:
+def test_unequal_lengths_are_named():
     with pytest.raises(ValueError, match="c has 1 values, a has 2"):
         same_length([("a", np.ones(2)), ("b", np.ones(2)), ("c", np.ones(1))])
 
 
-@pytest.mark.parametrize("most", [1000, 5000, 8000])
-def test_spread_rows_tell_harmonics_of_a_hum_apart(most: int) -> None:
-    rows = spread_rows(20_000, most)
-    assert 0.85 * most < len(rows) <= most
-    turn = 2.0 * np.pi * 50.0 * rows / 500.0
-    lines = np.column_stack([wave(n * turn) for n in (1, 2, 3) for wave in (np.cos, np.sin)])
-    assert np.linalg.cond(lines) < 1.3  # at every fourth row sines vanish, and 50 Hz is 150 Hz
+@pytest.mark.parametrize("max_rows", [1000, 5000, 8000])
+def test_spread_rows_resolve_harmonics_of_mains_hum(max_rows):
+    rows = spread_rows(20_000, max_rows)
+    assert 0.85 * max_rows < len(rows) <= max_rows
+    phase = 2.0 * np.pi * 50.0 * rows / 500.0
+    columns = np.column_stack([wave(n * phase) for n in (1, 2, 3) for wave in (np.cos, np.sin)])
+    assert np.linalg.cond(columns) < 1.3  # every fourth row would alias 50 Hz and 150 Hz

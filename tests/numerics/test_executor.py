@@ -1,4 +1,4 @@
-"""Threads: the same result in the same order, whoever does it."""
+"""Threads give the same results in the same order."""
 
 import threading
 import time
@@ -10,37 +10,37 @@ from piezoid.numerics.executor import SERIAL, Executor, Once
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_results_come_in_the_order_of_what_was_asked(count) -> None:
+def test_results_keep_the_order_of_their_inputs(count):
     executor = Executor(threads=count)
     assert executor.map(lambda n: n * n, iter([3, 1, 2])) == [9, 1, 4]
     assert executor.map(str, []) == []
     assert executor.run_both(lambda: "one", lambda: 2) == ("one", 2)
 
 
-def test_two_threads_work_at_the_same_time_and_one_does_not() -> None:
-    together = threading.Barrier(2, timeout=10.0)
-    Executor(threads=2).map(lambda _: together.wait(), range(2))
-    Executor(threads=2).run_both(together.wait, together.wait)
+def test_two_threads_run_at_the_same_time_and_a_serial_executor_in_the_caller():
+    barrier = threading.Barrier(2, timeout=10.0)
+    Executor(threads=2).map(lambda _: barrier.wait(), range(2))
+    Executor(threads=2).run_both(barrier.wait, barrier.wait)
     threads = SERIAL.map(lambda _: threading.get_ident(), range(3))
     assert set(threads) == {threading.get_ident()}
 
 
-def test_threads_report_one_at_a_time() -> None:
-    speaking, heard = threading.Lock(), []
+def test_threads_report_one_at_a_time():
+    lock, messages = threading.Lock(), []
 
-    def told(text: str) -> None:
-        assert speaking.acquire(blocking=False)
+    def report(text: str) -> None:
+        assert lock.acquire(blocking=False)
         time.sleep(0.002)
-        heard.append(text)
-        speaking.release()
+        messages.append(text)
+        lock.release()
 
-    executor = Executor(progress=told, threads=4)
+    executor = Executor(progress=report, threads=4)
     executor.map(lambda n: executor.report(str(n)), range(12))
-    assert sorted(heard, key=int) == [str(n) for n in range(12)]
+    assert sorted(messages, key=int) == [str(n) for n in range(12)]
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_an_error_of_one_thread_reaches_the_caller_and_no_thread_is_refused(count) -> None:
+def test_an_error_in_a_thread_reaches_the_caller(count):
     with pytest.raises(ZeroDivisionError):
         Executor(threads=count).map(lambda n: 1 / n, [1, 0, 2])
     with pytest.raises(ZeroDivisionError):
@@ -49,7 +49,7 @@ def test_an_error_of_one_thread_reaches_the_caller_and_no_thread_is_refused(coun
         Executor(threads=0)
 
 
-TOGETHER = threading.Barrier(2, timeout=10.0)
+BARRIER = threading.Barrier(2, timeout=10.0)
 
 
 @dataclass(frozen=True)
@@ -57,15 +57,15 @@ class Record:
     number: int
 
     @Once
-    def made(self) -> list[int]:
-        """Return what is the same only if it is the same object."""
-        TOGETHER.wait()
+    def values(self) -> list[int]:
+        """Return a new list, so that identity shows whether it was cached."""
+        BARRIER.wait()
         return [self.number]
 
 
-def test_records_make_their_values_once_and_at_the_same_time() -> None:
+def test_a_cached_value_is_computed_once_without_blocking_other_records():
     records = [Record(1), Record(2)]
-    first = Executor(threads=2).map(lambda record: record.made, records)
-    assert first == [[1], [2]]
-    assert [record.made for record in records] == first
-    assert records[0].made is first[0]
+    values = Executor(threads=2).map(lambda record: record.values, records)
+    assert values == [[1], [2]]
+    assert [record.values for record in records] == values
+    assert records[0].values is values[0]

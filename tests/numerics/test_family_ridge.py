@@ -1,4 +1,4 @@
-"""Ridge regression by families finds which family matters, and the noise."""
+"""Ridge regression by families estimates the variance of each family and the noise."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ def moments_of(x: np.ndarray, y: np.ndarray) -> Moments:
     return Moments(gram=x.T @ x, moment=x.T @ y, square=float(y @ y), count=len(y))
 
 
-def test_variances_and_noise_are_those_that_made_the_data() -> None:
+def test_variances_and_noise_of_simulated_data_are_estimated():
     rng = np.random.default_rng(1)
     family = np.repeat([0, 1, 2], [40, 40, 1])
     x = rng.standard_normal((4000, 81))
@@ -26,7 +26,7 @@ def test_variances_and_noise_are_those_that_made_the_data() -> None:
     assert 41.0 < parameters < 60.0
 
 
-def test_a_ceiling_holds_a_variance_down() -> None:
+def test_a_variance_keeps_its_upper_limit():
     rng = np.random.default_rng(2)
     x = rng.standard_normal((500, 5))
     y = x @ np.full(5, 30.0) + rng.standard_normal(500)

@@ -1,6 +1,4 @@
-"""Small convex programs: two solvers that share no code give the same answer."""
-
-from typing import Literal
+"""Small convex programs against independent solvers."""
 
 import daqp
 import numpy as np
@@ -22,7 +20,7 @@ from piezoid.operators.play import play_columns
 
 
 def play_problem(rng: np.random.Generator, plays: int) -> tuple[Array, Array]:
-    """Regressors whose Gram matrix is nearly singular, as plays' are."""
+    """Return play regressors, whose Gram matrix is nearly singular, and a noisy target."""
     t = np.linspace(0, 1, 20000)
     drive = (1 - t) * np.sin(40 * np.pi * t)
     columns, _ = play_columns(drive, np.arange(plays) / plays, np.zeros(plays))
@@ -38,88 +36,84 @@ def reduced(columns: Array, target: Array) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("plays", [20, 40])
-def test_nonnegative_weights_agree_with_nnls_on_all_rows(
-    rng: np.random.Generator, plays: int
-) -> None:
+def test_nonnegative_weights_agree_with_nnls_on_all_rows(rng, plays):
     columns, target = play_problem(rng, plays)
     reference = nnls(columns, target)[0]
     factor, right = reduced(columns, target)
-    none, zero = np.full(plays, np.inf), np.zeros(plays)
-    program = constrained_least_squares(factor, right, np.eye(plays), zero, none)
+    unbounded, zero = np.full(plays, np.inf), np.zeros(plays)
+    program = constrained_least_squares(factor, right, np.eye(plays), zero, unbounded)
     # OSQP stops at 1e-10 of its residuals; the regressors' condition of 1e4 multiplies that.
     np.testing.assert_allclose(program.x, reference, atol=1e-6)
     assert program.kkt_gap < 1e-10
     assert program.cost == pytest.approx(float(np.sum((factor @ program.x - right) ** 2)))
-    np.testing.assert_allclose(bounded_step(factor, right, zero, none), reference, atol=1e-11)
+    np.testing.assert_allclose(bounded_step(factor, right, zero, unbounded), reference, atol=1e-11)
 
 
-def test_the_gap_without_bounds_is_the_gradient_beside_that_at_nothing(
-    rng: np.random.Generator,
-) -> None:
+def test_the_gap_without_bounds_is_the_gradient_relative_to_zero(rng):
     factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
-    best = np.linalg.lstsq(factor, right)[0]
-    free = np.full(4, -np.inf), np.full(4, np.inf)
-    assert stationarity(factor, best, right, np.eye(4), free) < 1e-14
+    optimum = np.linalg.lstsq(factor, right)[0]
+    unbounded = np.full(4, -np.inf), np.full(4, np.inf)
+    assert stationarity(factor, optimum, right, np.eye(4), unbounded) < 1e-14
     norms = np.linalg.norm(factor, axis=0)
-    gradient = factor.T @ (factor @ (best + 0.1) - right) / norms
+    gradient = factor.T @ (factor @ (optimum + 0.1) - right) / norms
     gap = float(np.linalg.norm(gradient) / np.linalg.norm(factor.T @ right / norms))
-    assert stationarity(factor, best + 0.1, right, np.eye(4), free) == pytest.approx(gap)
+    assert stationarity(factor, optimum + 0.1, right, np.eye(4), unbounded) == pytest.approx(gap)
 
 
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
-def test_the_gap_is_the_same_in_other_units(rng: np.random.Generator, unit: float) -> None:
+def test_the_gap_is_the_same_in_other_units(rng, unit):
     factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
     lower, upper = np.full(4, -np.inf), np.full(4, np.inf)
-    best = bounded_step(factor, right, lower, np.array([0.0, np.inf, -0.1, np.inf]))
+    optimum = bounded_step(factor, right, lower, np.array([0.0, np.inf, -0.1, np.inf]))
     upper[[0, 2]] = 0.0, -0.1
-    for off, held in ((1e-9, True), (-1e-9, True), (-1e-3, False)):
-        x = best + np.array([off, 0.0, 0.0, 0.0])
-        known = stationarity(factor, x, right, np.eye(4), (lower, upper))
-        assert (known < 1e-6) is held
-        other = stationarity(factor, unit * x, unit * right, np.eye(4), (lower, unit * upper))
-        assert other == pytest.approx(known, rel=1e-3, abs=1e-12)
-        columns = stationarity(unit * factor, x / unit, right, np.eye(4), (lower, upper / unit))
-        assert columns == pytest.approx(known, rel=1e-3, abs=1e-12)
+    for offset, is_optimal in ((1e-9, True), (-1e-9, True), (-1e-3, False)):
+        x = optimum + np.array([offset, 0.0, 0.0, 0.0])
+        gap = stationarity(factor, x, right, np.eye(4), (lower, upper))
+        assert (gap < 1e-6) is is_optimal
+        rescaled = stationarity(factor, unit * x, unit * right, np.eye(4), (lower, unit * upper))
+        assert rescaled == pytest.approx(gap, rel=1e-3, abs=1e-12)
+        rescaled_columns = stationarity(
+            unit * factor, x / unit, right, np.eye(4), (lower, upper / unit)
+        )
+        assert rescaled_columns == pytest.approx(gap, rel=1e-3, abs=1e-12)
 
 
 @given(
     seed=st.integers(0, 2**32 - 1),
     power=st.integers(-60, 60),
-    apart=st.sampled_from([1.0, 0.3, 1e-2]),
-    asked=st.sampled_from([-0.5, 0.0, 0.2]),
+    spread=st.sampled_from([1.0, 0.3, 1e-2]),
+    lowest=st.sampled_from([-0.5, 0.0, 0.2]),
 )
-def test_a_step_in_other_units_is_the_same_step(
-    seed: int, power: int, apart: float, asked: float
-) -> None:
-    # Columns much alike: what a bound holds back, the others take over, some onto their bounds.
+def test_a_step_in_other_units_is_the_same_step(seed, power, spread, lowest):
+    # With similar columns, an active bound moves other coefficients onto their bounds.
     rng, unit = np.random.default_rng(seed), 10.0**power
-    columns = rng.normal(size=(80, 1)) + apart * rng.normal(size=(80, 10))
+    columns = rng.normal(size=(80, 1)) + spread * rng.normal(size=(80, 10))
     factor, right = reduced(columns, columns @ rng.normal(size=10) + rng.normal(size=80))
     lower, upper = np.full(10, -0.5), rng.uniform(0.3, 1.0, 10)
-    lower[3], upper[4] = asked, np.inf
-    known = bounded_step(factor, right, lower, upper)
-    found = bounded_step(factor, unit * right, unit * lower, unit * upper)
-    np.testing.assert_allclose(found / unit, known, atol=1e-11)
-    other_columns = bounded_step(unit * factor, right, lower / unit, upper / unit)
-    np.testing.assert_allclose(other_columns * unit, known, atol=1e-11)
+    lower[3], upper[4] = lowest, np.inf
+    expected = bounded_step(factor, right, lower, upper)
+    rescaled = bounded_step(factor, unit * right, unit * lower, unit * upper)
+    np.testing.assert_allclose(rescaled / unit, expected, atol=1e-11)
+    rescaled_columns = bounded_step(unit * factor, right, lower / unit, upper / unit)
+    np.testing.assert_allclose(rescaled_columns * unit, expected, atol=1e-11)
 
 
-def test_a_step_towards_nothing_goes_as_far_as_the_bounds_ask() -> None:
-    none = np.full(2, np.inf)
-    factor = np.array([[1.0, 1.0], [0.0, 0.1]])  # along (1, 1) nothing is felt
+def test_a_step_without_a_target_moves_only_to_its_bounds():
+    unbounded = np.full(2, np.inf)
+    factor = np.array([[1.0, 1.0], [0.0, 0.1]])
     for unit in (1e-40, 1.0, 1e40):
-        asked = unit * np.array([1.0, -1.0])
-        found = bounded_step(factor, np.zeros(2), asked, none) / unit
-        np.testing.assert_allclose(found, [1.0, -1.0 / 1.01], rtol=1e-12)
-        assert not bounded_step(factor, np.zeros(2), -abs(asked), none).any()
+        lower = unit * np.array([1.0, -1.0])
+        step = bounded_step(factor, np.zeros(2), lower, unbounded) / unit
+        np.testing.assert_allclose(step, [1.0, -1.0 / 1.01], rtol=1e-12)
+        assert not bounded_step(factor, np.zeros(2), -abs(lower), unbounded).any()
 
 
-def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Generator) -> None:
+def test_general_constraints_agree_with_an_active_set_solver(rng):
     factor, right = reduced(rng.normal(size=(200, 8)), rng.normal(size=200))
     constraint = rng.normal(size=(5, 8))
     lower, upper = np.full(5, -0.02), np.array([0.02, 0.02, np.inf, 0.01, np.inf])
     program = constrained_least_squares(factor, right, constraint, lower, upper)
-    other, _, flag, _ = daqp.solve(
+    reference, _, flag, _ = daqp.solve(
         factor.T @ factor,
         -factor.T @ right,
         constraint,
@@ -128,25 +122,23 @@ def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Gene
         np.zeros(5, dtype=np.int32),
     )
     assert flag == 1
-    np.testing.assert_allclose(program.x, other, atol=1e-8)
-    # What holds a number back does so to rounding, not only to where the iteration stopped.
-    room = np.minimum(constraint @ program.x - lower, upper - constraint @ program.x)
-    held = room < 1e-6
-    assert held.any()
-    assert np.abs(room[held]).max() < 1e-13
+    np.testing.assert_allclose(program.x, reference, atol=1e-8)
+    # Active constraints hold to rounding, not only to the tolerance of the iteration.
+    slack = np.minimum(constraint @ program.x - lower, upper - constraint @ program.x)
+    is_active = slack < 1e-6
+    assert is_active.any()
+    assert np.abs(slack[is_active]).max() < 1e-13
 
 
 @pytest.mark.parametrize("power", [-40, -12, -3, 3, 12, 40])
-@pytest.mark.parametrize("what", ["target", "columns", "rows"])
-def test_constraints_in_other_units_hold_the_same_numbers_back(
-    rng: np.random.Generator, power: int, what: str
-) -> None:
+@pytest.mark.parametrize("scaled_part", ["target", "columns", "rows"])
+def test_a_constrained_solution_in_other_units_is_the_same_solution(rng, power, scaled_part):
     factor, right = reduced(rng.normal(size=(200, 8)), rng.normal(size=200))
     constraint, lower, upper = rng.normal(size=(5, 8)), np.full(5, -0.02), np.full(5, 0.01)
-    known = constrained_least_squares(factor, right, constraint, lower, upper).x
+    expected = constrained_least_squares(factor, right, constraint, lower, upper).x
     unit = 10.0**power
-    each = rng.permutation([unit, 1.0, 1.0 / unit, unit, 1.0])
-    found = {
+    scales = rng.permutation([unit, 1.0, 1.0 / unit, unit, 1.0])
+    solution = {
         "target": lambda u: (
             constrained_least_squares(factor, u * right, constraint, u * lower, u * upper).x / u
         ),
@@ -155,17 +147,15 @@ def test_constraints_in_other_units_hold_the_same_numbers_back(
         ),
         "rows": lambda _: (
             constrained_least_squares(
-                factor, right, each[:, None] * constraint, each * lower, each * upper
+                factor, right, scales[:, None] * constraint, scales * lower, scales * upper
             ).x
         ),
-    }[what](unit)
-    np.testing.assert_allclose(found, known, atol=1e-9)
+    }[scaled_part](unit)
+    np.testing.assert_allclose(solution, expected, atol=1e-9)
 
 
-def test_a_step_along_columns_almost_the_same_meets_the_conditions_of_an_optimum(
-    rng: np.random.Generator,
-) -> None:
-    """R'R cannot tell the columns apart; what is free or held must come from R."""
+def test_a_step_along_nearly_equal_columns_is_optimal(rng):
+    """R'R does not resolve the columns, so the active set must come from R."""
     columns = rng.normal(size=(300, 1)) + 1e-9 * rng.normal(size=(300, 12))
     factor, right = reduced(columns, columns @ rng.uniform(-1, 1, 12))
     lower, upper = np.full(12, -0.3), np.full(12, 0.3)
@@ -176,7 +166,7 @@ def test_a_step_along_columns_almost_the_same_meets_the_conditions_of_an_optimum
     assert (slope[x > lower] < 1e-9).all()
 
 
-def test_contradicting_constraints_are_refused() -> None:
+def test_contradicting_constraints_are_refused():
     constraint = np.array([[1.0], [1.0]])
     with pytest.raises(InfeasibleFitError, match="infeasible"):
         constrained_least_squares(
@@ -184,9 +174,7 @@ def test_contradicting_constraints_are_refused() -> None:
         )
 
 
-def test_a_triangle_gathered_in_chunks_holds_the_norm_of_every_combination(
-    rng: np.random.Generator,
-) -> None:
+def test_a_triangle_gathered_in_chunks_holds_the_norm_of_every_combination(rng):
     rows = rng.normal(size=(1000, 6))
     triangle = empty_triangle(6)
     for chunk in np.array_split(rows, 13):
@@ -199,11 +187,9 @@ def test_a_triangle_gathered_in_chunks_holds_the_norm_of_every_combination(
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_rows_that_are_gathered_stay_as_they_are_unless_they_may_be_spent(
-    rng: np.random.Generator, order: Literal["C", "F"]
-) -> None:
+def test_gathered_rows_keep_their_values_unless_they_may_be_spent(rng, order):
     rows = np.asarray(rng.normal(size=(50, 3)), order=order)
-    before = rows.copy()
-    kept = gather(empty_triangle(3), rows)
-    np.testing.assert_array_equal(rows, before)
-    np.testing.assert_array_equal(gather(empty_triangle(3), rows, spend=True), kept)
+    original = rows.copy()
+    triangle = gather(empty_triangle(3), rows)
+    np.testing.assert_array_equal(rows, original)
+    np.testing.assert_array_equal(gather(empty_triangle(3), rows, spend=True), triangle)

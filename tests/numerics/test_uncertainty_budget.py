@@ -1,7 +1,6 @@
-"""An uncertainty budget against closed forms and against the Guide's own worked example."""
+"""Uncertainty budgets against closed forms and the worked example of the Guide."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,21 +27,18 @@ def heavy(tail: float, *, is_shared: bool = True) -> Contribution:
     )
 
 
-def test_the_end_gauge_of_the_guide_has_the_guides_numbers() -> None:
+def test_degrees_of_freedom_follow_the_guide():
     # JCGM 100:2008, H.1: contributions in nm and their degrees of freedom; k there is for 99 %.
     gauge = [normal(25.0, 18), normal(9.7, 25.6), normal(2.9, 50), normal(16.6, 2)]
-    found = budget_of(gauge, draws=1000)
-    assert found.combined == pytest.approx(31.7, abs=0.1)
-    assert found.freedom == pytest.approx(16.7, abs=0.1)
-
-
-def test_one_estimate_keeps_its_freedom_and_certain_ones_have_no_end() -> None:
+    budget = budget_of(gauge, draws=1000)
+    assert budget.combined == pytest.approx(31.7, abs=0.1)
+    assert budget.freedom == pytest.approx(16.7, abs=0.1)
     assert budget_of([normal(3.0, 1)], draws=1000).freedom == pytest.approx(1.0)
     assert budget_of([normal(3.0, 7)], draws=1000).freedom == pytest.approx(7.0)
-    found = budget_of([normal(3.0), normal(4.0)], draws=1000)
-    assert found.freedom == math.inf
-    assert found.positions == 1000  # unless told otherwise
-    assert found.expanded == pytest.approx(norm.ppf(0.975) * 5.0)
+    budget = budget_of([normal(3.0), normal(4.0)], draws=1000)
+    assert budget.freedom == math.inf
+    assert budget.positions == 1000  # the default
+    assert budget.expanded == pytest.approx(norm.ppf(0.975) * 5.0)
 
 
 @pytest.mark.parametrize(
@@ -53,13 +49,11 @@ def test_one_estimate_keeps_its_freedom_and_certain_ones_have_no_end() -> None:
         ([normal(1.0)], norm.ppf(0.975)),
         ([normal(1.0, 4.0)], 2.7764),  # Student's t at 4
         ([normal(0.6), normal(0.8, is_shared=False)], norm.ppf(0.975)),
-        ([heavy(4.0)], 2.7764 * math.sqrt(0.5)),  # the same of variance 1
+        ([heavy(4.0)], 2.7764 * math.sqrt(0.5)),  # Student's t at 4, scaled to variance 1
         ([heavy(4.0, is_shared=False)], 2.7764 * math.sqrt(0.5)),
     ],
 )
-def test_draws_give_the_interval_that_can_be_written_down(
-    contributions: list[Contribution], half: float
-) -> None:
+def test_draws_give_the_interval_that_can_be_written_down(contributions, half):
     assert budget_of(contributions).propagated == pytest.approx(half, rel=0.01)
 
 
@@ -70,50 +64,48 @@ def test_draws_give_the_interval_that_can_be_written_down(
         (heavy(4.0, is_shared=False), student(4.0, 0.0, math.sqrt(0.5)), 1000),
     ],
 )
-def test_the_largest_of_many_errors_is_its_closed_form(
-    contribution: Contribution, law: Any, positions: int
-) -> None:
-    found = budget_of([contribution], positions=positions)
-    for probability, reached in zip((0.025, 0.975), found.largest, strict=True):
+def test_the_largest_of_many_errors_is_its_closed_form(contribution, law, positions):
+    budget = budget_of([contribution], positions=positions)
+    for probability, reached in zip((0.025, 0.975), budget.largest, strict=True):
         exact = law.ppf((1 + probability ** (1 / positions)) / 2)
         assert reached == pytest.approx(exact, rel=0.02)
 
 
-def test_the_largest_error_is_what_drawing_every_position_gives() -> None:
+def test_the_largest_error_equals_that_of_drawing_every_position():
     rng = np.random.default_rng(1)
-    own = rng.standard_normal((20_000, 50))
-    every = np.abs(1.5 * rng.standard_normal(20_000)[:, None] + own).max(axis=1)
-    found = budget_of([normal(1.5), normal(1.0, is_shared=False)], positions=50)
-    assert found.largest == pytest.approx(np.quantile(every, (0.025, 0.975)), rel=0.02)
+    independent = rng.standard_normal((20_000, 50))
+    largest = np.abs(1.5 * rng.standard_normal(20_000)[:, None] + independent).max(axis=1)
+    budget = budget_of([normal(1.5), normal(1.0, is_shared=False)], positions=50)
+    assert budget.largest == pytest.approx(np.quantile(largest, (0.025, 0.975)), rel=0.02)
+    for contribution in (normal(1.0, is_shared=False), heavy(4.0, is_shared=False)):
+        budget = budget_of([contribution], positions=10**18, draws=1000)
+        assert np.isfinite(budget.largest[1])
+        assert budget.largest[0] > 5.0
 
 
-def test_the_largest_of_more_positions_than_numbers_between_0_and_1_is_a_number() -> None:
-    for one in (normal(1.0, is_shared=False), heavy(4.0, is_shared=False)):
-        found = budget_of([one], positions=10**18, draws=1000)
-        assert np.isfinite(found.largest[1])
-        assert found.largest[0] > 5.0
-
-
-def test_shares_are_of_the_variance_however_small_it_is() -> None:
-    parts = [normal(3e-12), normal(0.0), normal(4e-12)]
-    found = budget_of(parts, draws=1000)
-    assert [found.share(one) for one in parts] == pytest.approx([0.36, 0.0, 0.64])
-    nothing = budget_of([normal(0.0)], draws=1000)
-    assert nothing.share(normal(0.0)) == 0.0
+def test_shares_are_fractions_of_the_variance_of_any_size():
+    contributions = [normal(3e-12), normal(0.0), normal(4e-12)]
+    budget = budget_of(contributions, draws=1000)
+    assert [budget.share(contribution) for contribution in contributions] == pytest.approx(
+        [0.36, 0.0, 0.64]
+    )
+    empty = budget_of([normal(0.0)], draws=1000)
+    assert empty.share(normal(0.0)) == 0.0
 
 
 @pytest.mark.parametrize("tail", [2.5, 4.0, 12.0])
-def test_a_heavy_tail_is_found_from_its_quantile_and_drawn_again(tail: float) -> None:
+def test_a_heavy_tail_is_estimated_from_its_quantile(tail):
     sample = np.random.default_rng(2).standard_t(tail, 400_000) * math.sqrt((tail - 2) / tail)
     ratio = float(np.quantile(np.abs(sample), 0.999))
-    found = tail_of(ratio)
-    assert found == pytest.approx(tail, rel=0.15)
-    far, near = (
-        budget_of([one]) for one in (heavy(found, is_shared=False), normal(1.0, is_shared=False))
+    estimate = tail_of(ratio)
+    assert estimate == pytest.approx(tail, rel=0.15)
+    heavy_budget, normal_budget = (
+        budget_of([contribution])
+        for contribution in (heavy(estimate, is_shared=False), normal(1.0, is_shared=False))
     )
-    assert far.largest[1] > near.largest[1]
+    assert heavy_budget.largest[1] > normal_budget.largest[1]
 
 
-def test_a_light_tail_is_normal_and_an_impossible_one_is_bounded() -> None:
+def test_a_light_tail_is_normal_and_an_extreme_tail_is_bounded():
     assert tail_of(3.0) == math.inf
     assert 2.0 < tail_of(50.0) < 4.0

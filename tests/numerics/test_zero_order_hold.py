@@ -1,4 +1,4 @@
-"""Exact sampling: printed poles, and delays against fine simulation of the same system."""
+"""Exact sampling with delays, against a fine simulation of the same system."""
 
 import numpy as np
 import pytest
@@ -18,10 +18,10 @@ def oscillator(frequency_Hz: float, damping: float) -> tuple[Array, Array, Array
 
 
 def simulated(A: Array, B: Array, C: Array, u: Array, delay_s: float, fine: int) -> Array:
-    """Step the continuous system in ``fine`` pieces of each period; the delay is whole pieces."""
+    """Simulate the system in ``fine`` substeps of each period; the delay is whole substeps."""
     step, drive = hold_matrices(A, B, PERIOD_s / fine)
-    late = round(delay_s / PERIOD_s * fine)
-    pieces = np.concatenate([np.zeros(late), np.repeat(u, fine)])
+    delay = round(delay_s / PERIOD_s * fine)
+    pieces = np.concatenate([np.zeros(delay), np.repeat(u, fine)])
     x, y = np.zeros(len(A)), np.empty(len(u))
     for k in range(len(u) * fine):
         if k % fine == 0:

@@ -1,4 +1,4 @@
-"""A pytest plugin: the kernels come from the library that ``SANITISED_KERNELS`` names."""
+"""Pytest plugin that loads the kernels from the library that ``SANITISED_KERNELS`` names."""
 
 import importlib.machinery
 import os
@@ -8,16 +8,16 @@ from typing import Any
 LIBRARY = "SANITISED_KERNELS"
 
 
-class Sanitised:
-    """Hands out that library in place of the installed one."""
+class SanitisedKernels:
+    """Import finder that returns that library instead of the installed kernels."""
 
     @staticmethod
     def find_spec(name: str, *_: Any) -> importlib.machinery.ModuleSpec | None:
         if name != "piezoid.operators._kernels":
             return None
-        place = os.environ[LIBRARY]
-        loader = importlib.machinery.ExtensionFileLoader(name, place)
-        return importlib.machinery.ModuleSpec(name, loader, origin=place)
+        path = os.environ[LIBRARY]
+        loader = importlib.machinery.ExtensionFileLoader(name, path)
+        return importlib.machinery.ModuleSpec(name, loader, origin=path)
 
 
-sys.meta_path.insert(0, Sanitised)
+sys.meta_path.insert(0, SanitisedKernels)

@@ -1,4 +1,4 @@
-"""The chain with all its derivatives: the same in any chunks, and only where it was asked for."""
+"""The chain and its derivatives do not depend on chunks or on the selection of rows."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from piezoid.operators.play import play_columns
 from tests.operators.strategies import random_walk
 
 RATE_Hz = 100.0
-EVERY = {
+FILTERS = {
     "none": {},
     "delay": {"share": 0.3},
     "lag": {"lag": FirstOrder(time_s=0.03, rate_Hz=RATE_Hz)},
@@ -21,7 +21,7 @@ EVERY = {
 }
 
 
-def drawn(rng: np.random.Generator, kind: str, plays: int = 5) -> Chain:
+def random_chain(rng: np.random.Generator, kind: str, plays: int = 5) -> Chain:
     gap = rng.uniform(0.1, 0.5, plays)
     base = Chain(
         gap=gap,
@@ -33,79 +33,68 @@ def drawn(rng: np.random.Generator, kind: str, plays: int = 5) -> Chain:
         ),
         rate_Hz=RATE_Hz,
     )
-    return replace(base, **EVERY[kind])
+    return replace(base, **FILTERS[kind])
 
 
-def rows_at(chain: Chain, drive: Array, wanted: Array, cuts: list[int]) -> Array:
+def chain_columns(chain: Chain, drive: Array, rows: Array, cuts: list[int]) -> Array:
     following = Following(chain, float(drive[0]))
-    parts, before = [], 0
-    for after in [*cuts, len(drive)]:
-        mine = wanted[(wanted >= before) & (wanted < after)] - before
-        part = np.empty((len(mine), chain.plays + chain.columns), order="F")
-        following.rows(drive[before:after], mine, part)
-        parts.append(part)
-        before = after
-    return np.concatenate(parts)
+    blocks, start = [], 0
+    for stop in [*cuts, len(drive)]:
+        rows_here = rows[(rows >= start) & (rows < stop)] - start
+        block = np.empty((len(rows_here), chain.plays + chain.columns), order="F")
+        following.rows(drive[start:stop], rows_here, block)
+        blocks.append(block)
+        start = stop
+    return np.concatenate(blocks)
 
 
-@pytest.mark.parametrize("kind", EVERY)
-def test_chunks_of_any_length_give_the_same_bits(rng: np.random.Generator, kind: str) -> None:
-    chain, drive = drawn(rng, kind), random_walk(rng, 900)
-    wanted = np.sort(rng.choice(900, 400))
-    whole = rows_at(chain, drive, wanted, [])
-    np.testing.assert_array_equal(rows_at(chain, drive, wanted, [1, 33, 34, 500, 877]), whole)
+@pytest.mark.parametrize("kind", FILTERS)
+def test_rows_in_any_chunks_and_selection_have_the_same_bits(rng, kind):
+    chain, drive = random_chain(rng, kind), random_walk(rng, 900)
+    expected = chain_columns(chain, drive, np.arange(900), [])
+    rows = np.sort(rng.choice(900, 400))
+    for chunks in ([], [1, 33, 34, 500, 877]):
+        np.testing.assert_array_equal(chain_columns(chain, drive, rows, chunks), expected[rows])
 
 
-@pytest.mark.parametrize("kind", EVERY)
-def test_a_row_does_not_depend_on_which_others_were_asked_for(
-    rng: np.random.Generator, kind: str
-) -> None:
-    chain, drive = drawn(rng, kind), random_walk(rng, 500)
-    whole = rows_at(chain, drive, np.arange(500), [])
-    few = np.array([0, 0, 7, 8, 120, 120, 499])
-    np.testing.assert_array_equal(rows_at(chain, drive, few, []), whole[few])
-
-
-def test_without_filters_the_reading_is_dead_zones_after_plays_after_the_envelope(
-    rng: np.random.Generator,
-) -> None:
-    chain, drive = drawn(rng, "none"), random_walk(rng, 700)
-    bent = chain.envelope.run(drive)
-    memory = bent[0] + np.cumsum(chain.gap * chain.memory_slope)
-    plays, _ = play_columns(bent, np.cumsum(chain.gap), memory)
-    h = chain.weight[0] * bent + plays @ chain.weight[1:]
-    found = rows_at(chain, drive, np.arange(700), [])
-    np.testing.assert_allclose(found[:, -1], chain.zones.run(h), atol=1e-13)
+def test_without_filters_the_reading_is_dead_zones_after_plays_after_the_envelope(rng):
+    chain, drive = random_chain(rng, "none"), random_walk(rng, 700)
+    envelope_V = chain.envelope.run(drive)
+    memory = envelope_V[0] + np.cumsum(chain.gap * chain.memory_slope)
+    plays, _ = play_columns(envelope_V, np.cumsum(chain.gap), memory)
+    h = chain.weight[0] * envelope_V + plays @ chain.weight[1:]
+    columns = chain_columns(chain, drive, np.arange(700), [])
+    np.testing.assert_allclose(columns[:, -1], chain.zones.run(h), atol=1e-13)
     np.testing.assert_allclose(
-        found[:, 2 * chain.plays : 3 * chain.plays + 1],
-        chain.zones.run_with_slope(h)[1][:, None] * np.column_stack([bent, plays]),
+        columns[:, 2 * chain.plays : 3 * chain.plays + 1],
+        chain.zones.run_with_slope(h)[1][:, None] * np.column_stack([envelope_V, plays]),
         atol=1e-13,
     )
 
 
-def test_a_delay_of_nothing_leaves_the_reading_as_it_is(rng: np.random.Generator) -> None:
-    chain, drive = drawn(rng, "none"), random_walk(rng, 200)
-    every = np.arange(200)
-    late = rows_at(replace(chain, share=0.0), drive, every, [])
-    np.testing.assert_array_equal(late[:, -1], rows_at(chain, drive, every, [])[:, -1])
+def test_a_delay_of_zero_changes_nothing(rng):
+    chain, drive = random_chain(rng, "none"), random_walk(rng, 200)
+    rows = np.arange(200)
+    delayed = chain_columns(replace(chain, share=0.0), drive, rows, [])
+    np.testing.assert_array_equal(delayed[:, -1], chain_columns(chain, drive, rows, [])[:, -1])
 
 
-def test_the_memory_is_forgotten_once_every_play_has_moved(rng: np.random.Generator) -> None:
-    chain = drawn(rng, "delay")
+def test_the_memory_is_forgotten_once_every_play_has_moved(rng):
+    chain = random_chain(rng, "delay")
     drive = np.concatenate([np.zeros(10), np.linspace(0.0, 2 * chain.gap.sum() + 1, 50)])
     drive = np.concatenate([drive, -drive])
-    found = rows_at(chain, drive, np.arange(len(drive)), [])
-    aware = found[:, : chain.plays].any(axis=1)
-    assert aware[:10].all()
-    assert not aware[60:].any()
+    columns = chain_columns(chain, drive, np.arange(len(drive)), [])
+    depends_on_memory = columns[:, : chain.plays].any(axis=1)
+    assert depends_on_memory[:10].all()
+    assert not depends_on_memory[60:].any()
 
 
-def test_rows_are_written_only_where_they_fit(rng: np.random.Generator) -> None:
-    chain, drive = drawn(rng, "none"), random_walk(rng, 50)
-    wanted = np.arange(10)
+def test_an_output_of_the_wrong_shape_or_order_is_refused(rng):
+    chain, drive = random_chain(rng, "none"), random_walk(rng, 50)
+    rows = np.arange(10)
     for out in (np.empty((10, 30)), np.empty((9, 30), order="F"), np.empty((10, 5), order="F")):
         with pytest.raises(TypeError, match="columns"):
-            Following(chain, float(drive[0])).rows(drive, wanted, out)
+            Following(chain, float(drive[0])).rows(drive, rows, out)
     out = np.empty((2, 40), order="F")
     with pytest.raises(TypeError, match="in order"):
         Following(chain, float(drive[0])).rows(drive, np.array([3, 2]), out)

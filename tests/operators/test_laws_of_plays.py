@@ -1,4 +1,4 @@
-"""The play operator is its definition, on drives and thresholds of every kind."""
+"""The play operator follows its definition for all drives and thresholds."""
 
 import itertools
 
@@ -22,26 +22,24 @@ def by_definition(drive: Array, threshold: Array, memory: Array) -> Array:
     return states
 
 
-@given(st.data(), banks(), drives(least=2))
-def test_states_are_those_of_the_definition_however_a_drive_is_cut_and_sampled(
-    data: st.DataObject, threshold: Array, drive: Array
-) -> None:
+@given(st.data(), banks(), drives(min_samples=2))
+def test_play_states_follow_their_definition_in_any_chunks_and_sampling(data, threshold, drive):
     memory, cut = data.draw(memories(threshold)), data.draw(st.integers(0, len(drive)))
     expected = by_definition(drive, threshold, memory)
-    first, between = play_columns(drive[:cut], threshold, memory)
-    second, after = play_columns(drive[cut:], threshold, between)
+    first, middle_memory = play_columns(drive[:cut], threshold, memory)
+    second, final_memory = play_columns(drive[cut:], threshold, middle_memory)
     np.testing.assert_array_equal(np.vstack([first, second]), expected)
-    np.testing.assert_array_equal(after, expected[-1])
+    np.testing.assert_array_equal(final_memory, expected[-1])
     rows = data.draw(st.integers(1, 50))
-    begins, blocks = zip(*play_blocks(drive, threshold, memory, rows), strict=True)
-    assert begins == tuple(range(0, len(drive), rows))
+    starts, blocks = zip(*play_blocks(drive, threshold, memory, rows), strict=True)
+    assert starts == tuple(range(0, len(drive), rows))
     np.testing.assert_array_equal(np.vstack(blocks), expected)
     denser = [np.linspace(a, b, 4)[1:] for a, b in itertools.pairwise(drive)]
     finer, _ = play_columns(np.concatenate([drive[:1], *denser]), threshold, memory)
     np.testing.assert_array_equal(finer[::3], expected)
 
 
-def test_banks_of_any_size_follow_a_long_drive(rng: np.random.Generator) -> None:
+def test_banks_of_any_size_follow_a_long_drive(rng):
     drive = random_walk(rng, 500)
     for plays in (1, 7, 31, 32, 33, 70):
         threshold, memory = np.sort(rng.uniform(0, 3, plays)), rng.normal(0, 1, plays)
@@ -50,7 +48,7 @@ def test_banks_of_any_size_follow_a_long_drive(rng: np.random.Generator) -> None
 
 
 @given(st.data(), st.lists(ANY_SIZE, min_size=1, max_size=20))
-def test_a_play_of_any_size_is_followed(data: st.DataObject, values: list[float]) -> None:
+def test_a_play_of_any_size_is_followed(data, values):
     threshold = np.sort(np.abs(data.draw(st.lists(ANY_SIZE, min_size=1, max_size=12))))
     memory = np.zeros(len(threshold))
     states, _ = play_columns(np.array(values), threshold, memory)
@@ -58,9 +56,7 @@ def test_a_play_of_any_size_is_followed(data: st.DataObject, values: list[float]
 
 
 @given(banks(), drives())
-def test_from_the_forgetting_sample_on_every_start_gives_the_same_and_not_before(
-    threshold: Array, drive: Array
-) -> None:
+def test_the_initial_memory_matters_only_before_the_forgetting_sample(threshold, drive):
     low, high = (
         play_columns(drive, threshold, np.full(len(threshold), start))[0] for start in (-99, 99)
     )

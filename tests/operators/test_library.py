@@ -1,4 +1,4 @@
-"""The library of kernels: arrays live until a kernel returns, vector code gives equal bits."""
+"""Library of kernels: lifetime of its arrays, and equal bits of vector and plain code."""
 
 import ctypes
 import weakref
@@ -8,7 +8,7 @@ import numpy as np
 
 import piezoid.operators
 from piezoid.operators.library import KERNELS, address
-from tests.runtime.compiler import found, run
+from tests.runtime.compiler import require_tool, run
 
 SOURCE = Path(piezoid.operators.__file__).parent
 
@@ -26,21 +26,21 @@ def polynomials(library: ctypes.CDLL, seed: int) -> bytes:
     return total.tobytes()
 
 
-def test_vector_code_gives_the_bits_of_plain_loops(tmp_path: Path) -> None:
+def test_vector_code_gives_the_bits_of_plain_loops(tmp_path):
     flags = ("-std=c99", "-O3", "-ffp-contract=off", "-DPK_PORTABLE", "-shared", "-fPIC")
     sources = map(str, sorted(SOURCE.glob("*.c")))
-    run(found("gcc", "cc"), *flags, *sources, "-o", str(tmp_path / "kernels.so"), "-lm")
+    run(require_tool("gcc", "cc"), *flags, *sources, "-o", str(tmp_path / "kernels.so"), "-lm")
     portable = ctypes.CDLL(str(tmp_path / "kernels.so"))
     portable.pk_polynomials.argtypes = KERNELS.pk_polynomials.argtypes
     for seed in range(60):
         assert polynomials(KERNELS, seed) == polynomials(portable, seed), f"seed {seed}"
 
 
-def test_a_copy_made_for_a_kernel_lives_until_the_kernel_returns() -> None:
+def test_a_copy_made_for_a_kernel_lives_until_the_kernel_returns():
     copy = np.array([1.0, 2.0])
-    alive = weakref.ref(copy)
-    place = address(copy)
+    reference = weakref.ref(copy)
+    pointer = address(copy)
     del copy
-    assert alive() is not None
-    del place
-    assert alive() is None
+    assert reference() is not None
+    del pointer
+    assert reference() is None

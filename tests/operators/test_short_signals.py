@@ -1,4 +1,4 @@
-"""Every operator on signals of no, one, two and three samples, constant ones, and one turn."""
+"""Every operator on signals of zero to three samples, constant signals, and a single turn."""
 
 from collections.abc import Callable
 
@@ -68,14 +68,14 @@ OPERATORS: dict[str, Callable[[Array], Array]] = {
 
 @pytest.mark.parametrize("length", SIGNALS)
 @pytest.mark.parametrize("name", OPERATORS)
-def test_an_operator_is_finite_and_of_the_length_of_its_signal(name: str, length: str) -> None:
+def test_an_operator_is_finite_and_of_the_length_of_its_signal(name, length):
     output = np.asarray(OPERATORS[name](SIGNALS[length]))
     assert len(output) == len(SIGNALS[length])
     assert np.isfinite(output).all()
 
 
 @pytest.mark.parametrize("length", [name for name in SIGNALS if name != "none"])
-def test_columns_of_the_wide_class_are_finite(length: str) -> None:
+def test_columns_of_the_wide_class_are_finite(length):
     drive = SIGNALS[length]
     states = HysteresisStates((float(drive[0]),)).follow(drive)
     columns = class_columns(drive, states)

@@ -1,4 +1,4 @@
-"""The worked example of a small model, every number exact to its printed digits."""
+"""Worked example of a small model, exact to the printed digits."""
 
 import numpy as np
 import pytest
@@ -21,16 +21,13 @@ ZONES = DeadZones(
 MODEL = ModifiedPrandtlIshlinskii(plays=PLAYS, dead_zones=ZONES)
 
 
-def test_cumulative_slopes_and_outputs_are_those_printed() -> None:
+def test_slopes_outputs_and_inverse_are_those_printed():
     np.testing.assert_allclose(PLAYS.slope, [0.5, 0.75, 0.9, 1.0], atol=EXACT)
     np.testing.assert_allclose(ZONES.slope, [0.7, 0.8, 1, 1, 1.3, 1.05], atol=EXACT)
     h, _ = PLAYS.run(U, np.zeros(4))
     expected = [0, 2.15, -0.35, 1.4, -3.15, 3.15, 0.65, 1.4, 0.2]
     np.testing.assert_allclose(h, expected, atol=EXACT)
     np.testing.assert_allclose(MODEL.run(U, np.zeros(4))[0], Y, atol=EXACT)
-
-
-def test_inverse_thresholds_and_weights_are_those_printed() -> None:
     inverse = PLAYS.inverse()
     np.testing.assert_allclose(inverse.threshold, [0, 0.5, 1.25, 2.15], atol=EXACT)
     np.testing.assert_allclose(inverse.weight, [2, -2 / 3, -2 / 9, -1 / 9], atol=EXACT)
@@ -41,7 +38,7 @@ def test_inverse_thresholds_and_weights_are_those_printed() -> None:
     )
 
 
-def test_a_start_that_is_not_virgin_maps_to_the_printed_inverse_memory() -> None:
+def test_a_start_that_is_not_virgin_maps_to_the_printed_inverse_memory():
     memory = np.array([0.5, 1.0, 1.5, 1.0])
     assert is_admissible(memory, 0.5, PLAYS.threshold)
     np.testing.assert_allclose(PLAYS.inverse_memory(memory), [0.825, 1.075, 1.45, 1.0])
@@ -51,7 +48,7 @@ def test_a_start_that_is_not_virgin_maps_to_the_printed_inverse_memory() -> None
     np.testing.assert_allclose(MODEL.inverse_run(y, memory)[0], U, atol=1e-14)
 
 
-def test_threshold_zero_is_required_of_both_parts() -> None:
+def test_threshold_zero_is_required_of_both_parts():
     with pytest.raises(ValueError, match="expected 0"):
         PrandtlIshlinskii(threshold=np.array([0.1, 1]), weight=np.ones(2))
     with pytest.raises(ValueError, match="no 0"):
@@ -59,12 +56,10 @@ def test_threshold_zero_is_required_of_both_parts() -> None:
 
 
 @pytest.mark.parametrize(
-    ("part", "last", "told"),
+    ("part", "weight", "message"),
     [(PrandtlIshlinskii, -0.7, "W_1 is -0.2"), (DeadZones, -1.0, "0.5"), (DeadZones, -0.5, "0")],
 )
-def test_a_slope_that_is_not_positive_has_no_inverse(
-    part: type[PrandtlIshlinskii | DeadZones], last: float, told: str
-) -> None:
-    with pytest.raises(NotInvertibleError, match=told):
-        part(threshold=np.array([0.0, 1]), weight=np.array([0.5, last])).inverse()
+def test_a_slope_that_is_not_positive_has_no_inverse(part, weight, message):
+    with pytest.raises(NotInvertibleError, match=message):
+        part(threshold=np.array([0.0, 1]), weight=np.array([0.5, weight])).inverse()
     part(threshold=np.array([0.0, 1]), weight=np.array([0.5, -0.499])).inverse()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.records.formats import SILENT, SPEAKING
+from tests.records.formats import DESCRIBED, UNDESCRIBED
 
 
 @pytest.fixture
@@ -14,7 +14,7 @@ def write(tmp_path: Path) -> Callable[[str], Path]:
 
     def write_file(name: str) -> Path:
         path = tmp_path / name
-        {**SPEAKING, **SILENT}[name](path)
+        {**DESCRIBED, **UNDESCRIBED}[name](path)
         return path
 
     return write_file

@@ -5,7 +5,12 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import h5py
 import numpy as np
+import pyarrow as pa
+from nptdms import ChannelObject, TdmsWriter
+from pyarrow.parquet import write_table
+from scipy.io import savemat
 
 SAMPLES = 200
 RATE_Hz = 2000.0
@@ -47,17 +52,13 @@ def npz(path: Path) -> None:
 
 
 def mat5(path: Path) -> None:
-    from scipy.io import savemat
-
     inner = {"voltage_V": VOLTAGE_V, "displacement_um": DISPLACEMENT_um[:, None]}
     savemat(path, {"time_s": TIME_s, "stage": inner, "comment": "triangle"}, do_compression=True)
 
 
 def mat73(path: Path) -> None:
-    import h5py
-
     with h5py.File(path, "w", userblock_size=512) as file:
-        for name, values in _named().items():
+        for name, values in columns_by_name().items():
             dataset = file.create_dataset(name, data=values[None, :])
             dataset.attrs["MATLAB_class"] = np.bytes_("double")
     content = bytearray(path.read_bytes())
@@ -65,39 +66,27 @@ def mat73(path: Path) -> None:
     path.write_bytes(bytes(content))
 
 
-def _named() -> dict[str, np.ndarray]:
+def columns_by_name() -> dict[str, np.ndarray]:
     return {"time_s": TIME_s, "voltage_V": VOLTAGE_V, "displacement_um": DISPLACEMENT_um}
 
 
 def hdf5(path: Path) -> None:
-    import h5py
-
     with h5py.File(path, "w") as file:
         group = file.create_group("run 1")
-        for (name, values), unit in zip(_named().items(), ("s", "V", "um"), strict=True):
+        for (name, values), unit in zip(columns_by_name().items(), ("s", "V", "um"), strict=True):
             group.create_dataset(name.rsplit("_", 1)[0], data=values).attrs["unit"] = unit
 
 
 def parquet(path: Path) -> None:
-    import pyarrow as pa
-    from pyarrow.parquet import write_table
-
     write_table(pa.table(dict(zip(NAMES, COLUMNS.T, strict=True))), path)
 
 
 def tdms(path: Path) -> None:
-    from nptdms import ChannelObject, TdmsWriter
-
     clock = {"wf_increment": 1 / RATE_Hz, "wf_start_offset": 0.0}
     with TdmsWriter(path) as writer:
-        writer.write_segment(
-            [
-                ChannelObject("x", "voltage", VOLTAGE_V, {**clock, "unit_string": "V"}),
-                ChannelObject(
-                    "stage", "position", DISPLACEMENT_um, {**clock, "unit_string": "um"}
-                ),
-            ]
-        )
+        drive = ChannelObject("x", "voltage", VOLTAGE_V, {**clock, "unit_string": "V"})
+        um = {**clock, "unit_string": "um"}
+        writer.write_segment([drive, ChannelObject("stage", "position", DISPLACEMENT_um, um)])
 
 
 def lvm(path: Path) -> None:
@@ -170,8 +159,8 @@ def npy(path: Path) -> None:
     np.save(path, COLUMNS)
 
 
-# Files whose own headings are enough.
-SPEAKING: dict[str, Callable[[Path], None]] = {
+# Files whose headings suffice.
+DESCRIBED: dict[str, Callable[[Path], None]] = {
     "run.csv": csv,
     "run.csv.gz": csv_gz,
     "run.tsv": tsv_comma,
@@ -188,8 +177,8 @@ SPEAKING: dict[str, Callable[[Path], None]] = {
     "recorder.dat": gcs,
     "logger.csv": logger,
 }
-# Files that need lab.toml to be a recording.
-SILENT: dict[str, Callable[[Path], None]] = {
+# Files that need lab.toml.
+UNDESCRIBED: dict[str, Callable[[Path], None]] = {
     "rigol.csv": rigol,
     "tek.csv": tektronix,
     "tek2.csv": tektronix_above,

@@ -23,14 +23,14 @@ def write_ibw(
 ) -> None:
     """Write a wave of version 5 [WaveMetrics, Technical Note 003]: doubles, column by column.
 
-    labels  of the columns; the dimension itself stands in front of them without one
+    labels  of the columns; the dimension precedes them without a label
     step    between rows, in ``step_unit``
     """
     data = np.asarray(values, dtype=f"{order}f8").tobytes(order="F")
     shape = (*values.shape, 0, 0, 0, 0)[:4]
-    held = [b"", *(name.encode() for name in labels)] if labels else []
-    named = b"".join(name.ljust(32, b"\0") for name in held)
-    noted = note.encode()
+    label_cells = [b"", *(name.encode() for name in labels)] if labels else []
+    label_bytes = b"".join(name.ljust(32, b"\0") for name in label_cells)
+    note_bytes = note.encode()
     wave = struct.pack(
         f"{order}iIIihh6xh32sii4i4d4d4s16shhddi4i4ii64xhhhccIihhii",
         *(0, 0, 0, values.size, 4, 0, 1, b"wave0", 0, 0, *shape),
@@ -39,9 +39,25 @@ def write_ibw(
         step_unit.encode().ljust(4, b"\0"),
         *(0, 0, 0.0, 0.0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, b"\0", b"\0", 0, 0, 0, 0, 0, 0),
     )
-    sizes = (320 + len(data), 0, len(noted), 0, 0, 0, 0, 0, 0, len(named), 0, 0, 0, 0, 0)
+    sizes = (
+        320 + len(data),
+        0,
+        len(note_bytes),
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        len(label_bytes),
+        0,
+        0,
+        0,
+        0,
+        0,
+    )
     head = struct.pack(f"{order}hh15i", 5, 0, *sizes)
-    path.write_bytes(head + wave + data + noted + named)
+    path.write_bytes(head + wave + data + note_bytes + label_bytes)
 
 
 def write_jpk(path: Path, segments: Sequence[tuple[float, Rows, Rows]]) -> None:
@@ -53,19 +69,19 @@ def write_jpk(path: Path, segments: Sequence[tuple[float, Rows, Rows]]) -> None:
         archive.writestr("header.properties", "jpk-data-file=spm-forcefile\n")
         archive.writestr("segments/", "")
         for number, (duration_s, drive_V, height_m) in enumerate(segments):
-            there = f"segments/{number}/"
-            archive.writestr(there, "")
+            segment = f"segments/{number}/"
+            archive.writestr(segment, "")
             archive.writestr(
-                f"{there}segment-header.properties",
+                f"{segment}segment-header.properties",
                 f"force-segment-header.duration={duration_s}\n"
                 f"force-segment-header.num-points={len(drive_V)}\n"
                 + _channel("height", "V", 1e-7, 0.0, "calibrated", 1e-6)
                 + _channel("capacitiveSensorHeight", "V", 2e-9, 0.5, "nominal", 8e-6),
             )
             codes = np.round(drive_V / 1e-7).astype(">i4")
-            archive.writestr(f"{there}channels/height.dat", codes.tobytes())
+            archive.writestr(f"{segment}channels/height.dat", codes.tobytes())
             codes = np.round((height_m / 8e-6 - 0.5) / 2e-9).astype(">i4")
-            archive.writestr(f"{there}channels/capacitiveSensorHeight.dat", codes.tobytes())
+            archive.writestr(f"{segment}channels/capacitiveSensorHeight.dat", codes.tobytes())
 
 
 def _channel(name: str, unit: str, step: float, offset: float, slot: str, m_per_V: float) -> str:

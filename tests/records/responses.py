@@ -1,4 +1,4 @@
-"""Frequency responses of a stage with known modes, written as instruments write them."""
+"""Frequency responses of a stage with known modes, in the formats of instruments."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ def response(
     delay_s: float = DELAY_s,
     slope_dB: float = 0.0,
 ) -> ComplexArray:
-    """Return modes of (frequency, quality, share), a delay, and creep of so much a decade."""
+    """Return modes of (frequency, quality, share), a delay, and creep of a slope per decade."""
     s = 2j * np.pi * frequency_Hz
     total = np.zeros(len(s), dtype=np.complex128)
     for f, quality, share in modes:
@@ -70,7 +70,9 @@ def write_matlab(path: Path, **arrays: object) -> Path:
 
 
 def matrix(coupling: float = 0.02) -> ComplexArray:
-    """Return a response of three axes, (outputs, drives, lines); every axis has its own mode."""
-    own = [response(modes=((f, 30.0, 1.0),)) for f in (812.0, 640.0, 1310.0)]
-    other = response(modes=((400.0, 20.0, 1.0),))
-    return np.array([[own[i] if i == j else coupling * other for j in range(3)] for i in range(3)])
+    """Return a response of three axes, (outputs, drives, lines), each with another mode."""
+    diagonal = [response(modes=((f, 30.0, 1.0),)) for f in (812.0, 640.0, 1310.0)]
+    coupled = response(modes=((400.0, 20.0, 1.0),))
+    return np.array(
+        [[diagonal[i] if i == j else coupling * coupled for j in range(3)] for i in range(3)]
+    )

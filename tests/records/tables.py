@@ -1,4 +1,4 @@
-"""A recording as a text file, a laboratory that declares it, and what is said of a file."""
+"""A recording as a text file, a lab.toml with its entry, and the refusal of a file."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def lab_with(file: str = "run.csv", **entry: object) -> Lab:
     return Lab(recordings=(RecordingEntry(file=file, **entry),))  # type: ignore[arg-type]
 
 
-def said(path: Path) -> str:
-    """What an inspection refuses a file for."""
+def refusal_of(path: Path) -> str:
+    """Return the refusal of a file by an inspection, or an empty text."""
     (inspection, *_) = inspect_files([path])
     return inspection.refusal or ""

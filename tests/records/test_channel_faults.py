@@ -23,19 +23,17 @@ SINE = np.sin(PHASE)
 
 
 @pytest.mark.parametrize("noise", [1e-5, 1e-3, 1e-2])
-def test_noise_on_a_smooth_signal_is_measured(noise: float, rng: np.random.Generator) -> None:
+def test_noise_on_a_smooth_signal_is_measured(noise, rng):
     assert noise_rms(SINE + rng.normal(0, noise, len(SINE))) == pytest.approx(noise, rel=0.05)
 
 
 @pytest.mark.parametrize(("per_sample", "is_hidden"), [(1e-3, False), (0.2, True)])
-def test_a_signal_as_fast_as_noise_hides_it(
-    per_sample: float, is_hidden: bool, rng: np.random.Generator
-) -> None:
+def test_a_fast_signal_hides_the_noise(per_sample, is_hidden, rng):
     fast = np.sin(2 * np.pi * per_sample * np.arange(20000))
     assert is_noise_hidden(fast + rng.normal(0, 1e-2, len(fast))) is is_hidden
 
 
-def test_a_chirp_through_a_resonance_hides_the_noise(rng: np.random.Generator) -> None:
+def test_a_chirp_through_a_resonance_hides_the_noise(rng):
     t = np.linspace(0.0, 1.0, 20000)
     per_sample = 0.45 * t  # to nine tenths of half the sampling rate
     amplitude = 0.003 + 1.0 / (1.0 + ((per_sample - 0.26) / 0.03) ** 2)
@@ -46,22 +44,19 @@ def test_a_chirp_through_a_resonance_hides_the_noise(rng: np.random.Generator) -
     assert not is_noise_hidden(ramp)
 
 
-def test_spikes_do_not_count_as_noise(rng: np.random.Generator) -> None:
+def test_spikes_are_no_noise_and_a_continuous_signal_has_no_step(rng):
     values = SINE + rng.normal(0, 1e-3, len(SINE))
     values[::500] += 1
     assert noise_rms(values) == pytest.approx(1e-3, rel=0.05)
-
-
-@pytest.mark.parametrize("step", [1 / 128, 0.02])
-def test_a_converter_step_is_found(step: float) -> None:
-    assert step_size(step * np.round(SINE / step)) == pytest.approx(step, rel=1e-6)
-
-
-def test_a_continuous_signal_has_no_step(rng: np.random.Generator) -> None:
     assert step_size(SINE + rng.normal(0, 1e-3, len(SINE))) == 0
 
 
-def test_a_clipped_channel_is_told_with_its_share(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("step", [1 / 128, 0.02])
+def test_a_converter_step_is_measured(step):
+    assert step_size(step * np.round(SINE / step)) == pytest.approx(step, rel=1e-6)
+
+
+def test_the_share_of_clipped_samples_is_measured(rng):
     noisy = SINE + rng.normal(0, 1e-4, len(SINE))
     clipped = np.clip(noisy, -0.9, 0.9)
     assert clipped_samples(clipped).mean() == pytest.approx(
@@ -86,25 +81,23 @@ def test_a_clipped_channel_is_told_with_its_share(rng: np.random.Generator) -> N
         *("staircase", "steps", "triangle", "dead"),
     ],
 )
-def test_drives_that_rest_where_they_should_are_not_clipped(values: np.ndarray) -> None:
+def test_drives_with_constant_parts_are_not_clipped(values):
     assert not clipped_samples(values, idle_value=0.0).any()
 
 
-def _file(tmp_path: Path, reading_um: Array, drive_V: Array) -> Recording:
-    place = tmp_path / "sweep.csv"
+def recording_of(tmp_path: Path, reading_um: Array, drive_V: Array) -> Recording:
+    path = tmp_path / "sweep.csv"
     rows = zip(np.arange(len(drive_V)) / 1000.0, drive_V, reading_um, strict=True)
     lines = (f"{t:.3f},{u:.5f},{x:.5f}" for t, u, x in rows)
-    place.write_text("time [s],voltage [V],displacement [um]\n" + "\n".join(lines) + "\n")
-    return collect([place])[0]
+    path.write_text("time [s],voltage [V],displacement [um]\n" + "\n".join(lines) + "\n")
+    return collect([path])[0]
 
 
-def test_a_reading_that_overflows_is_reported_with_its_first_row_and_not_fitted(
-    rng: np.random.Generator, tmp_path: Path
-) -> None:
+def test_an_overflowing_reading_is_reported_with_its_row_and_refused(rng, tmp_path):
     drive_V = 50.0 * SINE
     reading_um = 20.0 * SINE + rng.normal(0, 2e-3, len(SINE))
     wrapped_um = np.where(reading_um > 15.0, reading_um - 35.0, reading_um)
-    recording = _file(tmp_path, wrapped_um, drive_V)
+    recording = recording_of(tmp_path, wrapped_um, drive_V)
     (statement,) = (s for s in recording.statements if s.quantity == "wrapped")
     first = int(np.flatnonzero(np.abs(np.diff(wrapped_um)) > 30.0)[0]) + 1
     assert f"row {first + 1}" in statement.text
@@ -114,28 +107,26 @@ def test_a_reading_that_overflows_is_reported_with_its_first_row_and_not_fitted(
             verb(recording)
 
 
-def test_a_coarse_counter_that_overflows_slowly_is_not_fitted(tmp_path: Path) -> None:
-    """Each of 160 codes lasts six samples or more: longer than the neighbours of a jump."""
+def test_a_slowly_overflowing_counter_is_refused(tmp_path):
+    """Each of 160 codes lasts at least six samples, longer than the neighbours of a jump."""
     codes = np.mod(np.round(100.0 * SINE), 160)
-    recording = _file(tmp_path, 0.1 * codes, 50.0 * SINE)
+    recording = recording_of(tmp_path, 0.1 * codes, 50.0 * SINE)
     with pytest.raises(RecordingError, match="jumps over its whole range"):
         piezoid.fit(recording)
 
 
-@pytest.mark.parametrize("lost_um", [0.0, 9999.0, -1.0])
-def test_a_lost_reading_or_a_step_of_the_drive_is_no_overflow(
-    lost_um: float, rng: np.random.Generator, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("invalid_um", [0.0, 9999.0, -1.0])
+def test_invalid_readings_and_steps_of_the_drive_are_no_overflow(invalid_um, rng, tmp_path):
     drive_V = 50.0 * SINE
     reading_um = 20.0 + 18.0 * SINE + rng.normal(0, 2e-3, len(SINE))
-    reading_um[200:203] = reading_um[400] = reading_um[800:820] = lost_um
+    reading_um[200:203] = reading_um[400] = reading_um[800:820] = invalid_um
     steps_V = np.sign(SINE) * 40.0
     answer_um = 0.4 * steps_V + 0.01 * SINE
-    late_um = np.roll(answer_um, 3)  # a sensor that reads three samples later
-    pairs = ((reading_um, drive_V), (answer_um, steps_V), (late_um, steps_V))
-    for read_um, sent_V in pairs:
-        found = _file(tmp_path, read_um, sent_V)
-        assert "wrapped" not in {problem.quantity for problem in found.statements}
+    delayed_um = np.roll(answer_um, 3)  # a sensor that reads three samples later
+    pairs = ((reading_um, drive_V), (answer_um, steps_V), (delayed_um, steps_V))
+    for displacement_um, voltage_V in pairs:
+        recording = recording_of(tmp_path, displacement_um, voltage_V)
+        assert "wrapped" not in {problem.quantity for problem in recording.statements}
 
 
 TRIANGLE_V = 5.0 * np.abs(np.arange(6000) % 2000 - 1000) / 1000 + 0.123
@@ -152,24 +143,20 @@ LEVEL_um = 8.0 / 4096
     ],
     ids=["grid of 12 bits", "falling", "one sample late", "polynomial"],
 )
-def test_a_command_that_was_logged_as_displacement_is_not_fitted(
-    commanded_um: Array, tmp_path: Path
-) -> None:
-    recording = _file(tmp_path, commanded_um, TRIANGLE_V)
+def test_a_command_logged_as_displacement_is_refused(commanded_um, tmp_path):
+    recording = recording_of(tmp_path, commanded_um, TRIANGLE_V)
     assert "not_measured" in {s.quantity for s in recording.statements}
     with pytest.raises(RecordingError, match="nothing was measured"):
         piezoid.fit(recording)
 
 
-def test_a_linear_stage_with_noise_or_a_single_branch_is_a_measurement(
-    rng: np.random.Generator, tmp_path: Path
-) -> None:
-    quiet_um = 1.7 * TRIANGLE_V + rng.normal(0, 1e-3, len(TRIANGLE_V))
-    coarse_um = LEVEL_um * np.round(quiet_um / LEVEL_um)
+def test_a_linear_stage_with_noise_or_a_single_branch_is_a_measurement(rng, tmp_path):
+    noisy_um = 1.7 * TRIANGLE_V + rng.normal(0, 1e-3, len(TRIANGLE_V))
+    coarse_um = LEVEL_um * np.round(noisy_um / LEVEL_um)
     for reading_um, drive_V in (
-        (quiet_um, TRIANGLE_V),
+        (noisy_um, TRIANGLE_V),
         (coarse_um, TRIANGLE_V),
         (1.7 * TRIANGLE_V[:1000], TRIANGLE_V[:1000]),
     ):
-        recording = _file(tmp_path, reading_um, drive_V)
+        recording = recording_of(tmp_path, reading_um, drive_V)
         assert "not_measured" not in {s.quantity for s in recording.statements}

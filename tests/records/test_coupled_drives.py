@@ -20,7 +20,7 @@ def triangle_V(period_s: float) -> Array:
 
 
 def ringing(signal: Array, frequency_Hz: float, damping: float) -> Array:
-    """Filter a signal by one mode of unit static gain."""
+    """Filter a signal by a mode of unit static gain."""
     s = 2j * np.pi * np.fft.rfftfreq(len(signal), 1.0 / RATE_Hz)
     w = 2.0 * np.pi * frequency_Hz
     response = w**2 / (s**2 + 2.0 * damping * w * s + w**2)
@@ -28,60 +28,60 @@ def ringing(signal: Array, frequency_Hz: float, damping: float) -> Array:
 
 
 def stage(gains: Array, law: str, *, drives_V: dict[str, Array] | None = None) -> Recording:
-    """Return a recording of three axes; row i of the gains is what moves displacement i, um."""
+    """Return a recording of three axes; row i of the gains moves displacement i, in um."""
     rng = np.random.default_rng(4)
     drives_V = drives_V or {axis: triangle_V(period_s) for axis, period_s in PERIODS_s.items()}
     strokes = np.stack([LAWS[law](v / 2.5 - 1.0) for v in drives_V.values()])
-    moved_um = gains @ strokes + 0.005 * rng.standard_normal(strokes.shape)
+    displacement_um = gains @ strokes + 0.005 * rng.standard_normal(strokes.shape)
     return piezoid.from_arrays(
         voltage_V=drives_V,
-        displacement_m=dict(zip(drives_V, 1e-6 * moved_um, strict=True)),
+        displacement_m=dict(zip(drives_V, 1e-6 * displacement_um, strict=True)),
         sampling_rate_Hz=RATE_Hz,
     )
 
 
-def reported(recording: Recording) -> list[str]:
+def statements_of(recording: Recording) -> list[str]:
     return [s.text for s in recording.statements if s.quantity == "coupled_drives"]
 
 
 @pytest.mark.parametrize("law", ["preisach", "dahl", "plays"])
-def test_comparable_gains_are_reported_with_the_line_and_small_ones_are_not(law: str) -> None:
+def test_only_comparable_gains_are_reported_with_the_line_to_write(law):
     gains = np.array([[8.0, 4.0, -5.0], [4.0, 8.0, 5.0], [4.0, -4.0, 8.0]])
-    (text,) = reported(stage(gains, law))
+    (text,) = statements_of(stage(gains, law))
     assert text.endswith('[coupled] axes = ["x", "y", "z"]')
     assert "x by the drive of y 50 %" in text
-    assert not reported(stage(8.0 * np.eye(3) + 0.5, law))
+    assert not statements_of(stage(8.0 * np.eye(3) + 0.5, law))
 
 
-def test_a_pair_is_reported_without_the_third_axis_and_not_where_lab_toml_declares_it() -> None:
+def test_a_coupled_pair_is_reported_unless_lab_toml_declares_it():
     gains = np.array([[8.0, 5.0, 0.0], [5.0, 8.0, 0.0], [0.0, 0.0, 8.0]])
     recording = stage(gains, "duhem")
-    (text,) = reported(recording)
+    (text,) = statements_of(recording)
     assert text.endswith('[coupled] axes = ["x", "y"]')
     assert not check_coupled_drives(recording, Lab(coupled=Coupled(axes=("x", "y"))))
 
 
-def test_axes_that_one_drive_moves_are_not_told_apart() -> None:
+def test_proportional_drives_are_not_reported():
     drives_V = {axis: triangle_V(1.0) * gain for axis, gain in (("x", 1.0), ("y", 0.7))}
-    assert not reported(stage(np.full((2, 2), 4.0), "plays", drives_V=drives_V))
+    assert not statements_of(stage(np.full((2, 2), 4.0), "plays", drives_V=drives_V))
 
 
-def test_modes_of_multisines_hide_no_coupling() -> None:
+def test_coupling_is_detected_with_modes_and_multisines():
     rng = np.random.default_rng(8)
     drives_V = {axis: np.tile(rng.standard_normal(8000), 2) for axis in "xyz"}
     ringing_V = np.stack([ringing(v, 300.0, 0.02) for v in drives_V.values()])
     for gain, is_coupled in ((0.6, True), (0.05, False)):
-        moved_m = 1e-7 * (np.eye(3) + gain * (1.0 - np.eye(3))) @ ringing_V
-        moved_m += 1e-9 * rng.standard_normal(moved_m.shape)
+        displacement_m = 1e-7 * (np.eye(3) + gain * (1.0 - np.eye(3))) @ ringing_V
+        displacement_m += 1e-9 * rng.standard_normal(displacement_m.shape)
         recording = piezoid.from_arrays(
             voltage_V=drives_V,
-            displacement_m=dict(zip(drives_V, moved_m, strict=True)),
+            displacement_m=dict(zip(drives_V, displacement_m, strict=True)),
             sampling_rate_Hz=RATE_Hz,
         )
-        assert bool(reported(recording)) is is_coupled
+        assert bool(statements_of(recording)) is is_coupled
 
 
-def test_a_fit_prints_the_line_for_lab_toml() -> None:
+def test_a_fit_states_the_line_for_lab_toml():
     from piezoid.identification.fit import unfitted_stage
 
     recording = stage(np.array([[8.0, 4.0, 4.0], [4.0, 8.0, 4.0], [4.0, 4.0, 8.0]]), "plays")

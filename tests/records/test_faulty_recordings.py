@@ -1,6 +1,4 @@
-"""What is wrong with a recording: told with its place, cut or bridged, or refused."""
-
-from pathlib import Path
+"""Faults of a recording are reported, removed, bridged or refused."""
 
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ from piezoid.records.collection import collect
 from tests.records.tables import RESPONSE, SAMPLES, VOLTAGE_V, RATE_Hz, TIME_s, lab_with, table
 
 
-def test_rows_without_a_number_are_cut_or_left_behind_a_break(tmp_path: Path) -> None:
+def test_rows_without_a_number_are_removed_with_a_break(tmp_path):
     holed = RESPONSE.copy()
     holed[[0, 1, 100, 101, SAMPLES - 1]] = np.nan
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, holed)
@@ -24,7 +22,7 @@ def test_rows_without_a_number_are_cut_or_left_behind_a_break(tmp_path: Path) ->
     assert "2 in 1 gaps" in problem.text
 
 
-def test_a_single_missing_cell_is_bridged_and_no_break(tmp_path: Path) -> None:
+def test_a_missing_cell_is_bridged_and_a_blank_row_is_a_break(tmp_path):
     holed = RESPONSE.copy()
     holed[[100, 200]] = np.nan
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, holed)
@@ -33,18 +31,15 @@ def test_a_single_missing_cell_is_bridged_and_no_break(tmp_path: Path) -> None:
     assert recording.bridged == (100, 200)
     assert recording.samples == SAMPLES
     assert np.allclose(recording.voltage_V(), VOLTAGE_V, atol=1e-3 * np.ptp(VOLTAGE_V))
-
-
-def test_a_blank_row_is_a_break(tmp_path: Path) -> None:
     drive_V, holed = VOLTAGE_V.copy(), RESPONSE.copy()
     drive_V[100] = holed[100] = np.nan
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, drive_V, holed)
     assert collect([path])[0].breaks == (100,)
 
 
-def test_samples_lost_one_at_a_time_are_put_between_their_neighbours(tmp_path: Path) -> None:
-    kept = np.delete(np.arange(SAMPLES), [*range(100, 110), 200, 300])
-    columns = (TIME_s[kept], VOLTAGE_V[kept], RESPONSE[kept])
+def test_single_missing_samples_are_interpolated(tmp_path):
+    rows = np.delete(np.arange(SAMPLES), [*range(100, 110), 200, 300])
+    columns = (TIME_s[rows], VOLTAGE_V[rows], RESPONSE[rows])
     path = table(tmp_path, "time [s],voltage [V],pos [um]", *columns)
     recording = collect([path])[0]
     assert recording.samples == SAMPLES - 10
@@ -52,14 +47,16 @@ def test_samples_lost_one_at_a_time_are_put_between_their_neighbours(tmp_path: P
     assert recording.bridged == (190, 290)
     between = (VOLTAGE_V[199] + VOLTAGE_V[201]) / 2
     assert recording.voltage_V()[190] == pytest.approx(between, rel=1e-8)
-    whole = np.delete(np.arange(SAMPLES), [*range(100, 110), 200, 300])
-    measured = np.delete(np.arange(SAMPLES - 10), [190, 290])
-    np.testing.assert_allclose(recording.voltage_V()[measured], VOLTAGE_V[whole], rtol=1e-8)
+    measured_rows = np.delete(np.arange(SAMPLES), [*range(100, 110), 200, 300])
+    is_measured = np.delete(np.arange(SAMPLES - 10), [190, 290])
+    np.testing.assert_allclose(
+        recording.voltage_V()[is_measured], VOLTAGE_V[measured_rows], rtol=1e-8
+    )
     part = collect([path], lab_with(start_s=0.15, stop_s=0.2))[0]
     assert (part.breaks, part.bridged) == ((), (40,))
 
 
-def test_empty_dead_clipped_and_equal_columns_are_told(tmp_path: Path) -> None:
+def test_empty_dead_clipped_and_equal_columns_are_reported(tmp_path):
     time_s = np.arange(4000) / RATE_Hz
     drive = 50 + 40 * np.sin(2 * np.pi * time_s)
     noisy = drive + np.random.default_rng(1).normal(0, 0.01, len(drive))
@@ -77,7 +74,7 @@ def test_empty_dead_clipped_and_equal_columns_are_told(tmp_path: Path) -> None:
     }
 
 
-def test_a_recording_of_one_row_is_refused(tmp_path: Path) -> None:
+def test_a_recording_of_a_single_row_is_refused(tmp_path):
     path = table(
         tmp_path, "time [s],voltage [V],pos [um]", TIME_s[:1], VOLTAGE_V[:1], RESPONSE[:1]
     )
@@ -88,32 +85,30 @@ def test_a_recording_of_one_row_is_refused(tmp_path: Path) -> None:
 HEADINGS = "time [s],voltage [V],position [um]"
 
 
-def blanked(step: int, first: int = 0) -> np.ndarray:
-    """The response, measured in one of so many rows."""
+def sparse_response(step: int, first: int = 0) -> np.ndarray:
+    """Return the response with a reading in every ``step``-th row."""
     values = np.full(SAMPLES, np.nan)
     values[first::step] = RESPONSE[first::step]
     return values
 
 
 @pytest.mark.parametrize(("step", "first"), [(2, 0), (4, 0), (4, 3), (10, 1)])
-def test_cells_blank_at_a_fixed_interval_are_a_slower_channel(
-    step: int, first: int, tmp_path: Path
-) -> None:
-    recording = collect([table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, blanked(step, first))])[0]
+def test_cells_empty_at_a_fixed_interval_are_a_slower_channel(step, first, tmp_path):
+    recording = collect(
+        [table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, sparse_response(step, first))]
+    )[0]
     assert recording.sampling_rate_Hz == pytest.approx(RATE_Hz / step)
     assert recording.breaks == ()
     np.testing.assert_allclose(
         recording.displacement_m(), 1e-6 * RESPONSE[first::step], atol=1e-14
     )
     np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V[first::step], atol=1e-7)
-    (said,) = (s for s in recording.statements if s.quantity == "slower_channel")
-    assert f"one of {step} rows" in said.text
-    assert f"from line {first + 2} on" in said.text
+    (statement,) = (s for s in recording.statements if s.quantity == "slower_channel")
+    assert f"one of {step} rows" in statement.text
+    assert f"from line {first + 2} on" in statement.text
 
 
-def test_blanks_without_a_fixed_interval_stay_missing_values(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_empty_cells_without_a_fixed_interval_are_missing_values(tmp_path, rng):
     values = RESPONSE.copy()
     values[rng.choice(SAMPLES, 30, replace=False)] = np.nan
     recording = collect([table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, values)])[0]

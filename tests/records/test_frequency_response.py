@@ -1,4 +1,4 @@
-"""Frequency responses in: every way to write one gives the same response, or a refusal."""
+"""Frequency responses in every notation are read as the same response, or refused."""
 
 import re
 from collections.abc import Callable
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from piezoid.errors import LabFileError, RecordingError
-from piezoid.numerics.arrays import Array
 from piezoid.records.collection import collect
 from piezoid.records.frequency_response import FrequencyResponseRecord, ResponsePath
 from piezoid.records.inspection import inspect_files
@@ -23,7 +22,7 @@ from tests.records.responses import (
     write_csv,
     write_matlab,
 )
-from tests.records.tables import said
+from tests.records.tables import refusal_of
 
 G = response()
 SIZE_um, ANGLE_deg = np.abs(G) * 1e6, np.degrees(np.angle(G))
@@ -63,30 +62,28 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
 }
 
 
-def lab_of(folder: Path, entry: str, rest: str = "") -> Lab:
-    (folder / "lab.toml").write_text(f"{rest}[[recording]]\n{entry}")
+def lab_of(folder: Path, entry: str, tables: str = "") -> Lab:
+    (folder / "lab.toml").write_text(f"{tables}[[recording]]\n{entry}")
     return read_lab(folder / "lab.toml")
 
 
-def only(path: Path, lab: Lab | None = None) -> FrequencyResponseRecord:
-    held = collect([path], lab)
-    assert not held.recordings
-    (found,) = held.responses
-    return found
+def read_response(path: Path, lab: Lab | None = None) -> FrequencyResponseRecord:
+    collection = collect([path], lab)
+    assert not collection.recordings
+    (record,) = collection.responses
+    return record
 
 
-def assert_true(found: FrequencyResponseRecord, axis: str = "x") -> None:
-    path = found.path(axis, axis)
+def assert_true(record: FrequencyResponseRecord, axis: str = "x") -> None:
+    path = record.path(axis, axis)
     assert path is not None
-    np.testing.assert_allclose(found.frequency_Hz, FREQUENCY_Hz, rtol=1e-8)
+    np.testing.assert_allclose(record.frequency_Hz, FREQUENCY_Hz, rtol=1e-8)
     np.testing.assert_allclose(path.response_m_per_V, G, rtol=1e-6)
 
 
 @pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
-def test_every_way_to_write_a_response_is_the_same_response(
-    write: Callable[[Path], Path], tmp_path: Path
-) -> None:
-    assert_true(only(write(tmp_path)))
+def test_every_notation_gives_the_same_response(write, tmp_path):
+    assert_true(read_response(write(tmp_path)))
 
 
 @pytest.mark.parametrize(
@@ -120,23 +117,23 @@ def test_every_way_to_write_a_response_is_the_same_response(
     ],
     ids=["decibels of nothing", "volts of a sensor", "coherence in percent", "time and frequency"],
 )
-def test_what_is_ambiguous_is_refused_until_lab_toml_decides(
-    heading: str, columns: tuple[Array, ...], words: str, entry: str, tmp_path: Path
-) -> None:
+def test_an_ambiguous_response_needs_an_entry_in_lab_toml(
+    heading, columns, words, entry, tmp_path
+):
     path = write_csv(tmp_path / "a.csv", heading, *columns)
     with pytest.raises(RecordingError, match=words):
         collect([path])
     is_rig = entry.startswith("[sensor]")
     lab = lab_of(tmp_path, 'file = "a.csv"\n' + entry * (not is_rig), entry * is_rig)
-    found = only(path, lab)
-    assert_true(found)
-    coherence = found.paths[0].coherence
+    record = read_response(path, lab)
+    assert_true(record)
+    coherence = record.paths[0].coherence
     assert (coherence is not None) == ("coherence" in heading)
     if coherence is not None:
         np.testing.assert_allclose(coherence, 0.98)
 
 
-def test_an_amplitude_of_a_lock_in_is_divided_by_its_excitation(tmp_path: Path) -> None:
+def test_an_amplitude_of_a_lock_in_is_divided_by_its_excitation(tmp_path):
     excitation_V = np.linspace(0.5, 0.6, len(G))
     rows = np.column_stack([FREQUENCY_Hz, np.abs(G) * excitation_V, ANGLE_deg, excitation_V])
     lines = ["\t".join(f"{x:.10e}" for x in row) for row in rows]
@@ -149,7 +146,7 @@ def test_an_amplitude_of_a_lock_in_is_divided_by_its_excitation(tmp_path: Path) 
         'columns = { frequency = "Frequency (Hz)", magnitude = "Amplitude (m)", '
         'phase = "Phase (deg)", excitation = "Excitation (V)" }\n'
     )
-    assert_true(only(path, lab_of(tmp_path, f'file = "a.dat"\n{columns}')))
+    assert_true(read_response(path, lab_of(tmp_path, f'file = "a.dat"\n{columns}')))
 
 
 PAIRS = [(i, j) for i in range(3) for j in range(3)]
@@ -177,52 +174,58 @@ def write_nine_groups(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("write", [write_matrix, write_nine_complex_columns, write_nine_groups])
-def test_a_response_of_three_axes_has_every_path(
-    write: Callable[[Path], Path], tmp_path: Path
-) -> None:
-    found = only(write(tmp_path))
-    assert found.axes == ("x", "y", "z")
+def test_a_response_of_three_axes_has_every_path(write, tmp_path):
+    record = read_response(write(tmp_path))
+    assert record.axes == ("x", "y", "z")
     for i, j in PAIRS:
-        path = found.path("xyz"[i], "xyz"[j])
+        path = record.path("xyz"[i], "xyz"[j])
         assert path is not None
         np.testing.assert_allclose(path.response_m_per_V, matrix()[i, j], rtol=1e-6)
 
 
-def test_inspect_tells_band_coherence_peaks_and_coupling(tmp_path: Path) -> None:
-    (found,) = inspect_files([write_matrix(tmp_path)])
-    assert found.refusal is None
-    told = found.response
-    assert told is not None
-    assert (told.lowest_Hz, told.lines) == (pytest.approx(1.0), 300)
-    own = {p.output: p for p in told.paths if p.output == p.drive}
+def test_an_inspection_states_band_peaks_and_coupling(tmp_path):
+    (inspection,) = inspect_files([write_matrix(tmp_path)])
+    assert inspection.refusal is None
+    summary = inspection.response
+    assert summary is not None
+    assert (summary.lowest_Hz, summary.lines) == (pytest.approx(1.0), 300)
+    paths = {p.output: p for p in summary.paths if p.output == p.drive}
     for axis, mode_Hz in zip("xyz", (812.0, 640.0, 1310.0), strict=True):
-        (peak,) = own[axis].peaks
+        (peak,) = paths[axis].peaks
         assert peak.frequency_Hz == pytest.approx(mode_Hz, rel=0.02)
         assert peak.quality == pytest.approx(30.0, rel=0.3)
-    assert all(c.low == pytest.approx(0.02, rel=0.05) for c in told.couplings)
+    assert all(c.low == pytest.approx(0.02, rel=0.05) for c in summary.couplings)
 
 
-AT = 40
+BAD_ROW = 40
 
 
-def changed(column: int, value: float) -> list[np.ndarray]:  # type: ignore[type-arg]
+def columns_with(column: int, value: float) -> list[np.ndarray]:  # type: ignore[type-arg]
     columns = [FREQUENCY_Hz.copy(), SIZE_um.copy(), ANGLE_deg.copy()]
-    columns[column][AT] = value
+    columns[column][BAD_ROW] = value
     return columns
 
 
 RADIANS = SORTED.replace("deg", "rad")
-WRONG = {
-    "repeated": (SORTED, changed(0, FREQUENCY_Hz[AT - 1]), "repeats .* frequencies do not rise"),
-    "unsorted": (SORTED, changed(0, 2.0), "2 Hz at line 42 follows"),
+FAULTS = {
+    "repeated": (
+        SORTED,
+        columns_with(0, FREQUENCY_Hz[BAD_ROW - 1]),
+        "repeats .* frequencies do not rise",
+    ),
+    "unsorted": (SORTED, columns_with(0, 2.0), "2 Hz at line 42 follows"),
     "negative": (
         SORTED,
-        changed(0, -5.0),
+        columns_with(0, -5.0),
         "1 frequencies are negative, the first is -5 Hz at line 42",
     ),
-    "empty": (SORTED, changed(1, np.nan), "hold no number, the first is line 42"),
-    "zero": (SORTED, changed(1, 0.0), "is zero in 1 rows, the first is line 42"),
-    "below zero": (SORTED, changed(1, -3.0), "is -3 at line 42. Needed: a magnitude above zero"),
+    "empty": (SORTED, columns_with(1, np.nan), "hold no number, the first is line 42"),
+    "zero": (SORTED, columns_with(1, 0.0), "is zero in 1 rows, the first is line 42"),
+    "below zero": (
+        SORTED,
+        columns_with(1, -3.0),
+        "is -3 at line 42. Needed: a magnitude above zero",
+    ),
     "radians called degrees": (
         SORTED,
         [FREQUENCY_Hz, SIZE_um, np.angle(G)],
@@ -242,26 +245,26 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize(("heading", "columns", "words"), WRONG.values(), ids=WRONG)
-def test_numbers_that_are_no_response_are_refused_with_their_place(
-    heading: str,
-    columns: list[np.ndarray],  # type: ignore[type-arg]
-    words: str,
-    tmp_path: Path,
-) -> None:
+@pytest.mark.parametrize(("heading", "columns", "words"), FAULTS.values(), ids=FAULTS)
+def test_an_invalid_response_is_refused_with_its_line(
+    heading,
+    columns,  # type: ignore[type-arg]
+    words,
+    tmp_path,
+):
     path = write_csv(tmp_path / "a.csv", heading, *columns)
     with pytest.raises(RecordingError, match=words):
         collect([path])
-    assert re.search(words, said(path))
+    assert re.search(words, refusal_of(path))
 
 
-def test_a_long_delay_in_radians_is_no_degrees(tmp_path: Path) -> None:
+def test_a_long_delay_in_radians_is_accepted(tmp_path):
     angle = np.unwrap(np.angle(response(delay_s=0.0))) - 2.0 * np.pi * 0.02 * FREQUENCY_Hz
-    found = only(write_csv(tmp_path / "a.csv", RADIANS, FREQUENCY_Hz, SIZE_um, angle))
-    assert len(found.frequency_Hz) == 300
+    record = read_response(write_csv(tmp_path / "a.csv", RADIANS, FREQUENCY_Hz, SIZE_um, angle))
+    assert len(record.frequency_Hz) == 300
 
 
-def test_a_recording_with_a_frequency_shift_stays_a_recording(tmp_path: Path) -> None:
+def test_a_recording_with_a_frequency_shift_stays_a_recording(tmp_path):
     time_s = np.arange(400) / 1000
     drive = np.sin(2 * np.pi * 5 * time_s)
     path = write_csv(
@@ -281,24 +284,24 @@ def test_a_recording_with_a_frequency_shift_stays_a_recording(tmp_path: Path) ->
         ("sampling_rate_Hz = 100.0", "no time and no offset"),
     ],
 )
-def test_an_entry_that_cannot_be_meant_is_refused(entry: str, words: str, tmp_path: Path) -> None:
+def test_an_invalid_entry_is_refused(entry, words, tmp_path):
     path = write_csv(tmp_path / "a.csv", SORTED, FREQUENCY_Hz, SIZE_um, ANGLE_deg)
     with pytest.raises(LabFileError, match=words):
         collect([path], lab_of(tmp_path, f'file = "a.csv"\n{entry}\n'))
 
 
-def test_the_first_lab_toml_reads_it_the_same_way_again(tmp_path: Path) -> None:
+def test_a_drafted_lab_toml_reads_the_same_response(tmp_path):
     path = WRITERS["decibel and degrees"](tmp_path)
     draft = draft_lab([path], tmp_path)
     assert not draft.incomplete
     (tmp_path / "lab.toml").write_text(draft.text)
-    assert_true(only(path, read_lab(tmp_path / "lab.toml")))
+    assert_true(read_response(path, read_lab(tmp_path / "lab.toml")))
 
 
-def test_records_are_checked_at_birth() -> None:
+def test_an_invalid_record_is_refused():
     path = ResponsePath(output="x", drive="x", response_m_per_V=G)
-    made = {"name": "a", "digest": "0", "frequency_Hz": FREQUENCY_Hz, "paths": (path,)}
-    for wrong in (
+    fields = {"name": "a", "digest": "0", "frequency_Hz": FREQUENCY_Hz, "paths": (path,)}
+    for invalid in (
         {"frequency_Hz": FREQUENCY_Hz[::-1]},
         {"frequency_Hz": FREQUENCY_Hz - 1.0},
         {"paths": ()},
@@ -306,6 +309,6 @@ def test_records_are_checked_at_birth() -> None:
         {"includes": ("stage",)},
     ):
         with pytest.raises(ValueError, match=r"expected|does not increase"):
-            FrequencyResponseRecord(**{**made, **wrong})  # type: ignore[arg-type]
+            FrequencyResponseRecord(**{**fields, **invalid})  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="zero"):
         ResponsePath(output="x", drive="x", response_m_per_V=0.0 * G)

@@ -1,4 +1,4 @@
-"""Small files that are wide, endless or no files: one message, before time is gone."""
+"""Files that are wide, endless or no regular files are answered in limited time."""
 
 import os
 import resource
@@ -16,13 +16,13 @@ from piezoid.records.readers import read_table, source
 from piezoid.records.readers.numpy_files import NPY
 from piezoid.records.readers.reader import library_errors
 from piezoid.records.readers.source import open_source, text_of
-from tests.records.tables import said
+from tests.records.tables import refusal_of
 
 ROWS = "".join(f"{k / 1000},{k % 7},{k % 5}\n" for k in range(60))
 HEADED = "time [s],voltage [V],position [um]\n"
 
 
-# Each of these took from half a minute to days, at a size that any mail carries.
+# A naive parser needs from half a minute to days for each of these small texts.
 @pytest.mark.parametrize(
     "text",
     [
@@ -35,7 +35,7 @@ HEADED = "time [s],voltage [V],position [um]\n"
     ],
     ids=["blanks", "round brackets", "square brackets", "header ends", "wide rows", "texts"],
 )
-def test_a_text_that_invites_to_search_for_ever_is_answered(text: str, tmp_path: Path) -> None:
+def test_a_text_that_provokes_backtracking_is_answered(text, tmp_path):
     path = tmp_path / "run.dat"
     path.write_text(text)
     (inspection, *_) = inspect_files([path])
@@ -45,31 +45,29 @@ def test_a_text_that_invites_to_search_for_ever_is_answered(text: str, tmp_path:
 @pytest.mark.parametrize(
     ("columns", "separator"), [(5_000, ","), (5_000, "\t"), (5_000, " "), (1_000_000, ";")]
 )
-def test_a_heading_of_too_many_columns_is_refused_with_their_number(
-    columns: int, separator: str, tmp_path: Path
-) -> None:
+def test_a_heading_of_too_many_columns_is_refused(columns, separator, tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(separator.join(["c1"] * columns) + "\n" + ROWS.replace(",", separator))
-    assert f"it has {columns} columns. Needed: at most 4096" in said(path)
+    assert f"it has {columns} columns. Needed: at most 4096" in refusal_of(path)
 
 
-def test_a_comment_may_be_as_wide_as_it_likes(tmp_path: Path) -> None:
+def test_a_comment_may_have_any_width(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("# {" + "'key': 1, " * 40_000 + "}\n" + HEADED + ROWS)
     assert read_table(path).rows == 60
 
 
-def test_a_reader_short_of_memory_is_named_and_no_reason_made_up(tmp_path: Path) -> None:
+def test_a_reader_without_memory_is_named(tmp_path):
     (tmp_path / "run.csv").write_text(HEADED + ROWS)
-    opened = open_source(tmp_path / "run.csv")
+    file_source = open_source(tmp_path / "run.csv")
     expected = pytest.raises(
         UnreadableFileError, match=r"stopped with MemoryError\. Needed: a whole npy"
     )
-    with expected, library_errors(opened, NPY):
+    with expected, library_errors(file_source, NPY):
         raise MemoryError
 
 
-# Each of these found an expression that took time to a higher power: 2000 digits, two minutes.
+# Regular expressions with backtracking need minutes for 2000 of these characters.
 RUNS = (
     "0", "01", "1.", "1,", "1 ", "+", "-", "1e", "1+", "(", "[", ")", "a(", "[a]", "(1", ",", ";",
     "1i", "1+1i ", "a, ", "_", "/",
@@ -82,19 +80,15 @@ RUNS = (
     ["{}", "{}\n" + ROWS, HEADED + "{}\n" + ROWS, HEADED + "0,{},1\n" + ROWS, "# {}\n" + ROWS],
     ids=["alone", "heading", "row", "cell", "comment"],
 )
-def test_a_long_run_of_digits_signs_or_brackets_is_answered_at_once(
-    run: str, text: str, tmp_path: Path
-) -> None:
+def test_a_long_run_of_characters_is_answered_within_2_s(run, text, tmp_path):
     path = tmp_path / "run.txt"
     path.write_text(text.format(run * (50_000 // len(run))))
-    begun_s = process_time()
+    start_s = process_time()
     inspect_files([path])
-    assert process_time() - begun_s < 2.0
+    assert process_time() - start_s < 2.0
 
 
-def test_a_recording_that_does_not_fit_into_memory_names_what_it_needs_and_stream(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recording_beyond_the_memory_states_its_need_and_stream(tmp_path, monkeypatch):
     path = tmp_path / "run.csv"
     path.write_text(HEADED + ROWS * 20)
     monkeypatch.setattr(source, "available_bytes", lambda: 20_000)
@@ -104,11 +98,11 @@ def test_a_recording_that_does_not_fit_into_memory_names_what_it_needs_and_strea
     assert source.available_bytes() is not None
 
 
-def test_a_command_short_of_memory_ends_with_status_3_and_names_stream(tmp_path: Path) -> None:
+def test_a_command_without_memory_exits_with_3_and_names_stream(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(HEADED + ROWS * 200_000)
     limit = (900 << 20, 900 << 20)
-    done = subprocess.run(
+    result = subprocess.run(
         [Path(sys.executable).with_name("piezoid"), "fit", path, "--out", tmp_path / "out"],
         capture_output=True,
         text=True,
@@ -116,69 +110,64 @@ def test_a_command_short_of_memory_ends_with_status_3_and_names_stream(tmp_path:
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "500"},
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, limit),
     )
-    assert "--stream" in done.stdout + done.stderr
-    assert "GB of memory" in done.stdout + done.stderr
-    assert "MemoryError" not in done.stdout + done.stderr
-    assert done.returncode == 3
+    assert "--stream" in result.stdout + result.stderr
+    assert "GB of memory" in result.stdout + result.stderr
+    assert "MemoryError" not in result.stdout + result.stderr
+    assert result.returncode == 3
 
 
-def test_a_sparse_file_with_a_heading_is_refused_at_its_first_zero_byte(tmp_path: Path) -> None:
+def test_a_sparse_file_is_refused_at_its_first_zero_byte(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(HEADED + ROWS)
     os.truncate(path, 1 << 29)
-    opened = open_source(path)
+    file_source = open_source(path)
     tracemalloc.start()
     with pytest.raises(UnreadableFileError, match="line 62 holds a zero byte"):
-        text_of(opened)
+        text_of(file_source)
     assert tracemalloc.get_traced_memory()[1] < 10 << 20
     tracemalloc.stop()
     path.write_text(HEADED.replace("volt", "vo\x00lt") + ROWS)
-    assert "line 1 holds a zero byte (byte 12 of the file)" in said(path)
+    assert "line 1 holds a zero byte (byte 12 of the file)" in refusal_of(path)
 
 
-def test_a_file_too_large_or_empty_is_refused_before_anybody_reads_through_it(
-    tmp_path: Path,
-) -> None:
-    """Its sixteen gibibytes are holes; to read them takes half a minute."""
+def test_a_file_too_large_or_empty_is_refused_unread(tmp_path):
+    """The file is sparse; reading its 16 GiB takes half a minute."""
     path = tmp_path / "run.csv"
     path.write_text(HEADED + ROWS)
     os.truncate(path, 1 << 34)
-    begun_s = process_time()
+    start_s = process_time()
     with pytest.raises(UnreadableFileError, match=f"at most {1 << 31} bytes"):
         open_source(path)
-    assert process_time() - begun_s < 1.0
+    assert process_time() - start_s < 1.0
     (tmp_path / "empty.csv").touch()
     with pytest.raises(UnreadableFileError, match="the file is empty"):
         open_source(tmp_path / "empty.csv")
 
 
-def test_a_pipe_a_device_and_a_link_to_itself_are_no_recordings(tmp_path: Path) -> None:
+def test_a_pipe_a_device_and_a_cyclic_link_are_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
-    assert "a pipe or a device" in said(tmp_path / "pipe.csv")
-    assert "a pipe or a device" in said(Path("/dev/zero"))
-    assert "symbolic links" in said(tmp_path / "loop.csv")
+    assert "a pipe or a device" in refusal_of(tmp_path / "pipe.csv")
+    assert "a pipe or a device" in refusal_of(Path("/dev/zero"))
+    assert "symbolic links" in refusal_of(tmp_path / "loop.csv")
 
 
 @pytest.mark.parametrize("count", ["²", "9" * 5000, "-1", "1e3", ""])
-def test_a_count_that_is_none_is_no_crash(count: str, tmp_path: Path) -> None:
+def test_an_invalid_count_is_refused(count, tmp_path):
     path = tmp_path / "run.dat"
     path.write_text(f"# DIM = {count}\n# SEPARATOR = {count}\n# END_HEADER\n{ROWS}")
-    assert f"DIM is {count[:100]}" in said(path)
+    assert f"DIM is {count[:100]}" in refusal_of(path)
     head = "***End_of_Header***\nChannels\t1\n" + f"Samples\t{count}\n" + "***End_of_Header***\n"
     path.write_text("LabVIEW Measurement\t\n" + head + "X_Value\tv [V]\n" + "0\t1\n1\t2\n")
     assert read_table(path).rows == 2
 
 
-def test_a_message_stays_a_message_whatever_names_it_holds() -> None:
+def test_messages_are_short_and_printable_for_any_name(tmp_path):
     error = PiezoidError("\x1b[31mred\udcff" + "x" * 10**6, needed="a\u202eb", remedy="c\nd")
     assert len(str(error)) < 3000
     assert str(error).startswith("\\x1b[31mred\\udcff")
     assert error.needed == "a\\u202eb"
     assert error.remedy == "c\nd"
-
-
-def test_a_file_name_of_bytes_that_are_no_text_is_shown(tmp_path: Path) -> None:
     path = tmp_path / os.fsdecode(b"\xff.csv")
     path.write_text(HEADED + ROWS)
     assert open_source(path).name == "\\xff.csv"

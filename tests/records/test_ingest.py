@@ -1,9 +1,8 @@
-"""From files to recordings: nothing guessed, every refusal with its remedy."""
+"""From files to recordings: units, axes, and refusals with a remedy."""
 
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from piezoid.records.recording import Quantity
 from tests.records.tables import RESPONSE, VOLTAGE_V, RATE_Hz, TIME_s, lab_with, table
 
 
-def test_units_are_converted_to_si(tmp_path: Path) -> None:
+def test_units_are_converted_to_si(tmp_path):
     recording = collect([table(
             tmp_path, "time [ms],drive (mV),position_nm,temp [°C],current [pA],RH [%]",
             1e3 * TIME_s, 1e3 * VOLTAGE_V, RESPONSE, 20 + TIME_s, RESPONSE, 40 + TIME_s,
@@ -29,7 +28,7 @@ def test_units_are_converted_to_si(tmp_path: Path) -> None:
     assert first[4] == pytest.approx(0.4)
 
 
-def test_two_axes_keep_their_channels_apart(tmp_path: Path) -> None:
+def test_two_axes_have_separate_channels(tmp_path):
     recording = collect([table(
             tmp_path, "time [s],voltage_x [V],voltage_y [V],pos_x [um],pos_y [um]",
             TIME_s, VOLTAGE_V, 0.1 * VOLTAGE_V, RESPONSE, 0.1 * RESPONSE,
@@ -38,12 +37,12 @@ def test_two_axes_keep_their_channels_apart(tmp_path: Path) -> None:
     assert recording.axis == "x"
     assert [p.quantity for p in recording.statements] == ["several_axes"]
     np.testing.assert_allclose(recording.voltage_V("y"), 0.1 * VOLTAGE_V, rtol=1e-8)
-    # A column without an axis belongs to the only one that is named.
+    # A column without an axis belongs to the only named axis.
     path = table(tmp_path, "time [s],voltage [V],position_z [um]", TIME_s, VOLTAGE_V, RESPONSE)
     assert collect([path])[0].complete_axes == ("z",)
 
 
-def test_a_second_drive_does_not_take_the_nameless_columns_with_it(tmp_path: Path) -> None:
+def test_a_second_drive_does_not_claim_columns_without_axis(tmp_path):
     path = table(
         tmp_path, "time [s],voltage [V],displacement [um],voltage_y [V]",
         TIME_s, VOLTAGE_V, RESPONSE, RESPONSE,
@@ -63,9 +62,7 @@ def test_a_second_drive_does_not_take_the_nameless_columns_with_it(tmp_path: Pat
         ("voltage_y [V]", False, False),  # the axis of the declared columns is not stated
     ],
 )
-def test_drives_of_other_axes_are_read_beside_declared_columns(
-    tmp_path: Path, heading: str, has_axis: bool, is_read: bool
-) -> None:
+def test_drives_of_other_axes_are_read_with_declared_columns(tmp_path, heading, has_axis, is_read):
     path = table(
         tmp_path, f"time [s],U [V],s [um],{heading}", TIME_s, VOLTAGE_V, RESPONSE, 0.1 * VOLTAGE_V
     )
@@ -94,15 +91,13 @@ def test_drives_of_other_axes_are_read_beside_declared_columns(
         ("time [s],voltage [V],sensor voltage [V]", r"\[sensor\]\ngain_V_per_m"),
     ],
 )
-def test_what_is_ambiguous_is_refused_with_the_lines_to_write(
-    headings: str, reason: str, tmp_path: Path
-) -> None:
+def test_an_ambiguous_heading_is_refused_with_the_lines_to_write(headings, reason, tmp_path):
     headings = headings.replace("time2", "elapsed")
     with pytest.raises(UnitError, match=reason):
         collect([table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE)])[0]
 
 
-def test_columns_and_units_of_the_laboratory_replace_the_headings(tmp_path: Path) -> None:
+def test_columns_and_units_of_lab_toml_replace_the_headings(tmp_path):
     path = table(tmp_path, "time [s],U,pos", TIME_s, VOLTAGE_V, RESPONSE)
     lab = lab_with(
         axis="y",
@@ -115,14 +110,14 @@ def test_columns_and_units_of_the_laboratory_replace_the_headings(tmp_path: Path
     assert [p.quantity for p in recording.statements] == ["unit_assumed"]
 
 
-def test_volts_of_a_sensor_become_a_displacement_by_its_gain(tmp_path: Path) -> None:
+def test_volts_of_a_sensor_become_a_displacement_by_its_gain(tmp_path):
     headings = "time [s],voltage_z [V],sensor_z [V]"
     path = table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE)
     recording = collect([path], Lab(sensor=Sensor(gain_V_per_m=2e5)))[0]
     np.testing.assert_allclose(recording.displacement_m(), RESPONSE / 2e5, rtol=1e-8)
 
 
-def test_a_table_without_time_takes_the_rate_of_the_laboratory(tmp_path: Path) -> None:
+def test_a_table_without_time_has_the_rate_of_lab_toml(tmp_path):
     path = table(tmp_path, "voltage [V],displacement [um]", VOLTAGE_V, RESPONSE)
     lab = Lab(acquisition=Acquisition(sampling_rate_Hz=20000))
     (recording,) = collect([path], lab)
@@ -141,9 +136,7 @@ def test_a_table_without_time_takes_the_rate_of_the_laboratory(tmp_path: Path) -
     ("headings", "completed"),
     [("time,voltage,position", ("s", "V", "um")), ("voltage [V],position [um]", ("V", "um"))],
 )
-def test_the_entry_of_a_refusal_can_be_pasted_and_completed(
-    tmp_path: Path, headings: str, completed: tuple[str, ...]
-) -> None:
+def test_the_entry_of_a_refusal_is_valid_once_completed(tmp_path, headings, completed):
     columns = (TIME_s, VOLTAGE_V, RESPONSE)[-len(completed) :]
     path = table(tmp_path, headings, *columns)
     with pytest.raises(UnitError) as refusal:
@@ -158,22 +151,24 @@ def test_the_entry_of_a_refusal_can_be_pasted_and_completed(
     np.testing.assert_allclose(recording.displacement_m(), RESPONSE * 1e-6, rtol=1e-8)
 
 
-def test_a_rate_that_contradicts_the_time_column_is_refused(tmp_path: Path) -> None:
+def test_entries_select_time_ranges_and_may_not_contradict_the_clock(tmp_path):
     path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
     with pytest.raises(LabFileError, match="1000 Hz"):
         collect([path], lab_with(sampling_rate_Hz=20000))[0]
-
-
-def test_a_part_of_a_recording_can_be_used(tmp_path: Path) -> None:
-    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
     recording = collect([path], lab_with(start_s=0.1, stop_s=0.2))[0]
     assert recording.samples == 101
     np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V[100:201], rtol=1e-8)
     with pytest.raises(LabFileError, match="start_s"):
         collect([path], lab_with(start_s=9.0))[0]
+    entries = (
+        RecordingEntry(file="run.csv", stop_s=0.1),
+        RecordingEntry(file="run.csv", start_s=0.2),
+    )
+    lab = Lab(recordings=entries)
+    assert [r.samples for r in collect([path], lab).recordings] == [101, 200]
 
 
-def test_columns_that_mean_nothing_do_not_hinder(tmp_path: Path) -> None:
+def test_unknown_columns_are_ignored(tmp_path):
     path = table(
         tmp_path, "time [s],voltage [V],pos [um],setpoint [um],force [N],monitor [V]",
         TIME_s, VOLTAGE_V, RESPONSE, RESPONSE + 1, RESPONSE + 2, RESPONSE + 3,
@@ -181,7 +176,7 @@ def test_columns_that_mean_nothing_do_not_hinder(tmp_path: Path) -> None:
     assert len(collect([path])[0].channels) == 2
 
 
-def test_a_column_that_lab_toml_names_must_be_there(tmp_path: Path) -> None:
+def test_a_missing_column_of_lab_toml_is_refused(tmp_path):
     path = table(tmp_path, "time [s],U [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
     for columns in ({"voltage": "Umon"}, {"voltage": 9}, {"voltage": 2, "displacement": 2}):
         with pytest.raises(LabFileError, match=r"run\.csv has no column"):
@@ -192,28 +187,18 @@ def test_a_column_that_lab_toml_names_must_be_there(tmp_path: Path) -> None:
         collect([path], lab_with(units={"displacement": "furlong"}))[0]
 
 
-def test_one_file_may_hold_several_recordings(tmp_path: Path) -> None:
-    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
-    entries = (
-        RecordingEntry(file="run.csv", stop_s=0.1),
-        RecordingEntry(file="run.csv", start_s=0.2),
-    )
-    lab = Lab(recordings=entries)
-    assert [r.samples for r in collect([path], lab).recordings] == [101, 200]
-
-
 @pytest.mark.parametrize(
-    ("unit", "factor", "said"),
+    ("unit", "factor", "message"),
     [
         ("nm", 1e-6, "In m or mm it would be usual"),  # metres, labelled nm
         ("um", 1e24, "to 1 m"),
         ("um", 1e-310, "to 1 m"),
     ],
 )
-def test_a_motion_of_a_size_that_no_stage_has_is_refused_with_the_usual_unit(
-    unit: str, factor: float, said: str, tmp_path: Path
-) -> None:
+def test_an_implausible_displacement_is_refused_with_the_usual_unit(
+    unit, factor, message, tmp_path
+):
     rows = "".join(f"{k / 100},{k % 20},{1.7 * (k % 20) * factor!r}\n" for k in range(200))
     (tmp_path / "s.csv").write_text(f"time [s],voltage [V],position [{unit}]\n{rows}")
-    with pytest.raises(UnitError, match=said):
+    with pytest.raises(UnitError, match=message):
         collect([tmp_path / "s.csv"])[0]

@@ -1,4 +1,4 @@
-"""Files as laboratories leave them: read with the true values, or refused for the true reason."""
+"""Messy files are read with the true values, or refused for the true reason."""
 
 import contextlib
 import re
@@ -16,7 +16,7 @@ from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, read_lab
 from piezoid.records.lab_draft import draft_lab
 from piezoid.records.readers import READERS
-from tests.records.messy.outcomes import FILES, inspected, table
+from tests.records.messy.outcomes import FILES, inspect_messy, table
 from tests.records.messy.samples import formats_table, reader_of, samples
 from tests.records.messy.writers import (
     EVERY,
@@ -36,11 +36,11 @@ from tests.records.tables import lab_with
 DOCUMENT = Path(__file__).parents[2] / "docs" / "messy_files.md"
 
 
-def named(messy: Messy) -> str:
+def name_of(messy: Messy) -> str:
     return messy.name
 
 
-def written(name: str, folder: Path) -> Path:
+def write_messy(name: str, folder: Path) -> Path:
     """Write the messy file of a name and return its path."""
     (messy,) = (m for m in FILES if m.name == name)
     messy.write(folder / name)
@@ -52,55 +52,49 @@ def lab_for(name: str, folder: Path, entry: str) -> Lab:
     return read_lab(folder / "lab.toml")
 
 
-def assert_true_values(path: Path, lab: Lab, kept: np.ndarray, breaks: int) -> None:
+def assert_true_values(path: Path, lab: Lab, true_rows: np.ndarray, breaks: int) -> None:
     recording = collect([path], lab)[0]
     assert recording.sampling_rate_Hz == RATE_Hz
     assert len(recording.breaks) == breaks
-    np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V[kept], atol=2e-5)
-    np.testing.assert_allclose(recording.displacement_m(), 1e-6 * POSITION_um[kept], atol=2e-11)
+    np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V[true_rows], atol=2e-5)
+    np.testing.assert_allclose(
+        recording.displacement_m(), 1e-6 * POSITION_um[true_rows], atol=2e-11
+    )
 
 
-@pytest.mark.parametrize("messy", FILES, ids=named)
-def test_a_file_gives_the_true_values_or_is_refused(messy: Messy, tmp_path: Path) -> None:
-    """What is told, and the reasons, stand in the document."""
+@pytest.mark.parametrize("messy", FILES, ids=name_of)
+def test_a_file_gives_the_true_values_or_is_refused(messy, tmp_path):
+    """The document lists the statements and the reasons."""
     messy.write(tmp_path / messy.name)
-    if len(messy.kept) and not messy.lines:
+    if len(messy.true_rows) and not messy.entry:
         with contextlib.suppress(RecordingError):
-            assert_true_values(tmp_path / messy.name, Lab(), messy.kept, messy.breaks)
-    elif messy.lines:
-        refusal = inspected(messy, tmp_path)[0].refusal
+            assert_true_values(tmp_path / messy.name, Lab(), messy.true_rows, messy.breaks)
+    elif messy.entry:
+        refusal = inspect_messy(messy, tmp_path)[0].refusal
         if refusal and messy.name != "strange_mark.csv":  # the keys that mend it stand in it
-            keys = re.findall(r"^(reverse|separator|decimal|scale)\b", messy.lines, re.MULTILINE)
+            keys = re.findall(r"^(reverse|separator|decimal|scale)\b", messy.entry, re.MULTILINE)
             assert all(key in refusal for key in keys)
-        lab = lab_for(messy.name, tmp_path, messy.lines)
+        lab = lab_for(messy.name, tmp_path, messy.entry)
         assert_true_values(tmp_path / messy.name, lab, EVERY, 0)
-        found = inspected(messy, tmp_path, messy.lines)
-        assert {s.quantity for i in found for s in i.statements} <= {"copy", "transposed"}
+        inspections = inspect_messy(messy, tmp_path, messy.entry)
+        assert {s.quantity for i in inspections for s in i.statements} <= {"copy", "transposed"}
 
 
-def test_the_document_says_what_happens() -> None:
+def test_the_document_lists_the_outcomes_and_every_reader_has_a_sample(tmp_path):
     assert table() in DOCUMENT.read_text()
     assert formats_table() in DOCUMENT.read_text()
-
-
-def test_every_reader_has_a_sample_for_the_fuzzer(tmp_path: Path) -> None:
-    """Add one to ``FILES`` of ``tests/records/messy`` for a new reader."""
     read = {reader_of(tmp_path, name, write).name for name, write in samples().items()}
     assert read == {reader.name for reader in READERS}
 
 
-def test_stretches_of_several_rates_keep_their_own_clock(tmp_path: Path) -> None:
-    path = written("two_rates.csv", tmp_path)
+def test_segments_of_several_rates_keep_their_clock_and_seconds_of_the_file(tmp_path):
+    path = write_messy("two_rates.csv", tmp_path)
     slow, fast = collect([path]).recordings
     assert (slow.sampling_rate_Hz, fast.sampling_rate_Hz) == (256, 2048)
     assert slow.samples + fast.samples == 4096
     time_s = np.genfromtxt(path, delimiter=",", skip_header=1)[:, 0]
-    # The sum of the steps is the duration, but for the one step between the two.
+    # The sum of the steps is the duration, except for the step between the two segments.
     assert slow.duration_s + fast.duration_s == pytest.approx(np.ptp(time_s), abs=1 / 256)
-
-
-def test_a_part_in_seconds_is_counted_from_the_first_sample_of_the_file(tmp_path: Path) -> None:
-    path = written("two_rates.csv", tmp_path)
     lab = lab_for(path.name, tmp_path, "start_s = 8.5\nstop_s = 8.75\n")
     fast = collect([path], lab)[0]
     assert fast.sampling_rate_Hz == 2048
@@ -121,18 +115,16 @@ def test_a_part_in_seconds_is_counted_from_the_first_sample_of_the_file(tmp_path
         ("polarity.csv", r"opposite sign\. Likely cause: opposite polarity of drive or sensor"),
     ],
 )
-def test_a_file_that_does_not_fit_the_others_is_refused_with_the_likely_reason(
-    name: str, reason: str, tmp_path: Path
-) -> None:
+def test_an_inconsistent_file_is_refused_with_the_likely_reason(name, reason, tmp_path):
     text(lines())(tmp_path / "clean.csv")
-    recordings = collect([tmp_path / "clean.csv", written(name, tmp_path)]).recordings
+    recordings = collect([tmp_path / "clean.csv", write_messy(name, tmp_path)]).recordings
     with pytest.raises(RecordingError) as caught:
         refuse_inconsistent(recordings)
     assert re.search(reason, str(caught.value), re.DOTALL)
     assert f'file = "{name}"' in caught.value.remedy
 
 
-def test_of_two_files_the_one_with_an_implausible_gain_is_to_be_corrected(tmp_path: Path) -> None:
+def test_the_file_with_the_implausible_gain_is_named(tmp_path):
     scaled(1, 0.5, 0.5, written="{:.6f}".format)(tmp_path / "clean.csv")
     scaled(1, 1, 1000, written="{:.6f}".format)(tmp_path / "wide.csv")
     recordings = collect([tmp_path / "clean.csv", tmp_path / "wide.csv"]).recordings
@@ -141,7 +133,7 @@ def test_of_two_files_the_one_with_an_implausible_gain_is_to_be_corrected(tmp_pa
     assert 'file = "wide.csv"' in caught.value.remedy
 
 
-def test_a_monitor_that_loops_of_other_gain_hide_is_not_guessed(tmp_path: Path) -> None:
+def test_an_ambiguous_monitor_is_not_guessed(tmp_path):
     text(lines())(tmp_path / "clean.csv")
     scaled(1, 1 / 15, 1.17, written="{:.6f}".format)(tmp_path / "check.csv")
     with pytest.raises(
@@ -151,15 +143,15 @@ def test_a_monitor_that_loops_of_other_gain_hide_is_not_guessed(tmp_path: Path) 
     assert "scale = { voltage = ... }" in caught.value.remedy
 
 
-def test_a_displacement_in_another_unit_is_told_from_a_drive(tmp_path: Path) -> None:
+def test_another_unit_of_the_displacement_is_recognised(tmp_path):
     text(lines())(tmp_path / "clean.csv")
     scaled(1, 1, 1e3)(tmp_path / "nm_as_um.csv")
-    found = inspect_files([tmp_path / "clean.csv", tmp_path / "nm_as_um.csv"])
-    (said,) = (p.text for p in found[1].statements if p.quantity == "does_not_fit")
-    assert said.endswith("another unit of the displacement.")
+    inspections = inspect_files([tmp_path / "clean.csv", tmp_path / "nm_as_um.csv"])
+    (text_of_misfit,) = (p.text for p in inspections[1].statements if p.quantity == "does_not_fit")
+    assert text_of_misfit.endswith("another unit of the displacement.")
 
 
-def test_a_chirp_through_a_mode_and_a_small_loop_fit_a_sweep(rng: np.random.Generator) -> None:
+def test_a_chirp_and_a_small_loop_are_consistent_with_a_sweep(rng):
     rate_Hz = 10000.0
     time_s = np.arange(0, 3, 1 / rate_Hz)
     drives_V = {
@@ -182,36 +174,36 @@ def test_a_chirp_through_a_mode_and_a_small_loop_fit_a_sweep(rng: np.random.Gene
     assert not copies(recordings)
 
 
-def test_a_few_slow_lines_of_a_noise_contradict_no_gain() -> None:
-    """What is left of the past of a stage comes back against its drive, in lines of their own."""
+def test_slow_lines_of_noise_do_not_contradict_the_gain():
+    """The drive history of a stage can add slow lines of opposite sign."""
     rng = np.random.default_rng(0)
-    turn = 2 * np.pi * np.arange(4000) / 4000
+    phase = 2 * np.pi * np.arange(4000) / 4000
     lines = np.arange(1, 61)
-    waves = np.cos(lines[:, None] * turn + rng.uniform(0, 2 * np.pi, (60, 1)))
-    slow_V, rest_V = 0.8 * waves[:4].sum(axis=0), waves[4:].sum(axis=0)
-    sweep_V = 30 * signal.sawtooth(2 * turn, 0.5)
-    readings = {"sweep": (sweep_V, sweep_V), "noise": (slow_V + rest_V, rest_V - 3.0 * slow_V)}
+    waves = np.cos(lines[:, None] * phase + rng.uniform(0, 2 * np.pi, (60, 1)))
+    slow_V, fast_V = 0.8 * waves[:4].sum(axis=0), waves[4:].sum(axis=0)
+    sweep_V = 30 * signal.sawtooth(2 * phase, 0.5)
+    readings = {"sweep": (sweep_V, sweep_V), "noise": (slow_V + fast_V, fast_V - 3.0 * slow_V)}
     recordings = [
         from_arrays(
             voltage_V=drive_V,
-            displacement_m=1e-6 * moved + rng.normal(0, 1e-9, 4000),
+            displacement_m=1e-6 * response + rng.normal(0, 1e-9, 4000),
             sampling_rate_Hz=2500.0,
             name=name,
         )
-        for name, (drive_V, moved) in readings.items()
+        for name, (drive_V, response) in readings.items()
     ]
     refuse_inconsistent(recordings)
 
 
-def test_two_runs_of_one_drive_are_no_copies(tmp_path: Path, rng: np.random.Generator) -> None:
-    again = columns() + np.outer(rng.normal(0, 0.003, SAMPLES), [0, 0, 1])
+def test_repeated_runs_of_a_drive_are_no_copies(tmp_path, rng):
+    repeated = columns() + np.outer(rng.normal(0, 0.003, SAMPLES), [0, 0, 1])
     text(lines())(tmp_path / "first.csv")
-    text(lines(table=again))(tmp_path / "second.csv")
+    text(lines(table=repeated))(tmp_path / "second.csv")
     assert not copies(collect([tmp_path / "first.csv", tmp_path / "second.csv"]).recordings)
 
 
-def test_a_part_in_which_a_feedback_holds_the_sensor_contradicts_no_gain(tmp_path: Path) -> None:
-    rows = written("held.csv", tmp_path).read_text().splitlines()
+def test_a_closed_loop_segment_does_not_contradict_the_gain(tmp_path):
+    rows = write_messy("held.csv", tmp_path).read_text().splitlines()
     text(rows[:600])(tmp_path / "approach.csv")
     text([rows[0], *rows[600:]])(tmp_path / "hold.csv")
     recordings = collect([tmp_path / "approach.csv", tmp_path / "hold.csv"]).recordings
@@ -219,7 +211,7 @@ def test_a_part_in_which_a_feedback_holds_the_sensor_contradicts_no_gain(tmp_pat
     refuse_inconsistent(recordings)
 
 
-def test_an_entry_about_a_file_that_is_nowhere_is_named(tmp_path: Path) -> None:
+def test_an_entry_about_a_missing_file_is_named(tmp_path):
     text(lines())(tmp_path / "sweep.csv")
     (tmp_path / "lab.toml").write_text('[[recording]]\nfile = "swep.csv"\n')
     lab = read_lab(tmp_path / "lab.toml")
@@ -229,7 +221,7 @@ def test_an_entry_about_a_file_that_is_nowhere_is_named(tmp_path: Path) -> None:
     assert collect([tmp_path / "sweep.csv"], lab).recordings
 
 
-def test_rows_that_run_backwards_are_refused_without_a_named_clock_too(tmp_path: Path) -> None:
+def test_reversed_rows_are_refused_without_a_time_column(tmp_path):
     rows = lines()
     text([rows[0], *rows[:0:-1]])(tmp_path / "run.csv")
     entry = {"columns": {"voltage": 2, "displacement": 3}, "sampling_rate_Hz": 1000.0}
@@ -239,31 +231,31 @@ def test_rows_that_run_backwards_are_refused_without_a_named_clock_too(tmp_path:
     np.testing.assert_allclose(turned.voltage_V(), VOLTAGE_V)
 
 
-def test_the_writing_of_what_is_no_text_is_not_declared(tmp_path: Path) -> None:
+def test_a_decimal_mark_of_a_binary_file_is_refused(tmp_path):
     np.save(tmp_path / "run.npy", columns())
     lab = lab_for("run.npy", tmp_path, 'decimal = ","\n')
     with pytest.raises(LabFileError, match=r"decimal of run.npy is declared, which is npy"):
         collect([tmp_path / "run.npy"], lab)
 
 
-def test_counts_of_a_known_converter_are_offered_as_volts(tmp_path: Path) -> None:
-    above = (
+def test_counts_of_a_known_converter_suggest_their_scale(tmp_path):
+    lab_toml = (
         "[amplifier]\ngain_V_per_V = 15\n[acquisition]\ndac_bits = 16\ninput_range_V = [-10, 10]\n"
     )
     text(lines(names=("time [s]", "drive [counts]", "position [um]")))(tmp_path / "run.csv")
-    (tmp_path / "lab.toml").write_text(above)
-    read = collect([tmp_path / "run.csv"], read_lab(tmp_path / "lab.toml"))[0]
-    (problem,) = read.statements
+    (tmp_path / "lab.toml").write_text(lab_toml)
+    recording = collect([tmp_path / "run.csv"], read_lab(tmp_path / "lab.toml"))[0]
+    (problem,) = recording.statements
     assert "scale = { voltage = 0.000305175781 }" in problem.text
-    np.testing.assert_allclose(read.voltage_V(), VOLTAGE_V)  # the counts themselves
-    assert read.counted == ("voltage",)
-    frame = to_frame(read)
+    np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V)  # the counts themselves
+    assert recording.counted == ("voltage",)
+    frame = to_frame(recording)
     assert list(frame) == ["time_s", "voltage_x [counts]", "displacement_x_m"]
     assert from_frame(frame).counted == ("voltage",)
     assert "voltage of x: 10 to 90 counts" in draft_lab([tmp_path / "run.csv"], tmp_path).text
 
 
-def test_counts_beside_metres_are_refused_with_the_line(tmp_path: Path) -> None:
+def test_counts_mixed_with_metres_are_refused_with_the_line(tmp_path):
     text(lines())(tmp_path / "known.csv")
     text(lines(names=(*NAMES[:2], "position [LSB]")))(tmp_path / "raw.csv")
     paths = [tmp_path / "known.csv", tmp_path / "raw.csv"]
@@ -274,7 +266,7 @@ def test_counts_beside_metres_are_refused_with_the_line(tmp_path: Path) -> None:
     assert "mixed_units" in kinds
 
 
-def test_a_clock_in_counts_is_refused(tmp_path: Path) -> None:
+def test_a_clock_in_counts_is_refused(tmp_path):
     text(lines(names=("time [ticks]", *NAMES[1:])))(tmp_path / "run.csv")
     with pytest.raises(RecordingError, match="only drive and displacement may be in counts"):
         collect(

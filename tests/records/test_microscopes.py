@@ -1,7 +1,6 @@
-"""Files of Igor and of JPK give the numbers that were written, or the reason they cannot."""
+"""Files of Igor and JPK are read with the written numbers, or refused with a reason."""
 
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ WAVE = np.column_stack([DRIVE_V, 1e6 * HEIGHT_m])
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_a_wave_of_igor_is_read_by_its_labels_and_its_clock(order: str, tmp_path: Path) -> None:
+def test_an_igor_wave_is_read_by_labels_and_clock(order, tmp_path):
     write_ibw(
         tmp_path / "run.ibw",
         WAVE,
@@ -35,7 +34,7 @@ def test_a_wave_of_igor_is_read_by_its_labels_and_its_clock(order: str, tmp_path
     np.testing.assert_allclose(recording.displacement_m(), HEIGHT_m)
 
 
-def test_a_wave_of_a_microscope_takes_its_rate_from_the_note(tmp_path: Path) -> None:
+def test_a_microscope_wave_has_the_rate_of_its_note(tmp_path):
     note = "Version: 16\rNumPtsPerSec: 2000\rImagingMode: Contact\r"
     labels = ("Raw", "Defl", "ZSnsr")
     values = np.column_stack([1.2e-7 * DRIVE_V, 0 * DRIVE_V, HEIGHT_m])
@@ -50,7 +49,7 @@ def test_a_wave_of_a_microscope_takes_its_rate_from_the_note(tmp_path: Path) -> 
     np.testing.assert_allclose(recording.displacement_m(), HEIGHT_m)
 
 
-def test_a_force_curve_gives_the_drive_in_volts_and_each_segment_its_clock(tmp_path: Path) -> None:
+def test_a_force_curve_has_its_drive_in_volts_and_a_clock_per_segment(tmp_path):
     half = 300
     segments = [
         (half / RATE_Hz, DRIVE_V[:half], HEIGHT_m[:half]),
@@ -67,7 +66,7 @@ def test_a_force_curve_gives_the_drive_in_volts_and_each_segment_its_clock(tmp_p
     assert (slow.sampling_rate_Hz, fast.sampling_rate_Hz) == (RATE_Hz, RATE_Hz / 8)
 
 
-def test_many_curves_and_a_curve_without_a_sensor_are_refused(tmp_path: Path) -> None:
+def test_maps_and_incomplete_curves_are_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "map.jpk-force-map", "w") as archive:
         for name in ("header.properties", "index/", "index/0/", "index/1/"):
             archive.writestr(name, "")
@@ -78,11 +77,11 @@ def test_many_curves_and_a_curve_without_a_sensor_are_refused(tmp_path: Path) ->
         read_table(tmp_path / "none.jpk-force")
     write_jpk(tmp_path / "whole.jpk-force", [(0.3, DRIVE_V, HEIGHT_m)])
     with (
-        zipfile.ZipFile(tmp_path / "whole.jpk-force") as whole,
-        zipfile.ZipFile(tmp_path / "blind.jpk-force", "w") as blind,
+        zipfile.ZipFile(tmp_path / "whole.jpk-force") as complete,
+        zipfile.ZipFile(tmp_path / "blind.jpk-force", "w") as reduced,
     ):
-        for item in whole.infolist():
+        for item in complete.infolist():
             if "Sensor" not in item.filename:
-                blind.writestr(item, whole.read(item))
+                reduced.writestr(item, complete.read(item))
     with pytest.raises(UnreadableFileError, match="capacitiveSensorHeight"):
         read_table(tmp_path / "blind.jpk-force")

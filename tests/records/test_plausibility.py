@@ -1,6 +1,4 @@
-"""What drive and response say of each other: a loop turns one way, whatever the law."""
-
-from pathlib import Path
+"""Plausibility of drive and response: sense of rotation of the loop, limits of the amplifier."""
 
 import numpy as np
 import pytest
@@ -8,35 +6,40 @@ import pytest
 from piezoid.records.collection import collect
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.truths import ZOO
-from piezoid_datasets.virtual_lab.truths.truth import Truth
 from tests.laws import LAWS, triangles, write
 
 
-def kinds(recording: Recording) -> set[str]:
+def quantities_of(recording: Recording) -> set[str]:
     return {problem.quantity for problem in recording.statements}
 
 
 @pytest.mark.parametrize("truth", ZOO, ids=[truth.name for truth in ZOO])
-def test_exchanged_headings_turn_the_loop_round(truth: Truth, tmp_path: Path) -> None:
+def test_exchanged_headings_are_reported_with_their_columns(truth, tmp_path):
     field = triangles(5, 240, 0.15)
     ceramic = truth.draw(np.random.default_rng(41))
-    moved_um = 20 * sum(ceramic.respond(field, np.array([1.0, -1.0])))
-    moved_um += 0.01 * np.random.default_rng(2).standard_normal(len(field))
-    right = write(tmp_path / "right.csv", field, np.asarray(moved_um))
-    assert "leads" not in kinds(collect([right])[0])
-    exchanged = write(tmp_path / "exchanged.csv", moved_um / 5 - 2, 5 * field)
-    (said,) = [one.text for one in collect([exchanged])[0].statements if one.quantity == "leads"]
-    assert 'columns = { voltage = "displacement [um]"' in said
+    displacement_um = 20 * sum(ceramic.respond(field, np.array([1.0, -1.0])))
+    displacement_um += 0.01 * np.random.default_rng(2).standard_normal(len(field))
+    right = write(tmp_path / "right.csv", field, np.asarray(displacement_um))
+    assert "leads" not in quantities_of(collect([right])[0])
+    exchanged = write(tmp_path / "exchanged.csv", displacement_um / 5 - 2, 5 * field)
+    (text,) = [
+        statement.text
+        for statement in collect([exchanged])[0].statements
+        if statement.quantity == "leads"
+    ]
+    assert 'columns = { voltage = "displacement [um]"' in text
 
 
-def test_one_branch_turns_no_way(tmp_path: Path) -> None:
+def test_a_single_branch_has_no_sense_of_rotation(tmp_path):
     field = np.linspace(-1.0, 1.0, 400)
-    for bent in (field + 0.3 * field**2, field - 0.3 * field**2):
-        assert "leads" not in kinds(collect([write(tmp_path / "one.csv", field, bent)])[0])
+    for displacement in (field + 0.3 * field**2, field - 0.3 * field**2):
+        assert "leads" not in quantities_of(
+            collect([write(tmp_path / "one.csv", field, displacement)])[0]
+        )
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_an_end_of_the_amplifier_is_told_with_its_volts(law: str, tmp_path: Path) -> None:
+def test_a_limit_of_the_amplifier_is_reported_in_volts(law, tmp_path):
     field = triangles(6, 300, 0.05)
     noise_um = 0.008 * np.random.default_rng(7).standard_normal(len(field))
 
@@ -51,7 +54,7 @@ def test_an_end_of_the_amplifier_is_told_with_its_volts(law: str, tmp_path: Path
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_steps_and_rests_of_the_drive_are_no_end(law: str, tmp_path: Path) -> None:
+def test_steps_and_rests_of_the_drive_are_no_limit(law, tmp_path):
     rng = np.random.default_rng(8)
     steps = np.repeat(rng.uniform(-1.0, 1.0, 60), 30)
     rests = np.concatenate(
@@ -60,4 +63,4 @@ def test_steps_and_rests_of_the_drive_are_no_end(law: str, tmp_path: Path) -> No
     for field in (steps, rests):
         noise_um = 0.008 * rng.standard_normal(len(field))
         path = write(tmp_path / "a.csv", field, 10.0 * LAWS[law](field) + noise_um)
-        assert "stands" not in kinds(collect([path])[0])
+        assert "stands" not in quantities_of(collect([path])[0])

@@ -1,8 +1,7 @@
-"""Every format gives back the one known recording, channels and units included."""
+"""Every format gives the known recording with its channels and units."""
 
 import importlib
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,42 +13,40 @@ from piezoid.records.collection import collect
 from piezoid.records.lab import Lab, RecordingEntry, Sensor
 from piezoid.records.readers import READERS, read_table
 from piezoid.records.readers.reader import Reader
-from tests.records.formats import SAMPLES, SPEAKING, VOLTAGE_V, DISPLACEMENT_um, RATE_Hz
+from tests.records.formats import DESCRIBED, SAMPLES, VOLTAGE_V, DISPLACEMENT_um, RATE_Hz
 
 # The files print six decimals of a micrometre at most.
 ATOL_m = 1e-12
 ATOL_V = 1e-6
 
 
-def test_every_reader_of_the_folder_is_registered() -> None:
+def test_every_reader_of_the_folder_is_registered():
     modules = [
         importlib.import_module(f"{readers.__name__}.{path.stem}")
         for path in Path(readers.__file__).parent.glob("*.py")
     ]
-    defined = {id(held) for m in modules for held in vars(m).values() if isinstance(held, Reader)}
+    defined = {
+        id(value) for m in modules for value in vars(m).values() if isinstance(value, Reader)
+    }
     assert defined == set(map(id, READERS))
     assert len({reader.name for reader in READERS}) == len(READERS)
 
 
-@pytest.mark.parametrize("name", SPEAKING)
-def test_the_same_recording_comes_out_of_every_format(
-    name: str, write: Callable[[str], Path]
-) -> None:
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_every_format_gives_the_same_recording(name, write):
     recording = collect([write(name)])[0]
     assert recording.sampling_rate_Hz == RATE_Hz
     assert recording.axis == "x"
     if name == "run73.mat":  # HDF5 keeps no order
         assert next(channel.quantity.name for channel in recording.channels) == "DISPLACEMENT"
-    # A column of words beside the numbers is said to be left out, and is the only oddity.
+    # Only the exclusion of a text column is reported.
     assert {problem.quantity for problem in recording.statements} <= {"text_column"}
     np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V, rtol=0, atol=ATOL_V)
     np.testing.assert_allclose(recording.displacement_m(), DISPLACEMENT_um * 1e-6, atol=ATOL_m)
 
 
 @pytest.mark.parametrize("name", ["rigol.csv", "tek.csv", "tek2.csv"])
-def test_oscilloscopes_give_volts_that_the_sensor_gain_makes_a_displacement(
-    name: str, write: Callable[[str], Path]
-) -> None:
+def test_volts_of_an_oscilloscope_become_a_displacement_by_the_gain(name, write):
     lab = Lab(
         sensor=Sensor(gain_V_per_m=1e5),
         recordings=(RecordingEntry(file=name, columns={"voltage": "CH1", "displacement": "CH2"}),),
@@ -60,7 +57,7 @@ def test_oscilloscopes_give_volts_that_the_sensor_gain_makes_a_displacement(
     np.testing.assert_allclose(recording.displacement_m(), DISPLACEMENT_um * 1e-6, atol=1e-11)
 
 
-def test_an_array_without_names_is_read_by_column_numbers(write: Callable[[str], Path]) -> None:
+def test_an_array_without_names_is_read_by_column_numbers(write):
     entry = RecordingEntry(
         file="run.npy",
         columns={"time": 1, "voltage": 2, "displacement": 3},
@@ -71,7 +68,7 @@ def test_an_array_without_names_is_read_by_column_numbers(write: Callable[[str],
     np.testing.assert_array_equal(recording.voltage_V(), VOLTAGE_V)
 
 
-def test_an_array_on_its_side_is_turned_where_nobody_has_so_many_channels(tmp_path: Path) -> None:
+def test_an_array_with_many_columns_is_transposed(tmp_path):
     path = tmp_path / "side.npy"
     np.save(path, np.arange(1500.0).reshape(3, 500))
     table = read_table(path)
@@ -82,9 +79,7 @@ def test_an_array_on_its_side_is_turned_where_nobody_has_so_many_channels(tmp_pa
         read_table(path)
 
 
-def test_a_missing_reader_package_is_named_with_its_extra(
-    write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_reader_package_is_named_with_its_extra(write, monkeypatch):
     path = write("run.h5")
     monkeypatch.setitem(sys.modules, "h5py", None)  # as where it is not installed
     with pytest.raises(UnreadableFileError, match=r"pip install 'piezoid\[io\]'"):
@@ -102,9 +97,7 @@ def test_a_missing_reader_package_is_named_with_its_extra(
     ],
     ids=["nameless first column", "no heading", "preamble", "unit row", "row numbers"],
 )
-def test_headings_are_found_however_they_are_written(
-    text: str, labels: tuple[str, ...], first_line: int, tmp_path: Path
-) -> None:
+def test_headings_are_located_in_every_notation(text, labels, first_line, tmp_path):
     path = tmp_path / "run.csv"
     path.write_bytes(text.encode())
     table = read_table(path)
@@ -112,19 +105,15 @@ def test_headings_are_found_however_they_are_written(
     assert table.first_line == first_line
 
 
-def test_preamble_lines_become_metadata(tmp_path: Path) -> None:
+def test_preamble_lines_are_metadata_and_readings_out_of_range_nan(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("Operator: Ada\n# gain = 15\ntime [s],U [V]\n0,1\n1,2\n")
     assert dict(read_table(path).metadata) == {"Operator": "Ada", "gain": "15"}
-
-
-def test_a_reading_out_of_range_is_no_number(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
     path.write_text("time [s],U [V]\n0,1\n1,9.9E37\n2,1e308\n3,inf\n4,5\n")
     assert np.isnan(read_table(path).si("U")).tolist() == [False, True, True, True, False]
 
 
-def test_labview_segments_are_separate_acquisitions(write: Callable[[str], Path]) -> None:
+def test_labview_segments_are_separate_acquisitions(write):
     path = write("run.lvm")
     text = path.read_text()
     path.write_text(text + "\n" + text[text.index("Channels") :])

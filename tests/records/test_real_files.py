@@ -1,7 +1,6 @@
-"""Recordings other people made: understood, channels and units, or refused for a true reason."""
+"""Real recordings are read with channels and units, or refused for a true reason."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,13 +34,13 @@ REASONS = {
 }
 
 
-def test_all_files_of_the_folder_are_listed(realdata: Path) -> None:
+def test_every_file_of_the_folder_is_listed(realdata):
     assert {path.name for path in (realdata / "formats").iterdir()} == set(FORMATS)
     assert {name for name, _, _ in FORMATS.values()} <= {reader.name for reader in READERS}
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_a_file_is_inspected_with_its_channels_and_units(name: str, realdata: Path) -> None:
+def test_a_file_is_inspected_with_its_channels_and_units(name, realdata):
     format_name, rows, units = FORMATS[name]
     (inspection,) = inspect_files([realdata / "formats" / name])
     assert (inspection.format, inspection.rows) == (format_name, rows)
@@ -50,22 +49,22 @@ def test_a_file_is_inspected_with_its_channels_and_units(name: str, realdata: Pa
 
 
 @pytest.mark.parametrize("name", REASONS)
-def test_a_file_that_is_no_recording_is_refused_with_the_reason(name: str, realdata: Path) -> None:
+def test_a_file_that_is_no_recording_is_refused_with_the_reason(name, realdata):
     (inspection,) = inspect_files([realdata / "formats" / name])
     assert re.search(REASONS[name], inspection.refusal or "")
 
 
-def test_the_clock_of_an_oscilloscope_is_its_increment(realdata: Path) -> None:
+def test_the_clock_of_an_oscilloscope_is_its_increment(realdata):
     (inspection,) = inspect_files([realdata / "formats" / "DS2072A-6.csv"])
     assert inspection.sampling_rate_Hz == pytest.approx(200e3)
 
 
-def test_segments_without_headers_of_their_own_are_found(realdata: Path) -> None:
+def test_segments_without_headers_of_their_own_are_found(realdata):
     table = read_table(realdata / "formats" / "long_single_header_multi_ch.lvm")
     assert table.segment_starts == (8192,)
 
 
-def test_bytes_that_are_no_utf8_are_read(realdata: Path) -> None:
+def test_bytes_that_are_not_utf_8_are_read(realdata):
     table = read_table(realdata / "formats" / "with_comments.lvm")
     assert [column.label for column in table.columns][1:3] == [
         "Pressão ABS. (MPa)",
@@ -87,7 +86,7 @@ ACTUATOR = RecordingEntry(
 )
 
 
-def test_the_flexure_needs_columns_and_rate_from_the_laboratory(realdata: Path) -> None:
+def test_the_flexure_is_read_with_columns_and_rate_of_lab_toml(realdata):
     path = realdata / "flexure" / "Model_Vi_Do.dat"
     with pytest.raises(UnitError, match=r'file = "Model_Vi_Do.dat"'):
         collect([path])[0]
@@ -97,16 +96,12 @@ def test_the_flexure_needs_columns_and_rate_from_the_laboratory(realdata: Path) 
     assert np.median(recording.displacement_m()) == pytest.approx(-96e-6, rel=0.05)
     dead = [p.place for p in recording.statements if p.quantity == "dead"]
     assert dead == [f"column {k}" for k in (2, 3, 4, 6, 7)]
-
-
-def test_the_flexure_moves_forty_times_between_two_levels(realdata: Path) -> None:
-    path = realdata / "flexure" / "Model_Vi_Do.dat"
     (inspection,) = inspect_files([path], Lab(recordings=(FLEXURE,)))
     assert inspection.reversals == 80
     assert inspection.levels_V == pytest.approx((0.0, 3.6), abs=0.01)
 
 
-def test_the_actuator_has_an_empty_column_and_its_own_clock(realdata: Path) -> None:
+def test_the_actuator_has_an_empty_column_and_its_own_clock(realdata):
     path = realdata / "actuator_150V" / "hysteresis_v_150_1hz.csv"
     recording = collect([path], Lab(recordings=(ACTUATOR,)))[0]
     assert recording.sampling_rate_Hz == 5000
@@ -115,7 +110,7 @@ def test_the_actuator_has_an_empty_column_and_its_own_clock(realdata: Path) -> N
     assert {problem.quantity for problem in recording.statements} == {"empty"}
 
 
-def test_a_spectroscopy_is_a_table_of_heights_and_currents(realdata: Path) -> None:
+def test_a_spectroscopy_is_a_table_of_heights_and_currents(realdata):
     table = read_table(realdata / "stm_current_vs_z" / "z.dat")
     height_m, current_A = table.si("Z rel (m)"), table.si("Current [00001] (A)")
     assert height_m[0] == pytest.approx(-0.21e-9)
@@ -124,7 +119,7 @@ def test_a_spectroscopy_is_a_table_of_heights_and_currents(realdata: Path) -> No
     assert sweep.independent == "Z rel (m)"
 
 
-def test_arrays_of_four_axes_are_refused_with_their_shape(realdata: Path) -> None:
+def test_arrays_of_four_axes_are_refused_with_their_shape(realdata):
     for path in sorted((realdata / "steering_mirror").glob("*.npy")):
         with pytest.raises(UnreadableFileError, match=r"4 axes of lengths \(8192, 3, 6, 2\)"):
             read_table(path)

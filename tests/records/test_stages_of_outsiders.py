@@ -1,4 +1,4 @@
-"""Recordings that somebody else's simulator made: what they are is not to be refused."""
+"""Recordings of independent simulators are consistent."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,29 +20,25 @@ def assert_consistent(folder: Path) -> None:
     assert check_consistency(collect(files, read_lab(folder / "lab.toml")).recordings) == []
 
 
-def test_a_quick_multisine_about_a_mode_does_not_contradict_the_sign_of_a_sweep(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without a window its lines leak into the lowest ones, with the sign that they have."""
+def test_a_fast_multisine_does_not_contradict_the_sign_of_a_sweep(tmp_path, monkeypatch):
+    """Without a window the lines of the multisine leak into the lowest frequencies."""
     monkeypatch.chdir(tmp_path)
-    made = simulator("alder")
-    made.campaigns.write_stage(171, tmp_path, made.library)
+    outsider = simulator("alder")
+    outsider.campaigns.write_stage(171, tmp_path, outsider.library)
     assert_consistent(tmp_path)
 
 
 CAMPAIGNS: dict[str, Callable[[], Campaign]] = {
-    # about another mean than that under the window, two offsets were taken for a gain
+    # With another mean than that of the window, two offsets look like a gain.
     "a long hold": lambda: draw_campaign(52711, truth="bouc_wen", plans=("sweep", "long_hold")),
-    # its lowest frequencies said -49 um per volt where the stage moves 2.8 um
+    # Its lowest frequencies give -49 um/V for a stage of 2.8 um.
     "creep between two moves": lambda: drawn(stage("bouc_wen", "single", 0, 2_400_000)),
-    # between them the stage moves by its memory; the range of the readings is its own
+    # Between the holds the stage moves by its memory.
     "two holds of nearly one level": lambda: draw_campaign(60026),
 }
 
 
 @pytest.mark.parametrize("draw", CAMPAIGNS.values(), ids=CAMPAIGNS)
-def test_slow_recordings_do_not_contradict_the_gain_of_a_sweep(
-    draw: Callable[[], Campaign], tmp_path: Path
-) -> None:
+def test_slow_recordings_do_not_contradict_the_gain_of_a_sweep(draw, tmp_path):
     write_campaign(draw(), tmp_path)
     assert_consistent(tmp_path / "recordings")

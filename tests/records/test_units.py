@@ -1,4 +1,4 @@
-"""Headings as laboratories write them, and the units in them."""
+"""Real-world headings and their units."""
 
 import pytest
 from hypothesis import given
@@ -29,26 +29,21 @@ from piezoid.records.units import Dimension, heading_of, unit_of
         ("a [m/s^2]", "a", 1.0, Dimension.OTHER),
     ],
 )
-def test_a_heading_is_taken_apart(
-    label: str, stem: str, factor: float | None, dimension: Dimension | None
-) -> None:
+def test_a_heading_is_parsed(label, stem, factor, dimension):
     heading = heading_of(label)
     assert heading.stem == stem
     assert (heading.unit and heading.unit.factor) == factor
     assert (heading.unit and heading.unit.dimension) == dimension
 
 
-def test_the_abscissa_of_an_oscilloscope_is_its_clock() -> None:
+def test_the_abscissa_of_an_oscilloscope_is_its_clock():
     assert meaning_of(heading_of("x-axis [second]")).is_time
 
 
-def test_degrees_celsius_are_offset_and_not_scaled() -> None:
+def test_celsius_has_an_offset_and_case_matters_in_symbols_only():
     unit = unit_of("degC")
     assert unit is not None
     assert 20 * unit.factor + unit.offset == pytest.approx(293.15)
-
-
-def test_case_counts_in_symbols_and_not_in_words() -> None:
     milli, mega = unit_of("mV"), unit_of("MV")
     assert milli is not None
     assert mega is not None
@@ -58,12 +53,12 @@ def test_case_counts_in_symbols_and_not_in_words() -> None:
 
 
 @pytest.mark.parametrize("label", ["V", "A", "m", "h", "sensor_h", "m_1", "voltage_x", "", "CH1"])
-def test_a_lone_letter_is_no_unit(label: str) -> None:
+def test_a_single_letter_is_no_unit(label):
     assert heading_of(label).unit is None
 
 
 @given(st.text(max_size=30))
-def test_any_text_is_a_heading(label: str) -> None:
+def test_any_text_is_a_heading(label):
     heading = heading_of(label)
     meaning = meaning_of(heading)
     assert meaning.is_read is not bool(meaning.reason)
@@ -82,9 +77,7 @@ def test_any_text_is_a_heading(label: str) -> None:
         ("drive command [V]", Quantity.VOLTAGE, None),
     ],
 )
-def test_names_and_units_tell_quantity_and_axis(
-    label: str, quantity: Quantity, axis: str | None
-) -> None:
+def test_names_and_units_determine_quantity_and_axis(label, quantity, axis):
     meaning = meaning_of(heading_of(label))
     assert (meaning.quantity, meaning.axis) == (quantity, axis)
 
@@ -92,5 +85,5 @@ def test_names_and_units_tell_quantity_and_axis(
 @pytest.mark.parametrize(
     "label", ["setpoint [um]", "position error [nm]", "Bias (V)", "Amplitude (m)", "segment"]
 )
-def test_what_is_neither_applied_nor_measured_is_not_read(label: str) -> None:
+def test_other_quantities_are_not_read(label):
     assert meaning_of(heading_of(label)).is_read is False

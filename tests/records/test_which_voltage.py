@@ -1,4 +1,4 @@
-"""One voltage is meant everywhere, and a recording of the other is told with what mends it."""
+"""A drive recorded behind the amplifier is reported with the scale that corrects it."""
 
 from pathlib import Path
 
@@ -14,51 +14,53 @@ GAIN = "[amplifier]\ngain_V_per_V = 15\n"
 CONVERTER = "[acquisition]\ninput_range_V = [-10, 10]\n"
 
 
-def recorded(folder: Path, lab: str, *, most_V: float) -> Recording:
+def recorded(folder: Path, lab: str, *, max_V: float) -> Recording:
     """Return a recording of triangles from 0 V to ``most_V``, whose entry may end ``lab``."""
-    drive_V = 0.5 * most_V * (1.0 + triangles(5, 240, 0.15))
-    place = write(folder / "run.csv", drive_V / 5, drive_V)
+    drive_V = 0.5 * max_V * (1.0 + triangles(5, 240, 0.15))
+    path = write(folder / "run.csv", drive_V / 5, drive_V)
     (folder / "lab.toml").write_text(lab)
-    return collect([place], read_lab(folder / "lab.toml"))[0]
+    return collect([path], read_lab(folder / "lab.toml"))[0]
 
 
-def told(recording: Recording) -> list[str]:
-    return [one.text for one in recording.statements if one.quantity == "beyond_the_controller"]
+def statements_of(recording: Recording) -> list[str]:
+    return [
+        statement.text
+        for statement in recording.statements
+        if statement.quantity == "beyond_the_controller"
+    ]
 
 
 @pytest.mark.parametrize(
-    ("lab", "most_V", "is_told"),
+    ("lab", "max_V", "is_reported"),
     [
         (GAIN + CONVERTER, 9.9, False),
-        (GAIN + CONVERTER, 10.1, False),  # a monitor's calibration
+        (GAIN + CONVERTER, 10.1, False),  # calibration of a monitor
         (GAIN + CONVERTER, 120.0, True),
         (CONVERTER, 120.0, True),
-        (GAIN, 120.0, False),  # nobody said what the controller gives
+        (GAIN, 120.0, False),  # the range of the controller is unknown
         (GAIN + "output_min_V = -30\noutput_max_V = 150\n", 10.0, False),
         (GAIN + "output_min_V = -30\noutput_max_V = 150\n", 150.0, True),
         ("", 120.0, False),
     ],
 )
-def test_a_drive_that_the_controller_cannot_put_out_is_told(
-    tmp_path: Path, lab: str, most_V: float, is_told: bool
-) -> None:
-    assert bool(told(recorded(tmp_path, lab, most_V=most_V))) is is_told
+def test_a_drive_beyond_the_range_of_the_controller_is_reported(tmp_path, lab, max_V, is_reported):
+    assert bool(statements_of(recorded(tmp_path, lab, max_V=max_V))) is is_reported
 
 
-def test_the_scale_it_names_makes_it_the_controllers_output(tmp_path: Path) -> None:
+def test_the_suggested_scale_gives_the_output_of_the_controller(tmp_path):
     lab = GAIN + CONVERTER
-    (said,) = told(recorded(tmp_path, lab, most_V=120.0))
-    assert "0 V to 120 V" in said.replace("\u202f", " ")
+    (text,) = statements_of(recorded(tmp_path, lab, max_V=120.0))
+    assert "0 V to 120 V" in text.replace("\u202f", " ")
     scale = "scale = { voltage = 0.0666666667 }"
-    assert scale in said
+    assert scale in text
     entry = f'[[recording]]\nfile = "run.csv"\n{scale}\n'
-    mended = recorded(tmp_path, lab + entry, most_V=120.0)
-    assert told(mended) == []
-    assert float(mended.channels[0].values.max()) == pytest.approx(8.0, rel=0.1)
+    scaled = recorded(tmp_path, lab + entry, max_V=120.0)
+    assert statements_of(scaled) == []
+    assert float(scaled.channels[0].values.max()) == pytest.approx(8.0, rel=0.1)
 
 
 @pytest.mark.parametrize(
-    ("heading", "lab", "is_asked"),
+    ("heading", "lab", "is_questioned"),
     [
         ("HV monitor (V)", "", True),
         ("High voltage (V)", GAIN, True),
@@ -67,13 +69,11 @@ def test_the_scale_it_names_makes_it_the_controllers_output(tmp_path: Path) -> N
         ("drive voltage (V)", "", False),
     ],
 )
-def test_a_heading_of_high_voltage_asks_which_voltage_it_is(
-    tmp_path: Path, heading: str, lab: str, is_asked: bool
-) -> None:
+def test_a_heading_of_high_voltage_is_questioned(tmp_path, heading, lab, is_questioned):
     drive_V = 50.0 * (1.0 + triangles(5, 240, 0.15))
     rows = "".join(f"{k / 1e3},{v:.6f},{v / 5:.6f}\n" for k, v in enumerate(drive_V))
     (tmp_path / "hv.csv").write_text(f"time (s),{heading},position (um)\n{rows}")
     (tmp_path / "lab.toml").write_text(lab)
     (recording,) = collect([tmp_path / "hv.csv"], read_lab(tmp_path / "lab.toml"))
-    asked = [fact for fact in recording.statements if fact.quantity == MAY_BE_HIGH_VOLTAGE]
-    assert bool(asked) is is_asked
+    questions = [fact for fact in recording.statements if fact.quantity == MAY_BE_HIGH_VOLTAGE]
+    assert bool(questions) is is_questioned

@@ -1,4 +1,4 @@
-"""A zero that jumps and stays: told with size and place, and read as pieces of their own zero."""
+"""A step of the zero is reported with size and time, and separates pieces."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -17,7 +17,7 @@ FIELD = triangles(8, 300, 0.04)
 NOISE_um = 0.008
 
 
-def read(folder: Path, law: str, added_um: Array, field: Array = FIELD) -> Recording:
+def recording_with(folder: Path, law: str, added_um: Array, field: Array = FIELD) -> Recording:
     noise_um = NOISE_um * np.random.default_rng(3).standard_normal(len(field))
     return recorded(folder, field, 10.0 * LAWS[law](field) + added_um + noise_um)
 
@@ -26,92 +26,87 @@ def jumps_of(recording: Recording) -> tuple[Statement, ...]:
     return tuple(p for p in recording.statements if p.quantity == "zero_jump")
 
 
-def stairs(*at: tuple[int, float], ramp: int = 1) -> Array:
-    place = np.arange(len(FIELD))
+def zero_steps(*steps: tuple[int, float], ramp: int = 1) -> Array:
+    row = np.arange(len(FIELD))
     return sum(
-        (size * np.clip((place - sample + 1) / ramp, 0.0, 1.0) for sample, size in at),
+        (size * np.clip((row - sample + 1) / ramp, 0.0, 1.0) for sample, size in steps),
         np.zeros(len(FIELD)),
     )
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_slip_is_found_at_its_sample_with_its_size(tmp_path: Path, law: str) -> None:
-    clean = read(tmp_path, law, stairs())
+def test_a_step_of_the_zero_is_detected_with_sample_and_size(tmp_path, law):
+    clean = recording_with(tmp_path, law, zero_steps())
     assert not jumps_of(clean)
-    slipped = read(tmp_path, law, stairs((1000, 0.9)))
-    (told,) = jumps_of(slipped)
-    assert " at 1.998 s" in told.text
+    slipped = recording_with(tmp_path, law, zero_steps((1000, 0.9)))
+    (statement,) = jumps_of(slipped)
+    assert " at 1.998 s" in statement.text
     assert slipped.breaks == (1000,)
-    apart = [slipped.displacement_m()[piece] for piece in slipped.pieces]
-    shift_m = np.concatenate(apart) - clean.displacement_m()
+    segments_m = [slipped.displacement_m()[piece] for piece in slipped.pieces]
+    shift_m = np.concatenate(segments_m) - clean.displacement_m()
     assert np.ptp(shift_m[:1000]) < 1e-12
-    assert told.value == pytest.approx(0.9e-6, rel=0.06)
+    assert statement.value == pytest.approx(0.9e-6, rel=0.06)
 
 
-def test_fringes_are_told_from_slips_by_their_one_size(tmp_path: Path) -> None:
-    fringes = stairs((420, 0.3164), (1160, 0.3164), (1790, -0.6328))
-    (told,) = jumps_of(read(tmp_path, "preisach", fringes))
-    assert "helium-neon laser loses multiples of 316 nm" in told.text
-    (told,) = jumps_of(read(tmp_path, "preisach", stairs((420, 0.24), (1160, 0.86), (1790, 0.55))))
-    assert "multiples" not in told.text
+def test_fringe_errors_are_recognised_by_their_equal_size(tmp_path):
+    fringes = zero_steps((420, 0.3164), (1160, 0.3164), (1790, -0.6328))
+    (statement,) = jumps_of(recording_with(tmp_path, "preisach", fringes))
+    assert "helium-neon laser loses multiples of 316 nm" in statement.text
+    (statement,) = jumps_of(
+        recording_with(tmp_path, "preisach", zero_steps((420, 0.24), (1160, 0.86), (1790, 0.55)))
+    )
+    assert "multiples" not in statement.text
 
 
-def test_a_slow_sensor_spreads_a_jump_and_hides_it_not(tmp_path: Path) -> None:
-    recording = read(tmp_path, "dahl", stairs((1000, 1.5), ramp=6))
+def test_a_step_is_detected_with_a_slow_sensor_and_at_constant_drive(tmp_path):
+    recording = recording_with(tmp_path, "dahl", zero_steps((1000, 1.5), ramp=6))
     assert len(jumps_of(recording)) == 1
     assert any(990 < edge <= 1000 for edge in recording.breaks)
     assert any(1000 < edge < 1015 for edge in recording.breaks)
+    recording = recording_with(tmp_path, "plays", zero_steps((700, 0.25)), np.zeros(len(FIELD)))
+    (statement,) = jumps_of(recording)
+    assert statement.value == pytest.approx(0.25e-6, rel=0.15)
 
 
 @pytest.mark.parametrize("law", ["duhem", "plays", "dahl"])
-def test_what_comes_back_with_the_drive_is_no_slip(tmp_path: Path, law: str) -> None:
+def test_a_displacement_that_returns_with_the_drive_is_no_step(tmp_path, law):
     few = FIELD[:1500]
     one_spot = 0.9 * (few > 0.2)
     for spots in (one_spot, one_spot + 0.6 * (few > 0.6), one_spot + 0.6 * (few > 0.35)):
-        assert not jumps_of(read(tmp_path, law, spots, few))
+        assert not jumps_of(recording_with(tmp_path, law, spots, few))
 
 
-def test_what_switches_between_two_levels_is_no_slip(tmp_path: Path) -> None:
-    switching = stairs(*((k, 0.9 * (-1) ** n) for n, k in enumerate(range(150, 2300, 300))))
-    assert not jumps_of(read(tmp_path, "duhem", switching))
-
-
-def test_steps_of_the_drive_are_no_jumps_of_the_zero(tmp_path: Path) -> None:
+def test_switching_readings_and_steps_of_the_drive_are_no_steps_of_the_zero(tmp_path):
+    switching = zero_steps(*((k, 0.9 * (-1) ** n) for n, k in enumerate(range(150, 2300, 300))))
+    assert not jumps_of(recording_with(tmp_path, "duhem", switching))
     levels = np.round(10.0 * FIELD) / 10.0
-    assert not jumps_of(read(tmp_path, "plays", np.zeros(len(FIELD)), levels))
-
-
-def test_a_drive_at_rest_shows_a_jump_as_well(tmp_path: Path) -> None:
-    recording = read(tmp_path, "plays", stairs((700, 0.25)), np.zeros(len(FIELD)))
-    (told,) = jumps_of(recording)
-    assert told.value == pytest.approx(0.25e-6, rel=0.15)
+    assert not jumps_of(recording_with(tmp_path, "plays", np.zeros(len(FIELD)), levels))
+    drive = np.round(50.0 * np.abs(np.arange(2000) / 125.0 % 2.0 - 1.0), 4)
+    assert baseline_steps(np.round(0.2 * drive, 5), drive) == ()
 
 
 @pytest.mark.usefixtures("plays_alone")
-def test_a_fit_holds_its_error_and_says_what_was_odd(tmp_path: Path) -> None:
-    clean = read(tmp_path, "preisach", stairs())
-    slipped = read(tmp_path, "preisach", stairs((1000, 0.9)))
-    was, now = (fit([one]).axes["x"] for one in (clean, slipped))
-    assert now.quality.held_out_rms_m < 1.5 * was.quality.held_out_rms_m
-    (limit,) = (one for one in now.quality.limits if one.lack == "zero_jump")
+def test_a_fit_after_a_step_has_its_error_and_states_the_limit(tmp_path):
+    clean = recording_with(tmp_path, "preisach", zero_steps())
+    slipped = recording_with(tmp_path, "preisach", zero_steps((1000, 0.9)))
+    clean_axis, slipped_axis = (fit([recording]).axes["x"] for recording in (clean, slipped))
+    assert slipped_axis.quality.held_out_rms_m < 1.5 * clean_axis.quality.held_out_rms_m
+    (limit,) = (
+        recording for recording in slipped_axis.quality.limits if recording.lack == "zero_jump"
+    )
     assert limit.reason.startswith("sweep.csv: The zero of the displacement steps once")
-    worst_first = [one.most for one in now.quality.limits]
+    worst_first = [recording.most for recording in slipped_axis.quality.limits]
     assert all(a <= b for a, b in pairwise(worst_first))
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_step_below_ten_times_the_noise_shows_between_equal_cycles(law: str) -> None:
+def test_equal_cycles_reveal_a_step_below_ten_times_the_noise(law):
     field = triangles(8, 300)
     clean_um = 10.0 * LAWS[law](field)
     noise_um = 0.06 * np.random.default_rng(5).standard_normal(len(FIELD))
-    (step,) = baseline_steps(clean_um + stairs((1100, 0.5)) + noise_um, field)
+    (step,) = baseline_steps(clean_um + zero_steps((1100, 0.5)) + noise_um, field)
     assert abs(step.last - 1100) <= 3
     assert step.size == pytest.approx(0.5, rel=0.15)
     assert baseline_steps(clean_um + noise_um, field) == ()
     other_gain = np.where(np.arange(len(FIELD)) < 1100, 1.0, 1.03)
     assert baseline_steps(other_gain * clean_um + noise_um, field) == ()
-
-
-def test_equal_cycles_without_noise_have_no_steps() -> None:
-    drive = np.round(50.0 * np.abs(np.arange(2000) / 125.0 % 2.0 - 1.0), 4)
-    assert baseline_steps(np.round(0.2 * drive, 5), drive) == ()

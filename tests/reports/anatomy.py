@@ -1,4 +1,4 @@
-"""Reads a page back into elements, as a browser would: tags, attributes, texts."""
+"""Parser of a page into elements with tags, attributes and texts."""
 
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
@@ -8,12 +8,12 @@ VOID = {"meta", "link", "br", "hr", "img", "input", "col"}
 
 @dataclass
 class Element:
-    """One element: its tag, its attributes, all text inside it."""
+    """Element of a page: tag, attributes, text inside, tags of its ancestors."""
 
     tag: str
     attributes: dict[str, str]
     text: str = ""
-    inside: list[str] = field(default_factory=list)
+    ancestors: list[str] = field(default_factory=list)
 
 
 class Anatomy(HTMLParser):
@@ -33,7 +33,7 @@ class Anatomy(HTMLParser):
         element = Element(
             tag=tag,
             attributes={name: value or "" for name, value in attrs},
-            inside=[e.tag for e in self._open],
+            ancestors=[e.tag for e in self._open],
         )
         self.elements.append(element)
         if tag not in VOID:

@@ -1,4 +1,4 @@
-"""Pages made once and looked at by many tests."""
+"""Pages that many tests share."""
 
 import pytest
 

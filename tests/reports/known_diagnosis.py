@@ -1,4 +1,4 @@
-"""A diagnosis known by heart: what is to be found in a page is put in here."""
+"""A constructed diagnosis for pages."""
 
 from piezoid.diagnosis.diagnosis import (
     BudgetPart,
@@ -37,7 +37,7 @@ def finding(
 
 
 def diagnosed(*findings: Finding) -> Diagnosis:
-    named = {finding.effect for finding in findings}
+    detected = {finding.effect for finding in findings}
     return Diagnosis(
         axis="x",
         stroke_m=STROKE_m,
@@ -64,6 +64,6 @@ def diagnosed(*findings: Finding) -> Diagnosis:
                 next_experiment="Record another.",
             )
             for k, name in enumerate(NAMES)
-            if name not in named
+            if name not in detected
         ),
     )

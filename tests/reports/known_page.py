@@ -1,4 +1,4 @@
-"""Pages of known axes: each axis with the recordings that its fit began from."""
+"""Pages of known axes with the recordings of their fit."""
 
 from typing import Any
 

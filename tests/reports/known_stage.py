@@ -1,4 +1,4 @@
-"""A stage whose model is known by heart, and recordings of it: no fit is run for a page."""
+"""A constructed model of a stage and its recordings, so that pages need no fit."""
 
 import numpy as np
 
@@ -60,7 +60,7 @@ QUALITY = FitQuality(
 def axis_model(
     axis: str = "x", recordings: tuple[str, ...] = ("sweep.csv",), *, reason: str = ""
 ) -> AxisModel:
-    """Return the axis; each recording has one break and so two starts."""
+    """Return the axis; each recording has a break and so two starts."""
     return AxisModel(
         axis=axis,
         hysteresis=HYSTERESIS,
@@ -94,7 +94,7 @@ def _uncertainty() -> Uncertainty:
 
 
 def starts(recording: str) -> tuple[PieceStart, PieceStart]:
-    """Return where the two pieces of a recording began."""
+    """Return the starts of the two pieces of a recording."""
     return (
         PieceStart(
             recording=recording,
@@ -122,7 +122,7 @@ def drive_V(samples: int) -> Array:
 def recording(
     name: str = "sweep.csv", axis: str = "x", *, noise_m: float = NOISE_m, label: str = "U"
 ) -> Recording:
-    """Return a recording of the stage with white sensor noise and one break in the middle."""
+    """Return a recording of the stage with white sensor noise and a break in the middle."""
     voltage_V = np.concatenate([drive_V(BREAK), 5.0 - (drive_V(BREAK) - 5.0) * 0.6])
     first, second = starts(name)
     zero_m = np.interp(np.arange(BREAK), [0, (BREAK - 1) / 2, BREAK - 1], ZERO_m)

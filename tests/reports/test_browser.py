@@ -1,4 +1,4 @@
-"""The page in a real browser: no error, nothing asked of the network, every figure to be seen."""
+"""The page in a browser: errors, network access, sizes and interaction of the figures."""
 
 import base64
 import hashlib
@@ -25,7 +25,7 @@ PROBE = (Path(__file__).parent / "probe.js").read_text()
 PHONE = "420,900"
 DESK = "1440,1043"  # a window whose page is 900 high
 SCREEN = 900
-MOST_SCREENS, MOST_WORDS, MOST_SHEETS = 5, 900, 4  # of this stage of one axis
+MAX_SCREENS, MAX_WORDS, MAX_SHEETS = 5, 900, 4  # of this stage of one axis
 
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 
@@ -37,10 +37,10 @@ def page() -> str:
 
 
 def _browse(folder: Path, page: str, *arguments: str) -> tuple[str, str]:
-    """Open a page; return the document and what the console said."""
-    place = folder / "report.html"
-    place.write_text(page, encoding="utf-8")
-    done = subprocess.run(
+    """Open a page; return the document and the output of the console."""
+    path = folder / "report.html"
+    path.write_text(page, encoding="utf-8")
+    result = subprocess.run(
         [
             str(BROWSER),
             "--headless",
@@ -51,14 +51,14 @@ def _browse(folder: Path, page: str, *arguments: str) -> tuple[str, str]:
             "--enable-logging=stderr",
             "--v=0",
             *arguments,
-            place.as_uri(),
+            path.as_uri(),
         ],
         capture_output=True,
         text=True,
         timeout=120,
         check=True,
     )
-    return done.stdout, done.stderr
+    return result.stdout, result.stderr
 
 
 def _with_probe(page: str) -> str:
@@ -68,7 +68,7 @@ def _with_probe(page: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def found(page: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def probe(page: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("browser")
     document, console = _browse(folder, _with_probe(page), "--dump-dom", f"--window-size={PHONE}")
     body = Anatomy(document).all("body")[0]
@@ -76,59 +76,48 @@ def found(page: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def at_a_desk(page: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def desktop_probe(page: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("desk")
     document, _ = _browse(folder, _with_probe(page), "--dump-dom", f"--window-size={DESK}")
     return dict(json.loads(Anatomy(document).all("body")[0].attributes["data-probe"]))
 
 
-def test_the_first_screen_holds_every_axis_and_the_page_is_short(
-    at_a_desk: dict[str, Any],
-) -> None:
-    assert max(at_a_desk["rows"]) < SCREEN
-    assert at_a_desk["sheet"] < MOST_SCREENS * SCREEN
-    assert at_a_desk["words"] < MOST_WORDS
+def test_a_desktop_shows_every_axis_and_its_keyboard_reaches_the_figures(desktop_probe):
+    assert max(desktop_probe["rows"]) < SCREEN
+    assert desktop_probe["sheet"] < MAX_SCREENS * SCREEN
+    assert desktop_probe["words"] < MAX_WORDS
+    assert desktop_probe["reached"] == desktop_probe["keys"] > 20
+    assert desktop_probe["litNear"].startswith("M")
+    assert desktop_probe["litAgain"] == ""
 
 
-def test_folds_links_and_figures_are_reached_by_the_keyboard(at_a_desk: dict[str, Any]) -> None:
-    assert at_a_desk["reached"] == at_a_desk["keys"] > 20
-
-
-def test_the_time_seen_in_the_residual_is_lit_in_the_loop(at_a_desk: dict[str, Any]) -> None:
-    assert at_a_desk["litNear"].startswith("M")
-    assert at_a_desk["litAgain"] == ""
-
-
-def test_the_time_over_the_loop_and_in_the_magnified_loop_is_lit_in_the_residual(
-    at_a_desk: dict[str, Any],
-) -> None:
-    crosshair = at_a_desk["crosshair"]
+def test_the_residual_highlights_the_time_of_the_loop(desktop_probe):
+    crosshair = desktop_probe["crosshair"]
     assert crosshair["visible"] == "visible"
     assert min(crosshair["width"], crosshair["height"]) > 50
     reading = r"(measured|model): drive \S+ V, displacement[a-z ]* \S+ µm, time (\S+) s"
-    time_s = float(re.fullmatch(reading, at_a_desk["told"])[2])  # type: ignore[index]
+    time_s = float(re.fullmatch(reading, desktop_probe["told"])[2])  # type: ignore[index]
     assert 0.0 < time_s < recording().duration_s
-    assert at_a_desk["barOver"].count("M") == 1
-    assert at_a_desk["barLeft"] == ""
-    assert at_a_desk["barsNear"].count("M") > 0
+    assert desktop_probe["barOver"].count("M") == 1
+    assert desktop_probe["barLeft"] == ""
+    assert desktop_probe["barsNear"].count("M") > 0
 
 
-def test_every_figure_saves_its_drawing_and_its_numbers(
-    at_a_desk: dict[str, Any], page: str
-) -> None:
-    kinds = [one["kind"] for one in at_a_desk["saved"]]
+def test_every_figure_saves_drawing_and_numbers(desktop_probe, page):
+    kinds = [file["kind"] for file in desktop_probe["saved"]]
     assert kinds == ["image/svg+xml", "text/csv"] * page.count('<figure class="chart')
-    assert min(one["size"] for one in at_a_desk["saved"]) > 100
+    assert min(file["size"] for file in desktop_probe["saved"]) > 100
 
 
-def test_neither_page_nor_console_hears_an_error(found: dict[str, Any]) -> None:
-    assert found["errors"] == []
-    assert "CONSOLE" not in found["console"]
+def test_a_phone_has_no_errors_and_no_horizontal_scrolling(probe):
+    assert probe["errors"] == []
+    assert "CONSOLE" not in probe["console"]
+    assert not probe["wide"]
 
 
-def test_every_figure_and_every_curve_has_a_size(found: dict[str, Any], page: str) -> None:
-    assert len(found["sizes"]) == page.count('<figure class="chart')
-    for figure in found["sizes"]:
+def test_every_figure_and_every_curve_has_a_size(probe, page):
+    assert len(probe["sizes"]) == page.count('<figure class="chart')
+    for figure in probe["sizes"]:
         assert figure["width"] > 250
         assert figure["height"] > 100
         for width, height in figure["curves"]:
@@ -137,55 +126,47 @@ def test_every_figure_and_every_curve_has_a_size(found: dict[str, Any], page: st
             assert width + height > 50
 
 
-def test_a_phone_need_not_scroll_sideways(found: dict[str, Any]) -> None:
-    assert not found["wide"]
-
-
-def test_the_pointer_reads_a_value_with_its_unit(found: dict[str, Any]) -> None:
+def test_the_pointer_reads_a_value_with_its_unit(probe):
     assert re.fullmatch(
-        r"(measured|model): drive \S+ V, displacement[a-z ]* \S+ µm", found["readout"]
-    ), found["readout"]
-    # The ring stands on the curve under the pointer, to a pixel.
-    assert found["astray"] < 1.0
+        r"(measured|model): drive \S+ V, displacement[a-z ]* \S+ µm", probe["readout"]
+    ), probe["readout"]
+    # The ring lies on the curve at the pointer, to a pixel.
+    assert probe["astray"] < 1.0
 
 
-def test_magnifying_moves_the_ticks_and_a_double_click_brings_them_back(
-    found: dict[str, Any],
-) -> None:
-    assert found["near"] != found["whole"]
-    assert found["ticksNear"] != found["ticksBefore"]
-    assert found["again"] == found["whole"]
-    # The script's ticks are those Python wrote.
-    assert found["ticksAgain"] == "".join(found["ticksBefore"].split())
+def test_a_double_click_restores_the_ticks_of_a_magnified_figure(probe):
+    assert probe["near"] != probe["whole"]
+    assert probe["ticksNear"] != probe["ticksBefore"]
+    assert probe["again"] == probe["whole"]
+    # The ticks of the script are those of the Python code.
+    assert probe["ticksAgain"] == "".join(probe["ticksBefore"].split())
 
 
-def test_even_and_logarithmic_ticks_of_every_figure_are_those_python_wrote(
-    found: dict[str, Any],
-) -> None:
-    assert {figure["decades"] for figure in found["rewritten"]} == {"", "xy"}
-    for figure in found["rewritten"]:
+def test_the_script_draws_the_ticks_of_the_python_code(probe):
+    assert {figure["decades"] for figure in probe["rewritten"]} == {"", "xy"}
+    for figure in probe["rewritten"]:
         assert figure["after"] == figure["before"]
 
 
-def test_the_wheel_belongs_to_the_page_until_the_figure_is_chosen(found: dict[str, Any]) -> None:
-    assert found["stolenWheel"] is False
-    assert found["keptWheel"] is True
-    assert found["byWheel"] != found["whole"]
+def test_the_wheel_magnifies_only_a_selected_figure(probe):
+    assert probe["stolenWheel"] is False
+    assert probe["keptWheel"] is True
+    assert probe["byWheel"] != probe["whole"]
 
 
-def test_curves_can_be_hidden_and_shown_again(found: dict[str, Any]) -> None:
-    assert found["hidden"] == "none"
-    assert found["after"] == 0
+def test_curves_can_be_hidden_and_shown_again(probe):
+    assert probe["hidden"] == "none"
+    assert probe["after"] == 0
 
 
-def test_a_page_that_breaks_its_policy_is_heard(page: str, tmp_path: Path) -> None:
-    # The listener of the tests above must be able to fail.
+def test_a_page_that_violates_its_policy_logs_an_error(page, tmp_path):
+    # This shows that the listener of the other tests detects errors.
     broken = page.replace("</body>", "<script>alert(1)</script></body>")
     _, console = _browse(tmp_path, broken, "--dump-dom")
     assert "CONSOLE" in console
 
 
-def test_it_prints_to_paper_with_every_figure_on_one_page(page: str, tmp_path: Path) -> None:
+def test_every_figure_prints_on_a_single_sheet(page, tmp_path):
     if shutil.which("pdftotext") is None:
         pytest.skip("no pdftotext on this machine")
     _browse(tmp_path, page, "--no-pdf-header-footer", f"--print-to-pdf={tmp_path / 'page.pdf'}")
@@ -196,23 +177,25 @@ def test_it_prints_to_paper_with_every_figure_on_one_page(page: str, tmp_path: P
         check=True,
     ).stdout
     sheets = text.rstrip("\f").split("\f")
-    assert len(sheets) <= MOST_SHEETS
-    shown = _unfolded(page)
-    assert len(shown) > 4
-    for number, numbers in shown:
-        holding = [sheet for sheet in sheets if f"Figure {number}." in sheet]
-        assert len(holding) == 1, number
+    assert len(sheets) <= MAX_SHEETS
+    figures = unfolded_figures(page)
+    assert len(figures) > 4
+    for number, numbers in figures:
+        matching_sheets = [sheet for sheet in sheets if f"Figure {number}." in sheet]
+        assert len(matching_sheets) == 1, number
         # The caption follows the figure it belongs to on the same sheet.
         first_word = numbers.split()[0]
-        assert first_word in holding[0].partition(f"Figure {number}.")[2]
+        assert first_word in matching_sheets[0].partition(f"Figure {number}.")[2]
 
 
-def _unfolded(page: str) -> list[tuple[int, str]]:
-    """Return number and caption of each figure that stands open, the first screen's aside."""
-    bare = re.sub(r'<details class="(?:look|why|note)">.*?</details>', "", page, flags=re.DOTALL)
-    while (shorter := re.sub(FOLD, "", bare, flags=re.DOTALL)) != bare:
-        bare = shorter
+def unfolded_figures(page: str) -> list[tuple[int, str]]:
+    """Return number and caption of each figure outside the folded details."""
+    open_part = re.sub(
+        r'<details class="(?:look|why|note)">.*?</details>', "", page, flags=re.DOTALL
+    )
+    while (shorter := re.sub(FOLD, "", open_part, flags=re.DOTALL)) != open_part:
+        open_part = shorter
     captions = re.findall(
-        r"<b>Figure (\d+)\.</b>.*?<figcaption><p>(.*?)</p>", bare, flags=re.DOTALL
+        r"<b>Figure (\d+)\.</b>.*?<figcaption><p>(.*?)</p>", open_part, flags=re.DOTALL
     )
     return [(int(number), unescape(text)) for number, text in captions]

@@ -1,4 +1,4 @@
-"""Curves on paper: within their tolerance, with their spikes, on round ticks."""
+"""Simplified curves: tolerance, spikes, gaps, axes."""
 
 import re
 
@@ -18,24 +18,24 @@ from piezoid_reports.chart import (
 
 
 def _points(path: str) -> list[Array]:
-    """Read our paths as an SVG reader does."""
-    found = []
-    for part in path.split("M")[1:]:
-        numbers = np.array([int(n) for n in re.findall(r"-?\d+", part)]).reshape(-1, 2)
-        found.append(np.cumsum(numbers, axis=0).astype(float))
-    return found
+    """Read the polylines of an SVG path."""
+    polylines = []
+    for segment in path.split("M")[1:]:
+        numbers = np.array([int(n) for n in re.findall(r"-?\d+", segment)]).reshape(-1, 2)
+        polylines.append(np.cumsum(numbers, axis=0).astype(float))
+    return polylines
 
 
 def _distance(x: Array, y: Array, a: Array, b: Array) -> float:
-    """Return how far the curve (x, y) lies from the polyline (a, b) at most."""
-    furthest = 0.0
+    """Return the largest distance of the curve (x, y) from the polyline (a, b)."""
+    max_distance = 0.0
     for px, py in zip(x, y, strict=True):
         dx, dy = np.diff(a), np.diff(b)
         length = np.maximum(dx**2 + dy**2, 1e-300)
         t = np.clip(((px - a[:-1]) * dx + (py - b[:-1]) * dy) / length, 0, 1)
-        near = np.hypot(a[:-1] + t * dx - px, b[:-1] + t * dy - py).min()
-        furthest = max(furthest, float(near))
-    return furthest
+        distance = np.hypot(a[:-1] + t * dx - px, b[:-1] + t * dy - py).min()
+        max_distance = max(max_distance, float(distance))
+    return max_distance
 
 
 def _spiral() -> tuple[Array, Array]:
@@ -43,30 +43,24 @@ def _spiral() -> tuple[Array, Array]:
     return 1000 * np.cos(angle) * np.exp(-angle / 30), 700 * np.sin(angle)
 
 
-def test_a_thinned_curve_stays_within_its_tolerance() -> None:
+def test_a_simplified_curve_stays_within_its_tolerance():
     x, y = _spiral()
-    kept = simplify_curve(x, y, tolerance=3.0, points=5000)
-    assert len(kept) < 500
-    # The chords' tolerance, and the cells of half its size that were passed over before.
-    assert _distance(x, y, x[kept], y[kept]) <= 3.0 + 1.5 * np.sqrt(2)
+    rows = simplify_curve(x, y, tolerance=3.0, points=5000)
+    assert len(rows) < 500
+    # The tolerance of the chords, and the diagonal of the cells that the first step skips.
+    assert _distance(x, y, x[rows], y[rows]) <= 3.0 + 1.5 * np.sqrt(2)
     assert len(simplify_curve(x, y, tolerance=0.1, points=40)) == 40
-
-
-def test_noise_on_half_a_million_samples_is_drawn_within_the_budget() -> None:
-    rng = np.random.default_rng(5)
-    x, y = np.linspace(0, 12800, 500_000), 3000 + rng.normal(scale=20.0, size=500_000)
-    kept = simplify_curve(x, y, tolerance=3.0, points=2400)
-    assert len(kept) <= 2400
-    assert {0, 499_999} <= set(kept.tolist())
-
-
-def test_a_line_and_a_curve_that_stands_still_need_their_ends_only() -> None:
     x = np.linspace(0.0, 1000.0, 5001)
     assert simplify_curve(x, 2 * x, tolerance=3.0, points=100).tolist() == [0, 5000]
     assert simplify_curve(np.zeros(9), np.zeros(9), tolerance=3.0, points=100).tolist() == [0, 8]
 
 
-def test_an_envelope_keeps_the_one_spike_in_a_hundred_thousand_samples() -> None:
+def test_long_signals_keep_the_budget_and_their_spikes():
+    rng = np.random.default_rng(5)
+    x, y = np.linspace(0, 12800, 500_000), 3000 + rng.normal(scale=20.0, size=500_000)
+    rows = simplify_curve(x, y, tolerance=3.0, points=2400)
+    assert len(rows) <= 2400
+    assert {0, 499_999} <= set(rows.tolist())
     x = np.arange(100_000.0)
     y = np.zeros(100_000)
     y[77_777] = 5.0
@@ -77,7 +71,7 @@ def test_an_envelope_keeps_the_one_spike_in_a_hundred_thousand_samples() -> None
     assert abs(middle[high.argmax()] - 77_777) <= 200
 
 
-def test_a_path_read_back_lies_on_the_samples_to_half_a_step() -> None:
+def test_a_path_is_accurate_to_half_a_step():
     voltage_V, displacement_m = np.array([0.0, 1.0, 3.0, 2.0]), np.array([0.0, 4e-6, 1e-6, 2e-6])
     canvas = Canvas(x=axis_over("u", [voltage_V], "V"), y=axis_over("y", [displacement_m], "m"))
     layer = canvas.line("model", "model", voltage_V, displacement_m)
@@ -88,14 +82,11 @@ def test_a_path_read_back_lies_on_the_samples_to_half_a_step() -> None:
     np.testing.assert_allclose(y_um * 1e-6, displacement_m, atol=0.51 * 4.4e-6 / (HEIGHT * STEPS))
 
 
-def test_a_curve_is_broken_where_the_model_says_nothing() -> None:
+def test_a_curve_has_gaps_without_values_and_an_axis_always_a_length():
     y = np.array([0.0, 1.0, np.nan, np.nan, 1.0, 0.0, np.nan])
     assert finite_runs(y) == [slice(0, 2), slice(4, 6)]
     canvas = Canvas(x=axis_over("t", [np.arange(7.0)], "s"), y=axis_over("y", [y], "m"))
     assert len(_points(canvas.line("model", "model", np.arange(7.0), y).path)) == 2
-
-
-def test_an_axis_of_one_value_still_has_a_length() -> None:
     axis = axis_over("u", [np.full(3, 2e-9)], "m")
     assert axis.low < 2.0 < axis.high
     assert axis_over("u", [np.full(3, np.nan)], "m").ticks

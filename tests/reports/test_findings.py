@@ -1,4 +1,4 @@
-"""Findings: each effect is drawn where it shows, with its size and its meaning for control."""
+"""Findings: figure, size and meaning for control of each effect."""
 
 from dataclasses import replace
 
@@ -10,9 +10,9 @@ from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.extensions.linear_mode import LinearMode
-from piezoid.identification.model import Lag
+from piezoid.identification.model import AxisModel, Lag
 from piezoid.records.recording import Channel, Quantity, Recording
-from piezoid_reports.effect_comparison import compare_effects
+from piezoid_reports.effect_comparison import EffectSimulation, compare_effects
 from piezoid_reports.page import Page, rms, traces_of
 from piezoid_reports.render import render, render_diagnosis
 from piezoid_reports.sections.findings import NO_FIGURE
@@ -20,24 +20,39 @@ from tests.reports.anatomy import Anatomy
 from tests.reports.known_diagnosis import NAMES, diagnosed, finding
 from tests.reports.known_stage import axis_model, recording, stage_model
 
+KNOWN_AXIS = axis_model()
 
-def _with(added_m: np.ndarray) -> Recording:
-    made = recording()
+
+def recording_with(added_m: np.ndarray) -> Recording:
+    original = recording()
     channels = [
         Channel(quantity=c.quantity, axis=c.axis, values=c.values + added_m, label=c.label)
         if c.quantity is Quantity.DISPLACEMENT
         else c
-        for c in made.channels
+        for c in original.channels
     ]
-    other_V = 5.0 + 4.0 * np.sin(np.arange(made.samples) / 40.0)
-    channels.append(Channel(quantity=Quantity.VOLTAGE, axis="y", values=other_V, label="v"))
-    return replace(made, channels=tuple(channels))
+    other_drive_V = 5.0 + 4.0 * np.sin(np.arange(original.samples) / 40.0)
+    channels.append(Channel(quantity=Quantity.VOLTAGE, axis="y", values=other_drive_V, label="v"))
+    return replace(original, channels=tuple(channels))
 
 
-def test_every_effect_can_be_told_with_its_size_gain_and_meaning() -> None:
+def page_of(*findings: object, axis: AxisModel = KNOWN_AXIS) -> Anatomy:
+    diagnosis = diagnosed(*findings)
+    return Anatomy(render_diagnosis(stage_model(axis), [recording()], diagnosis))
+
+
+def compared(effect: str, recording: Recording, axis: AxisModel = KNOWN_AXIS) -> EffectSimulation:
+    comparisons = compare_effects(axis, traces_of(axis, [recording]), diagnosed(finding(effect)))
+    (comparison,) = comparisons[effect]
+    return comparison
+
+
+def test_every_effect_is_listed_with_size_and_meaning():
     wave_m = 5e-8 * np.sin(np.arange(recording().samples) / 30.0)
-    found = diagnosed(*map(finding, NAMES))
-    page = Anatomy(render_diagnosis(stage_model(axis_model()), [_with(wave_m)], found))
+    diagnosis = diagnosed(*map(finding, NAMES))
+    page = Anatomy(
+        render_diagnosis(stage_model(axis_model()), [recording_with(wave_m)], diagnosis)
+    )
     texts = [e.text for e in page.all("p", "prose")]
     for name in NAMES:
         control = f"For control: {effect_named(name).control}"
@@ -47,43 +62,39 @@ def test_every_effect_can_be_told_with_its_size_gain_and_meaning() -> None:
     assert all("percent" not in e.text for e in page.all("b"))
 
 
-def test_the_picture_of_hum_shows_it_without_and_not_with_the_effect() -> None:
-    made = recording()
-    time_s = np.arange(made.samples) / made.sampling_rate_Hz
-    hummed = _with(6e-8 * np.sin(2 * np.pi * 50.0 * time_s))
-    axis = axis_model()
-    found = diagnosed(finding("mains_interference"))
-    (one,) = compare_effects(axis, traces_of(axis, [hummed]), found)["mains_interference"]
-    assert rms(one.without_m) > 3e-8
-    assert rms(one.with_m) < 0.3 * rms(one.without_m)
+def test_the_comparison_of_hum_shows_the_residual_with_and_without():
+    original = recording()
+    time_s = np.arange(original.samples) / original.sampling_rate_Hz
+    with_hum = recording_with(6e-8 * np.sin(2 * np.pi * 50.0 * time_s))
+    comparison = compared("mains_interference", with_hum)
+    assert rms(comparison.without_m) > 3e-8
+    assert rms(comparison.with_m) < 0.3 * rms(comparison.without_m)
 
 
-def test_a_mode_that_the_fitted_samples_do_not_show_has_a_sentence_for_a_picture() -> None:
+def test_an_invisible_mode_has_a_sentence_instead_of_a_figure():
     mode = LinearMode(frequency_Hz=1e6, quality=10.0, participation=0.5)
-    fast = replace(axis_model(), extensions=(mode,))
-    found = diagnosed(finding("resonance"))
-    page = Anatomy(render_diagnosis(stage_model(fast), [recording()], found))
+    axis = replace(axis_model(), extensions=(mode,))
+    page = page_of(finding("resonance"), axis=axis)
     assert NO_FIGURE in [e.text for e in page.all("p", "prose")]
     assert not any("residual against frequency" in e.text for e in page.all("figcaption"))
 
 
-def test_a_lag_the_model_carries_is_taken_out_to_be_seen() -> None:
+def test_a_modelled_lag_is_removed_for_its_comparison():
     axis = replace(axis_model(), lag=Lag(kind="first_order", time_s=4e-3))
-    found = diagnosed(finding("lag"))
-    (one,) = compare_effects(axis, traces_of(axis, [_with(np.zeros(1))]), found)["lag"]
-    part_m = one.without_m - one.with_m
-    assert rms(part_m) > 1e-8
-    alike = np.corrcoef(part_m, one.lookalike_m)[0, 1]
-    assert alike > 0.6
+    comparison = compared("lag", recording_with(np.zeros(1)), axis)
+    effect_m = comparison.without_m - comparison.with_m
+    assert rms(effect_m) > 1e-8
+    correlation = np.corrcoef(effect_m, comparison.lookalike_m)[0, 1]
+    assert correlation > 0.6
 
 
-def test_every_axis_has_its_part_and_an_effect_is_described_once() -> None:
-    found = diagnosed(finding("delay"))
-    other = replace(diagnosed(finding("delay"), finding("creep")), axis="y")
+def test_every_axis_has_its_findings_and_an_effect_is_described_once():
+    diagnosis_x = diagnosed(finding("delay"))
+    diagnosis_y = replace(diagnosed(finding("delay"), finding("creep")), axis="y")
     page = render(
         Page(
             model=stage_model(axis_model(), axis_model("y")),
-            diagnoses=(found, other),
+            diagnoses=(diagnosis_x, diagnosis_y),
             undiagnosed=("axis z is not diagnosed: internal error (ValueError).",),
         )
     )
@@ -93,67 +104,66 @@ def test_every_axis_has_its_part_and_an_effect_is_described_once() -> None:
     assert page.count("axis z is not diagnosed") == 1
 
 
-def test_what_cannot_be_separated_is_a_limit_with_its_experiment() -> None:
-    found = diagnosed(finding("delay", rivals=("lag",), experiment="Record a chirp."))
-    page = render_diagnosis(stage_model(axis_model()), [recording()], found)
+def test_confounded_effects_are_a_limit_with_their_experiment():
+    diagnosis = diagnosed(finding("delay", rivals=("lag",), experiment="Record a chirp."))
+    page = render_diagnosis(stage_model(axis_model()), [recording()], diagnosis)
     limits = page.partition('id="limits"')[2].partition("</section>")[0]
     assert limits.count("Record a chirp.") == page.count("Record a chirp.") == 1
 
 
-def test_without_recordings_or_a_model_the_section_still_says_what_was_found() -> None:
-    bare = ActuatorModel(stage="stage", axes={}, sources={"sweep.csv": "sha256:" + "0" * 64})
-    for model, recordings in ((stage_model(axis_model()), []), (bare, [recording()])):
+def test_findings_are_listed_without_recordings_or_model():
+    empty_model = ActuatorModel(
+        stage="stage", axes={}, sources={"sweep.csv": "sha256:" + "0" * 64}
+    )
+    for model, recordings in ((stage_model(axis_model()), []), (empty_model, [recording()])):
         page = Anatomy(render_diagnosis(model, recordings, diagnosed(finding("creep"))))
         assert not page.all("figure", "chart")
         assert any("creep" in e.text for e in page.all("td"))
         assert any("piezoid fit" in e.text for e in page.all("p"))
 
 
-def test_holds_are_told_by_the_time_since_the_drive_stopped() -> None:
-    held_V = np.concatenate([np.linspace(0, 5, 100), np.full(400, 5.0)])
-    made = Recording(
+def test_creep_is_drawn_over_the_time_since_the_drive_stopped():
+    drive_V = np.concatenate([np.linspace(0, 5, 100), np.full(400, 5.0)])
+    hold = Recording(
         name="hold.csv",
         digest="sha256:" + "0" * 64,
         axis="x",
         sampling_rate_Hz=100.0,
         channels=(
-            Channel(quantity=Quantity.VOLTAGE, axis="x", values=held_V, label="u"),
-            Channel(quantity=Quantity.DISPLACEMENT, axis="x", values=held_V * 1e-6, label="y"),
+            Channel(quantity=Quantity.VOLTAGE, axis="x", values=drive_V, label="u"),
+            Channel(quantity=Quantity.DISPLACEMENT, axis="x", values=drive_V * 1e-6, label="y"),
         ),
     )
 
-    place, way = effect_named("creep").shows.along(made)
-    assert np.isnan(place[:100]).all()
-    assert place[199] == pytest.approx(0.0, abs=0.01)
-    assert (way[100:] == 1.0).all()
+    log_time, weight = effect_named("creep").shows.along(hold)
+    assert np.isnan(log_time[:100]).all()
+    assert log_time[199] == pytest.approx(0.0, abs=0.01)
+    assert (weight[100:] == 1.0).all()
 
 
-def test_a_memory_that_was_wrong_is_shown_against_that_of_a_drive_cycled_before() -> None:
-    axis = axis_model()
-    found = diagnosed(finding("initial_state"))
-    (one,) = compare_effects(axis, traces_of(axis, [recording()]), found)["initial_state"]
-    assert rms(one.with_m) < 2.0 * axis.quality.noise_rms_m
-    assert rms(one.without_m) > 10.0 * rms(one.with_m)
+def test_an_initial_state_is_compared_with_a_cycled_drive():
+    comparison = compared("initial_state", recording())
+    assert rms(comparison.with_m) < 2.0 * axis_model().quality.noise_rms_m
+    assert rms(comparison.without_m) > 10.0 * rms(comparison.with_m)
 
 
-def test_creep_without_a_hold_is_drawn_over_time_and_says_so() -> None:
-    found = diagnosed(finding("creep"))
-    page = Anatomy(render_diagnosis(stage_model(axis_model()), [recording()], found))
+def test_creep_without_a_hold_is_drawn_over_time():
+    page = page_of(finding("creep"))
     (figure,) = page.all("figure", "chart")
     assert "residual against time" in figure.text
     assert effect_named("creep").shows.label in figure.text
 
 
-def test_a_diagnosis_drawn_on_a_model_in_no_file_names_no_model_json() -> None:
-    found = diagnosed(finding("creep"))
-    written = write_diagnosis(found)
-    page = render_diagnosis(stage_model(axis_model()), [recording()], found, written=written)
+def test_a_model_without_a_file_is_not_in_the_provenance():
+    diagnosis = diagnosed(finding("creep"))
+    content = write_diagnosis(diagnosis)
+    page = render_diagnosis(stage_model(axis_model()), [recording()], diagnosis, written=content)
     rows = [e.text for e in Anatomy(page).all("tr")]
     assert any(row.startswith("diagnosis.json") for row in rows)
     assert not any(row.startswith("model.json") for row in rows)
 
 
-def test_a_drift_that_the_fit_follows_is_named_beside_the_bound_of_a_drift() -> None:
+def test_the_bound_of_drift_mentions_the_drift_in_the_fit():
     absent = NotDetected(
         effect="thermal_drift",
         upper_bound_m=1e-9,
@@ -161,7 +171,7 @@ def test_a_drift_that_the_fit_follows_is_named_beside_the_bound_of_a_drift() -> 
         reason="not found",
         next_experiment="wait",
     )
-    found = replace(diagnosed(), not_detected=(absent,))
-    page = Page(model=stage_model(axis_model()), recordings=[recording()], diagnoses=(found,))
+    diagnosis = replace(diagnosed(), not_detected=(absent,))
+    page = Page(model=stage_model(axis_model()), recordings=[recording()], diagnoses=(diagnosis,))
     cells = [e.text.replace("\u202f", " ") for e in Anatomy(render(page)).all("td")]
     assert "1.00 nm, 2.00 nm, in addition to the drift in the fit" in cells

@@ -1,4 +1,4 @@
-"""Names come from files and strangers: on the page they are text, whatever they hold."""
+"""Names from files are text on the page, whatever their characters."""
 
 import unicodedata
 from dataclasses import replace
@@ -33,34 +33,31 @@ HOSTILE = [
 def _hostile_page(name: str) -> str:
     axis = replace(axis_model(name, (name,)))
     axis = replace(axis, verdict=replace(axis.verdict, remarks=(name,), reason=name))
-    given = replace(
+    hostile = replace(
         recording(name, name, label=name),
         statements=(finding(quantity=name, place=name, text=name),),
     )
-    return render(Page(model=stage_model(axis, stage=name), recordings=[given]))
+    return render(Page(model=stage_model(axis, stage=name), recordings=[hostile]))
 
 
 @pytest.fixture(scope="module")
-def tame() -> list[str]:
-    """Tags and attribute names of the same page with a harmless name."""
+def harmless_skeleton() -> list[str]:
+    """Return tags and attribute names of the same page with a harmless name."""
     return skeleton(_hostile_page("harmless"))
 
 
 @pytest.mark.parametrize("name", [n for n in HOSTILE if "\ud800" not in n], ids=ascii)
-def test_a_hostile_name_adds_no_element_and_no_attribute(name: str, tame: list[str]) -> None:
+def test_a_hostile_name_adds_no_element_and_no_attribute(name, harmless_skeleton):
     page = _hostile_page(name)
-    assert skeleton(page) == tame
+    assert skeleton(page) == harmless_skeleton
     assert [e.text for e in Anatomy(page).all("h1")] == [f"Stage {printable(name)}"]
 
 
-def test_no_character_that_turns_or_breaks_a_text_reaches_the_page() -> None:
+def test_control_characters_are_escaped():
     page = _hostile_page("a\u202eb\x00c\x1bd\u2066")
     harmless = {"\n"}
-    kinds = {c: unicodedata.category(c) for c in set(page)}
-    assert {c for c, kind in kinds.items() if kind in {"Cc", "Cf", "Cs"}} <= harmless
-
-
-def test_characters_that_turn_or_break_a_line_are_shown_as_codes() -> None:
+    categories = {c: unicodedata.category(c) for c in set(page)}
+    assert {c for c, kind in categories.items() if kind in {"Cc", "Cf", "Cs"}} <= harmless
     assert printable("a\u202eb\x00c\n\ud800") == "a\\u202eb\\x00c\\n\\ud800"
-    ours = "10\u202fnm µ \N{MINUS SIGN} שלום"
-    assert printable(ours) == ours
+    text = "10\u202fnm µ \N{MINUS SIGN} שלום"
+    assert printable(text) == text

@@ -1,4 +1,4 @@
-"""Every text of a model, a design, a verification, a batch: on the page it is text."""
+"""Every text of a model, a design, a verification and a batch is text on the page."""
 
 import json
 import zipfile
@@ -21,11 +21,11 @@ from tests.reports.anatomy import skeleton
 from tests.reports.known_stage import axis_model, recording, stage_model
 from tests.reports.test_hostile_names import HOSTILE
 
-KEPT = Path(__file__).parents[1] / "records" / "corpus.zip"
+CORPUS = Path(__file__).parents[1] / "records" / "corpus.zip"
 
 
-def _kept(name: str) -> bytes:
-    with zipfile.ZipFile(KEPT) as archive:
+def corpus_file(name: str) -> bytes:
+    with zipfile.ZipFile(CORPUS) as archive:
         return archive.read(f"{name}/first")
 
 
@@ -33,9 +33,9 @@ def _fleet(stage: FleetStage) -> str:
     return render_fleet(Fleet(name="night", stages=(stage,) * 8))
 
 
-# how each file is read, and what is drawn of it
+# The reader of each file, and the page of its record.
 PAGES: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], str]]] = {
-    # an axis of another name is read, and refused beside this recording
+    # An axis of another name is read, and refused with this recording.
     "model.json": (
         lambda content: render(Page(model=read_model(content), recordings=[recording()])),
         str,
@@ -58,46 +58,46 @@ PAGES: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], str]]] = {
 }
 
 
-def _places(record: Any) -> Iterator[tuple[Any, Any]]:
-    """Return every text of a record by the list or table that holds it."""
+def texts_of(record: Any) -> Iterator[tuple[Any, Any]]:
+    """Return the container and the key of every text of a record."""
     items = record.items() if isinstance(record, dict) else enumerate(record)
     for key, value in list(items):
         if isinstance(value, dict | list):
-            yield from _places(value)
+            yield from texts_of(value)
         elif isinstance(value, str) and key not in ("schema", "digest"):
             yield record, key
 
 
-def _sealed(record: dict[str, Any]) -> bytes:
-    held = {key: value for key, value in record.items() if key not in ("schema", "digest")}
-    return seal(record["schema"], held)
+def reseal(record: dict[str, Any]) -> bytes:
+    fields = {key: value for key, value in record.items() if key not in ("schema", "digest")}
+    return seal(record["schema"], fields)
 
 
 def _is_read(record: dict[str, Any], read: Callable[[bytes], Any]) -> bool:
-    """Whether it is taken for such a file."""
+    """Tell whether the record is accepted as such a file."""
     try:
-        read(_sealed(record))
+        read(reseal(record))
     except PiezoidError:
         return False
     return True
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_no_text_of_a_sealed_file_adds_an_element_or_an_attribute(name: str) -> None:
-    first = _kept(name) if name != "model.json" else write_model(stage_model(axis_model()))
-    record = json.loads(first)
-    read, drawn = PAGES[name]
-    free = []
-    for holder, key in _places(record):
-        before, holder[key] = holder[key], "harmless"
+def test_no_text_of_a_sealed_file_adds_an_element_or_an_attribute(name):
+    content = corpus_file(name) if name != "model.json" else write_model(stage_model(axis_model()))
+    record = json.loads(content)
+    read, draw = PAGES[name]
+    free_texts = []
+    for holder, key in texts_of(record):
+        original, holder[key] = holder[key], "harmless"
         if _is_read(record, read):
-            free.append((holder, key))
+            free_texts.append((holder, key))
         else:
-            holder[key] = before
-    assert len(free) > 3
-    tame = drawn(read(_sealed(record)))
-    for hostile in HOSTILE[:6]:  # test_hostile_names.py shows all of them
-        for holder, key in free:
+            holder[key] = original
+    assert len(free_texts) > 3
+    harmless = draw(read(reseal(record)))
+    for hostile in HOSTILE[:6]:  # test_hostile_names.py has all of them
+        for holder, key in free_texts:
             holder[key] = hostile
-        page = drawn(read(_sealed(record)))
-        assert skeleton(page) == skeleton(tame)
+        page = draw(read(reseal(record)))
+        assert skeleton(page) == skeleton(harmless)

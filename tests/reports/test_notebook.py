@@ -1,4 +1,4 @@
-"""Notebooks: records show themselves."""
+"""HTML representation of records in notebooks."""
 
 from dataclasses import replace
 
@@ -8,17 +8,14 @@ from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
 
 
-def test_a_recording_and_a_model_show_their_numbers_in_a_notebook() -> None:
+def test_a_notebook_shows_numbers_and_no_markup_of_names():
     table = Anatomy(recording()._repr_html_())
     assert "500 Hz" in table.all("table")[0].text
     assert digest_of_bytes(b"")[:7] in table.all("table")[0].text
     assert "30.0 nm rms" in stage_model(axis_model())._repr_html_()
     refused = stage_model(axis_model(reason="it turns back"))
     assert "does not apply: it turns back" in refused._repr_html_()
-
-
-def test_no_name_in_a_shown_record_is_markup() -> None:
-    held = replace(recording(), name="<script>alert(1)</script>.csv")
-    assert "<script" not in held._repr_html_()
+    hostile = replace(recording(), name="<script>alert(1)</script>.csv")
+    assert "<script" not in hostile._repr_html_()
     table = Summary(title="<b>", headings=("<b>",), rows=[("<b>",)], notes=("<b>",))
     assert "<b>" not in table._repr_html_()

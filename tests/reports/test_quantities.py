@@ -1,4 +1,4 @@
-"""Numbers for readers: the right prefix, the digits the interval allows, never an exponent."""
+"""Numbers for readers: prefix, digits by the interval, no exponent."""
 
 import math
 
@@ -28,14 +28,12 @@ FACTOR = {prefix: factor for factor, prefix in PREFIXES}
         (math.inf, "m", UNKNOWN),
     ],
 )
-def test_a_number_is_told_in_the_unit_a_reader_likes(value: float, unit: str, text: str) -> None:
+def test_a_number_has_a_prefix_and_three_digits(value, unit, text):
     assert number(value, unit).replace("\u202f", " ") == text
 
 
 @given(st.floats(1e-11, 1e8))
-def test_what_is_told_is_the_number_to_three_digits_between_one_and_a_thousand(
-    value: float,
-) -> None:
+def test_formatted_digits_lie_between_one_and_a_thousand(value):
     digits, _, unit = number(value, "m").partition("\u202f")
     assert float(digits) * FACTOR[unit[:-1]] == pytest.approx(value, rel=5.1e-3)
     assert 0.999 <= float(digits) < 1000 or value > 999e6
@@ -50,19 +48,17 @@ def test_what_is_told_is_the_number_to_three_digits_between_one_and_a_thousand(
         (1e-9, math.nan, "1.00 nm/V"),
     ],
 )
-def test_an_interval_stands_in_the_unit_of_its_number(
-    value: float, half: float, text: str
-) -> None:
+def test_an_interval_has_the_unit_of_its_number(value, half, text):
     assert with_half_width(value, half, "m/V").replace("\u202f", " ") == text
     assert with_half_width(0.17, 0.13, "").replace("\u202f", " ") == "0.17 ± 0.13"
 
 
 @given(st.floats(-1e6, 1e6))
-def test_significant_digits_come_back(value: float) -> None:
-    shown = float(significant(value, 4).replace(MINUS, "-"))
-    assert shown == pytest.approx(value, rel=5.1e-4, abs=1e-300)
+def test_significant_digits_are_accurate(value):
+    read_back = float(significant(value, 4).replace(MINUS, "-"))
+    assert read_back == pytest.approx(value, rel=5.1e-4, abs=1e-300)
 
 
-def test_a_value_that_may_be_anything_is_not_told():
+def test_a_value_without_any_bound_is_not_stated():
     assert "1.45" not in with_interval(1.45, (0.0, math.inf), "eV")
     assert "1.45" in with_interval(1.45, (1.2, math.inf), "eV")

@@ -1,4 +1,4 @@
-"""Sections: each file is registered once, and each section shows what it promises."""
+"""Sections of the report: registration, intervals, limits."""
 
 from dataclasses import replace
 from importlib import import_module
@@ -13,7 +13,7 @@ from tests.reports.known_page import page_of
 from tests.reports.known_stage import axis_model, recording, stage_model
 
 
-def test_every_section_of_the_folder_is_in_the_tuple_once() -> None:
+def test_every_section_file_is_registered_once():
     folder = Path(piezoid_reports.sections.__file__).parent
     names = {p.stem for p in folder.glob("*.py")} - {"__init__"}
     files = {import_module(f"piezoid_reports.sections.{name}").render for name in names}
@@ -21,7 +21,7 @@ def test_every_section_of_the_folder_is_in_the_tuple_once() -> None:
     assert len(SECTIONS) == len(files)
 
 
-def test_a_model_without_its_recordings_still_makes_a_page() -> None:
+def test_a_model_without_recordings_makes_a_page():
     page = Anatomy(page_of(axis_model(), recordings=()))
     assert [e.attributes["id"] for e in page.all("section")] == [
         "summary",
@@ -32,63 +32,60 @@ def test_a_model_without_its_recordings_still_makes_a_page() -> None:
 
 
 def rows(page: str) -> list[tuple[str, ...]]:
-    found: list[list[str]] = []
+    cells: list[list[str]] = []
     for e in Anatomy(page).elements:
         if e.tag == "tr":
-            found.append([])
+            cells.append([])
         elif e.tag in ("th", "td"):
-            found[-1].append(e.text.replace("\u202f", " "))
-    return [tuple(row) for row in found]
+            cells[-1].append(e.text.replace("\u202f", " "))
+    return [tuple(row) for row in cells]
 
 
-def test_quantities_of_the_fit_stand_with_their_intervals() -> None:
+def test_quantities_of_the_fit_have_intervals_and_errors_their_rows():
     table = rows(page_of(axis_model()))
     assert ("width of the full loop", "(1.600 ± 0.040) µm") in table
     assert ("valid drive", "0 V to 10.0 V") in table
-
-
-def test_every_error_of_an_axis_has_a_row_and_its_limits_a_range() -> None:
     page = page_of(axis_model())
     values = {row[0]: row[1] for row in rows(page) if len(row) == 2}
     assert values["held-out error, rms"] == "30.0 nm"
     assert values["bound of the hysteresis model alone, 95 %"] == "140 nm"
     assert values["guaranteed error with feedback"] == "none"
     assert "drive below 0 V or above 10.0 V" in page.replace("\u202f", " ")
-    wrong = page_of(axis_model(reason="a butterfly"))
-    assert "hysteresis model alone" not in wrong
+    rejected = page_of(axis_model(reason="a butterfly"))
+    assert "hysteresis model alone" not in rejected
 
 
-def test_limits_hold_every_statement_that_the_summary_does_not_show() -> None:
+def test_limits_contain_every_statement_outside_the_summary():
     axis = axis_model()
-    weak = replace(
+    limited = replace(
         axis,
         quality=replace(axis.quality, converged=False),
         uncertainty=replace(axis.uncertainty, blocks=5),
     )
-    page = page_of(weak)
+    page = page_of(limited)
     limits = page.partition('id="limits"')[2].partition("</section>")[0]
-    facts = select(stage_statements(stage_model(weak), recordings=[recording()]))
+    facts = select(stage_statements(stage_model(limited), recordings=[recording()]))
     for fact in facts:
         assert page.count(fact.text) == 1, fact
     assert sum(fact.text in limits for fact in facts) == len(facts) - 1
 
 
-def test_a_limit_of_several_axes_stands_in_one_row() -> None:
-    unsure = [
+def test_a_limit_of_several_axes_has_a_single_row():
+    unconverged = [
         replace(axis, quality=replace(axis.quality, converged=False))
         for axis in (axis_model("x"), axis_model("y", ("up.csv",)))
     ]
-    few = [replace(a, uncertainty=replace(a.uncertainty, blocks=5)) for a in unsure]
-    page = page_of(*few)
+    limited = [replace(a, uncertainty=replace(a.uncertainty, blocks=5)) for a in unconverged]
+    page = page_of(*limited)
     limits = [row[2] for row in rows(page) if row[0] == "note"]
     assert sum(text.startswith("Axes x, y: The intervals rest") for text in limits) == 1
     assert not any(text.startswith("Axis y: The intervals rest") for text in limits)
 
 
-def test_intervals_that_the_held_out_error_contradicts_are_not_printed() -> None:
+def test_intervals_contradicted_by_the_held_out_error_are_not_printed():
     axis = axis_model()
-    wild = replace(axis, uncertainty=replace(axis.uncertainty, loop_width_m=(5.1e-6, 7.2e-6)))
-    page = page_of(wild)
+    wide = replace(axis, uncertainty=replace(axis.uncertainty, loop_width_m=(5.1e-6, 7.2e-6)))
+    page = page_of(wide)
     values = {row[0]: row[1] for row in rows(page) if len(row) == 2}
     assert values["width of the full loop"] == "5.10 µm (no usable interval)"
     assert values["95 % of positions at the end of the range"] == "no usable interval"

@@ -1,4 +1,4 @@
-"""The first screen: verdict, error, limits and next step, and a card for each axis."""
+"""Summary of the report: verdict, error, limits, next step, and a card for each axis."""
 
 from dataclasses import replace
 
@@ -14,9 +14,9 @@ from tests.reports.known_stage import axis_model
 
 
 def sentences(page: str) -> dict[str, str]:
-    """Return the sentences on top by the word in front of each."""
+    """Return the sentences of the summary by their first words."""
     anatomy = Anatomy(page)
-    words = [e.text for e in anatomy.all("b") if "span" in e.inside]
+    words = [e.text for e in anatomy.all("b") if "span" in e.ancestors]
     texts = [e.text.replace("\u202f", " ") for e in anatomy.all("span", "sentence")]
     return dict(zip(words, texts, strict=True))
 
@@ -25,7 +25,7 @@ def tone(page: str) -> str:
     return Anatomy(page).all("p", "headline")[0].attributes["class"].split()[-1]
 
 
-def test_a_good_stage_is_called_good_with_the_error_of_its_worst_axis(page: str) -> None:
+def test_a_good_stage_has_the_error_of_its_worst_axis(page):
     top = sentences(page)
     assert list(top) == ["Good", "Error"]
     assert "30.0 nm rms on axis x" in top["Error"]
@@ -34,26 +34,31 @@ def test_a_good_stage_is_called_good_with_the_error_of_its_worst_axis(page: str)
     assert not Anatomy(page).all("p", "alarm")
 
 
-def test_the_most_important_limit_and_the_next_step_stand_on_top() -> None:
-    found = diagnosed(finding("creep", rivals=("thermal_drift",), experiment="Do this at once."))
+def test_the_summary_has_the_main_limit_and_the_next_step():
+    diagnosis = diagnosed(
+        finding("creep", rivals=("thermal_drift",), experiment="Do this at once.")
+    )
     axis = axis_model()
-    few = replace(axis, uncertainty=replace(axis.uncertainty, blocks=5))
-    page = page_of(few, diagnoses=(found,))
+    axis_of_few_blocks = replace(axis, uncertainty=replace(axis.uncertainty, blocks=5))
+    page = page_of(axis_of_few_blocks, diagnoses=(diagnosis,))
     top = sentences(page)
     assert top["Next"].endswith("Do this at once.")
     assert "5 blocks" in top["Limits"]
     assert page.count("Do this at once.") == 1
 
 
-def test_the_error_is_that_of_the_worst_axis() -> None:
-    better, worse = axis_model("x"), axis_model("y", ("up.csv",))
-    quality = replace(worse.quality, held_out_rms_m=4 * worse.quality.held_out_rms_m)
-    worse = replace(worse, quality=quality)
-    page = page_of(better, worse)
+def test_the_summary_states_the_worst_axis():
+    axis_x, axis_y = axis_model("x"), axis_model("y", ("up.csv",))
+    quality = replace(axis_y.quality, held_out_rms_m=4 * axis_y.quality.held_out_rms_m)
+    axis_y = replace(axis_y, quality=quality)
+    page = page_of(axis_x, axis_y)
     assert "120 nm rms on axis y" in sentences(page)["Error"]
+    page = page_of(axis_model("x"), axis_model("y", ("up.csv",), reason=REASON))
+    assert "does not apply to axis y, but it does to axis x" in sentences(page)["Rejected"]
+    assert [e.text for e in Anatomy(page).all("span", "word")] == ["good", "model does not apply"]
 
 
-def test_a_class_that_does_not_apply_is_bad_in_word_and_colour(page_of_wrong_class: str) -> None:
+def test_an_inapplicable_model_class_is_rejected_in_word_and_colour(page_of_wrong_class):
     top = sentences(page_of_wrong_class)
     assert "Rejected" in top
     assert REASON in top["Next"]
@@ -63,16 +68,8 @@ def test_a_class_that_does_not_apply_is_bad_in_word_and_colour(page_of_wrong_cla
     assert [e.text for e in anatomy.all("span", "word")] == ["model does not apply"]
 
 
-def test_one_axis_that_fails_does_not_hide_behind_one_that_does_not() -> None:
-    page = page_of(axis_model("x"), axis_model("y", ("up.csv",), reason=REASON))
-    assert "does not apply to axis y, but it does to axis x" in sentences(page)["Rejected"]
-    assert [e.text for e in Anatomy(page).all("span", "word")] == ["good", "model does not apply"]
-
-
 @pytest.mark.parametrize(("score", "word"), [(20, "Poor"), (50, "Usable"), (85, "Usable")])
-def test_nothing_is_called_good_if_its_recordings_leave_the_loop_open(
-    score: int, word: str
-) -> None:
+def test_open_loops_in_the_recordings_lower_the_grade(score, word):
     axis = axis_model()
     limit = Limit(lack="branch", reason="only one branch was recorded", most=score)
     axis = replace(axis, quality=replace(axis.quality, limits=(limit,)))
@@ -80,7 +77,7 @@ def test_nothing_is_called_good_if_its_recordings_leave_the_loop_open(
 
 
 @pytest.mark.parametrize(("value", "expected"), [(0.2, "good"), (0.9, "bad")])
-def test_the_verification_decides_the_tone(value: float, expected: str) -> None:
+def test_the_verification_decides_the_tone(value, expected):
     page = page_of(axis_model(), verification=verification(value=value))
     assert tone(page) == expected
     top = sentences(page)
@@ -91,7 +88,7 @@ def test_the_verification_decides_the_tone(value: float, expected: str) -> None:
         assert "model good" in top["Fails"]
 
 
-def test_an_axis_without_a_controller_is_named_on_top() -> None:
+def test_the_summary_names_an_axis_without_a_controller():
     page = page_of(axis_model(), unshipped={"z": "ceiling_A is missing"})
     assert "axis z has no controller" in sentences(page)["Fails"]
     assert tone(page) == "bad"

@@ -1,4 +1,4 @@
-"""Labels of an axis: round, inside it, enough to be read, and the numbers themselves."""
+"""Labels of an axis: round, inside the axis, accurate, not too many."""
 
 import math
 
@@ -15,15 +15,15 @@ def _number(label: str) -> float:
 
 
 @given(st.floats(-16.0, 8.0), st.floats(1e-3, 16.0))
-def test_a_label_on_a_logarithmic_axis_is_the_number_at_its_place(low: float, span: float) -> None:
-    for place, label in decade_ticks(low, low + span):
-        assert low - 1e-6 <= place <= low + span + 1e-6
+def test_a_logarithmic_label_is_the_number_at_its_position(low, span):
+    for position, label in decade_ticks(low, low + span):
+        assert low - 1e-6 <= position <= low + span + 1e-6
         # Between neighbouring decades labels have the digits of an even step.
-        assert math.log10(_number(label)) == pytest.approx(place, abs=1e-3)
+        assert math.log10(_number(label)) == pytest.approx(position, abs=1e-3)
 
 
 @given(st.floats(-16.0, 8.0), st.floats(0.05, 16.0))
-def test_a_logarithmic_axis_has_labels_enough_and_not_too_many(low: float, span: float) -> None:
+def test_a_logarithmic_axis_has_3_to_18_labels(low, span):
     assert 3 <= len(decade_ticks(low, low + span)) <= 18
 
 
@@ -37,15 +37,13 @@ def test_a_logarithmic_axis_has_labels_enough_and_not_too_many(low: float, span:
         (2.0, 2.1, ["100", "105", "110", "115", "120", "125"]),
     ],
 )
-def test_decades_are_written_as_people_write_them(
-    low: float, high: float, labels: list[str]
-) -> None:
+def test_decades_have_round_labels(low, high, labels):
     assert [label for _, label in decade_ticks(low, high)] == labels
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6))
-def test_even_labels_are_the_numbers_at_their_places(low: float, span: float) -> None:
-    found = even_ticks(low, low + span)
-    assert 3 <= len(found) <= 8
-    for place, label in found:
-        assert _number(label) == pytest.approx(place, rel=1e-6, abs=1e-9 * abs(low) + 1e-12)
+def test_even_labels_are_the_numbers_at_their_positions(low, span):
+    ticks = even_ticks(low, low + span)
+    assert 3 <= len(ticks) <= 8
+    for position, label in ticks:
+        assert _number(label) == pytest.approx(position, rel=1e-6, abs=1e-9 * abs(low) + 1e-12)

@@ -1,4 +1,4 @@
-"""The runtime under the sanitisers: every method, hostile inputs, parameters with bytes broken."""
+"""The runtime with sanitisers: every method, hostile inputs, and parameters with broken bytes."""
 
 import subprocess
 from pathlib import Path
@@ -8,13 +8,13 @@ import pytest
 
 from piezoid.runtime.library import complete, library
 from piezoid.runtime.schema import MAX_TAPS
-from tests.runtime.compiler import PRECISION, SOURCE, found, run
+from tests.runtime.compiler import PRECISION, SOURCE, require_tool, run
 from tests.runtime.test_schema import LATERAL, tunnelling
 
 SANITISERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 SEED = 20150401
 
-# Everything the lateral parameters of the other tests leave out.
+# Parameters that the lateral parameters of the other tests do not use.
 SECTION = [[0.5, 0.25, 0.25, -0.5, 0.5]]
 FURTHER = {
     **{"voltage_minimum_V": -4.0, "voltage_maximum_V": 3.0, "lsb_V": 0.001, "polarity": -1},
@@ -27,7 +27,7 @@ GUARDED = {
     **{"retract_step_V": 0.3, "search_voltage_V": 0.02, "trip_limit": 3, "trip_samples": 400},
     **{"contact_samples": 2, "retract_samples": 5, "stuck_current_A": -1.0},
 }
-# Polynomials filled to their last places: what reaches further leaves the structures.
+# Polynomials that fill their tables, so that any index beyond them leaves the structures.
 TAPS = np.r_[1.0, np.full(MAX_TAPS - 1, 1e-3)]
 FULL = {
     **{f"rst_{name}_count": MAX_TAPS for name in ("T", "R", "S", "A0")},
@@ -41,16 +41,16 @@ SETS = (
 
 
 def hostile_steps(precision: str, folder: Path, steps: int) -> str:
-    """Run every set for so many steps, then broken ones; return what the program said.
+    """Run every parameter set for ``steps`` steps, then broken sets; return the output.
 
-    A fault, a number outside the limits or a sanitiser's complaint fails; a machine without
-    sanitisers skips.
+    A fault, a number outside the limits or a message of a sanitiser fails the test. A machine
+    without sanitisers skips it.
     """
-    compiler = found("gcc", "clang", "cc")
+    compiler = require_tool("gcc", "clang", "cc")
     need_sanitisers(compiler, folder)
-    packed = folder / "parameters.bin"
-    opened = library(precision)
-    packed.write_bytes(b"".join(bytes(opened.pack(complete(given))) for given in SETS))
+    parameters_file = folder / "parameters.bin"
+    runtime = library(precision)
+    parameters_file.write_bytes(b"".join(bytes(runtime.pack(complete(values))) for values in SETS))
     fuzz = str(folder / "fuzz")
     sources = (str(Path(__file__).parent / "fuzz.c"), str(SOURCE / "piezoid_runtime.c"))
     warnings = ("-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off")
@@ -58,7 +58,7 @@ def hostile_steps(precision: str, folder: Path, steps: int) -> str:
         *(compiler, *warnings, *SANITISERS, *PRECISION[precision]),
         *(f"-I{SOURCE}", *sources, "-o", fuzz),
     )
-    return run(fuzz, str(packed), str(steps), str(SEED))
+    return run(fuzz, str(parameters_file), str(steps), str(SEED))
 
 
 def need_sanitisers(compiler: str, folder: Path) -> None:

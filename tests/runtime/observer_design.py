@@ -1,4 +1,4 @@
-"""An observer for the runtime to run, placed by its poles, and the plant that it is made for.
+"""An observer for the runtime, placed by its poles, and its plant.
 
 Amplifier 4 kHz, a mode at 630 Hz with damping 0.05, sensor 8.5 kHz, 20 kHz sampling.
 """
@@ -16,7 +16,7 @@ RATE_Hz = 20e3
 
 
 def poles(frequencies_Hz, damping=1.0):
-    """Sampled poles: a pair if the damping is below one."""
+    """Return sampled poles, in pairs if the damping is below one."""
     w = 2 * np.pi * np.atleast_1d(frequencies_Hz) / RATE_Hz
     s = -w if damping == 1.0 else np.r_[-w * damping, -w * damping] + 0j
     if damping < 1.0:
@@ -26,7 +26,7 @@ def poles(frequencies_Hz, damping=1.0):
 
 @cache
 def plant():
-    """The sampled chain with unit static gain."""
+    """Return the sampled chain with unit static gain."""
     return plant_from_chain(lateral_chain())
 
 
@@ -39,16 +39,16 @@ def unit_observer():
 
 
 def observer_parameters(gain_m_per_V=1.0):
-    """The runtime's observer for a plant of this static gain; states in metres."""
-    known = unit_observer()
-    grow = {name: known[name] * gain_m_per_V for name in ("observer_B", "observer_rest")}
+    """Return the observer of the runtime for a plant of this static gain; states in metres."""
+    observer = unit_observer()
+    scaled_up = {name: observer[name] * gain_m_per_V for name in ("observer_B", "observer_rest")}
     per_gain = ("observer_disturbance_L_V_per_m", "feedback_K_V", "feedback_N_V_per_m")
-    shrink = {name: known[name] / gain_m_per_V for name in per_gain}
-    return {**known, **grow, **shrink, "gain_m_per_V": gain_m_per_V}
+    scaled_down = {name: observer[name] / gain_m_per_V for name in per_gain}
+    return {**observer, **scaled_up, **scaled_down, "gain_m_per_V": gain_m_per_V}
 
 
 class LinearPlant:
-    """The same chain, stepped: ``measure`` before the voltage of the sample is known."""
+    """The same chain, step by step: ``measure`` precedes ``drive`` in every sample."""
 
     def __init__(self):
         self.A, self.B, self.C = plant().realised()
@@ -57,6 +57,6 @@ class LinearPlant:
     def measure(self):
         return float(self.C @ self.x)
 
-    def drive(self, moved):
-        """moved: the voltage, or what a hysteresis made of it."""
-        self.x = self.A @ self.x + self.B * moved
+    def drive(self, input_m):
+        """Advance one sample; ``input_m`` is the voltage or the output of a hysteresis."""
+        self.x = self.A @ self.x + self.B * input_m

@@ -1,6 +1,8 @@
-"""Parameter sets the runtime tests start from."""
+"""Parameter sets and started controllers of the runtime tests."""
 
 import numpy as np
+
+from piezoid.runtime.controller import Controller
 
 WIDE = {
     "voltage_minimum_V": -1000.0,
@@ -22,8 +24,15 @@ WORKED = {
 }
 
 
-def hysteresis(model, **others):
-    """Parameters of a model as ``runtime_reference.random_model`` makes it."""
+def started(parameters, volts=0.0, measured=0.0, precision="double"):
+    """Return a controller that started from a voltage and a reading."""
+    controller = Controller(parameters, precision=precision)
+    controller.start(volts, measured)
+    return controller
+
+
+def hysteresis(model, **overrides):
+    """Return the parameters of a model of ``runtime_reference.random_model``."""
     return {
         **WIDE,
         "method": "mpi",
@@ -34,7 +43,7 @@ def hysteresis(model, **others):
         "knot_count": len(model["knot"]),
         "knot_m": model["knot"],
         "knot_weight": model["weight"],
-        **others,
+        **overrides,
     }
 
 
@@ -44,8 +53,8 @@ RST_S = np.array([1, -1.5654912179, 0.6523716392, -0.0792887741, -0.0075916473])
 RST_R = np.array([2.692602e-4, 1.856397e-4, -7.97265e-5, 3.8939e-6])
 
 
-def tunnelling(**others):
-    """The polynomial controller of a tunnelling gap, 1 nA, retracting to the lowest voltage."""
+def tunnelling(**overrides):
+    """Return the polynomial controller of a tunnelling gap of 1 nA, retracting to -9 V."""
     return {
         "method": "rst",
         "voltage_minimum_V": -10.0,
@@ -69,5 +78,5 @@ def tunnelling(**others):
         "rst_S": np.cumsum(RST_S)[:4],
         "rst_A0_count": 1,
         "rst_A0": np.ones(1),
-        **others,
+        **overrides,
     }

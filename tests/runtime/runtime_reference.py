@@ -1,13 +1,10 @@
-"""What the runtime is compared with: the same mathematics in numpy, sample by sample.
-
-Nothing here imports piezoid.
-"""
+"""Reference implementation of the runtime in numpy, sample by sample, without piezoid."""
 
 import numpy as np
 
 
 def follow(u, r, z):
-    """Plays: z_i = max(u - r_i, min(u + r_i, z_i))."""
+    """Return the next play states z_i = max(u - r_i, min(u + r_i, z_i))."""
     return np.maximum(u - r, np.minimum(u + r, z))
 
 
@@ -17,7 +14,7 @@ def dead_zones(h, knot, weight):
 
 
 def forward(u, r, w, z, knot, weight):
-    """Displacement and memory after every sample."""
+    """Return the displacement of every sample and the last memory."""
     y = np.empty(len(u))
     for k, volts in enumerate(u):
         z = follow(volts, r, z)
@@ -25,8 +22,8 @@ def forward(u, r, w, z, knot, weight):
     return y, z
 
 
-def nested(z, u, r):
-    """The nearest memory, in order, that an input ending at u can have left behind."""
+def admissible_memory(z, u, r):
+    """Return the nearest memory that an input history ending at u can have."""
     z = np.array(z, dtype=float)
     z[0] = u
     for i in range(1, len(r)):
@@ -36,12 +33,12 @@ def nested(z, u, r):
 
 
 def random_model(rng, *, plays, knots_each_side, negative=False):
-    """Thresholds, weights, memory and dead zones of an invertible model, and its input before."""
+    """Draw the parameters, the memory and the last input of an invertible model."""
     r = np.r_[0.0, np.cumsum(rng.uniform(0.1, 1.0, plays - 1))]
     W = rng.uniform(0.3, 1.5, plays) if negative else np.cumsum(rng.uniform(0.05, 0.5, plays))
     w = np.diff(np.r_[0.0, W])
-    last = float(rng.uniform(-1, 1))
-    z = nested(rng.uniform(-2, 2, plays), last, r)
+    last_V = float(rng.uniform(-1, 1))
+    z = admissible_memory(rng.uniform(-2, 2, plays), last_V, r)
     side = [np.cumsum(rng.uniform(0.3, 2.0, knots_each_side)) for _ in range(2)]
     slope = [rng.uniform(0.5, 1.8, knots_each_side) for _ in range(2)]
     zero = rng.uniform(0.5, 1.8)
@@ -52,5 +49,5 @@ def random_model(rng, *, plays, knots_each_side, negative=False):
         "z": z,
         "knot": np.r_[-side[1][::-1], 0.0, side[0]],
         "weight": np.r_[down[::-1], zero, up],
-        "last": last,
+        "last": last_V,
     }

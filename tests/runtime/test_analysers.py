@@ -1,4 +1,4 @@
-"""What analysers of C say of everything that ships: nothing."""
+"""Static analysers report nothing about the shipped C sources."""
 
 import io
 import zipfile
@@ -8,81 +8,80 @@ import pytest
 from piezoid.export.bundle import bundle
 from piezoid.targets.target_inputs import TargetInputs
 from piezoid.targets.targets import target_files
-from tests.runtime.compiler import PRECISION, STRICT, found, run, write_files
+from tests.runtime.compiler import PRECISION, STRICT, require_tool, run, write_files
 from tests.verification.rig import PLANTS, stage
 
-# Why the others are left out:
-LEFT_OUT = (
-    # pz_real arguments stand side by side in every call: the header's comments name them
+EXCLUDED = (
+    # Every call has several pz_real arguments; the comments of the header name them.
     "bugprone-easily-swappable-parameters",
-    # sizeof(member) / sizeof(pz_real) is 1 where a member is no array, and that is meant
+    # sizeof(member) / sizeof(pz_real) is intentionally 1 for a scalar member.
     "bugprone-sizeof-expression",
-    # one translation unit: names of the runtime must not be seen outside of the unit or library
+    # One translation unit keeps the names of the runtime inside the unit or library.
     "bugprone-suspicious-include",
 )
-# The example reads a table that piezoid wrote with scanf and prints to a terminal
-EXAMPLE_LEFT_OUT = (*LEFT_OUT, "cert-err33-c", "cert-err34-c")
+# The example reads a table of piezoid with scanf and prints to a terminal.
+EXCLUDED_OF_EXAMPLE = (*EXCLUDED, "cert-err33-c", "cert-err34-c")
 SHIPPED = {
-    "piezoid_runtime.c": LEFT_OUT,
-    "example_main.c": EXAMPLE_LEFT_OUT,
-    "piezoid_controller.c": LEFT_OUT,
-    "controller/fmu2.c": LEFT_OUT,
-    "plant/fmu2.c": LEFT_OUT,
+    "piezoid_runtime.c": EXCLUDED,
+    "example_main.c": EXCLUDED_OF_EXAMPLE,
+    "piezoid_controller.c": EXCLUDED,
+    "controller/fmu2.c": EXCLUDED,
+    "plant/fmu2.c": EXCLUDED,
 }
-# Units and the library are in double precision
-ASKED = [(name, "double") for name in SHIPPED] + [(name, "float") for name in list(SHIPPED)[:2]]
+# FMI units and the library are in double precision only.
+CASES = [(name, "double") for name in SHIPPED] + [(name, "float") for name in list(SHIPPED)[:2]]
 
 
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory):
     folder = tmp_path_factory.mktemp("shipped")
-    made = dict(bundle(stage("x")))
-    exported = TargetInputs(file=stage("x"), plants=(PLANTS[0],))
-    for place, content in target_files(exported, ["fmu", "library"]).files.items():
-        if place.startswith("library/"):
-            made[place.removeprefix("library/")] = content
-        elif place.endswith(".fmu"):
-            which = "plant" if "_plant_" in place else "controller"
+    files = dict(bundle(stage("x")))
+    inputs = TargetInputs(file=stage("x"), plants=(PLANTS[0],))
+    for path, content in target_files(inputs, ["fmu", "library"]).files.items():
+        if path.startswith("library/"):
+            files[path.removeprefix("library/")] = content
+        elif path.endswith(".fmu"):
+            role = "plant" if "_plant_" in path else "controller"
             with zipfile.ZipFile(io.BytesIO(content)) as unit:
-                inside = [name for name in unit.namelist() if name.startswith("sources/")]
-                made |= {f"{which}/{name.split('/')[1]}": unit.read(name) for name in inside}
-    return write_files(folder, made)
+                names = [name for name in unit.namelist() if name.startswith("sources/")]
+                files |= {f"{role}/{name.split('/')[1]}": unit.read(name) for name in names}
+    return write_files(folder, files)
 
 
-@pytest.mark.parametrize(("name", "precision"), ASKED)
+@pytest.mark.parametrize(("name", "precision"), CASES)
 def test_clang_tidy_finds_nothing(sources, name, precision):
-    tool = found("clang-tidy")
-    asked = ",".join(["-*", "bugprone-*", "cert-*", *(f"-{one}" for one in SHIPPED[name])])
+    tool = require_tool("clang-tidy")
+    checks = ",".join(["-*", "bugprone-*", "cert-*", *(f"-{check}" for check in SHIPPED[name])])
     run(
-        *(tool, "--quiet", f"--checks={asked}", "--warnings-as-errors=*"),
+        *(tool, "--quiet", f"--checks={checks}", "--warnings-as-errors=*"),
         *(str(sources / name), "--", "-std=c99", f"-I{sources}", *PRECISION[precision]),
     )
 
 
-@pytest.mark.parametrize(("name", "precision"), ASKED)
+@pytest.mark.parametrize(("name", "precision"), CASES)
 def test_cppcheck_finds_nothing(sources, name, precision):
     checks = ("--std=c99", "--enable=warning,style,portability,performance", "--inconclusive")
-    hidden = [
-        f"--suppress={one}"
-        for one in (
+    suppressions = [
+        f"--suppress={check}"
+        for check in (
             "missingIncludeSystem",
-            # sizeof(pz_real) == sizeof(float) is a question of the build
+            # sizeof(pz_real) == sizeof(float) depends on the build.
             "duplicateExpression",
-            # callbacks have the form that the standard of the units gives them
+            # The FMI standard prescribes the signature of callbacks.
             "constParameter",
             "constParameterCallback",
             "unusedStructMember",
         )
     ]
     run(
-        *(found("cppcheck"), *checks, *hidden, "--error-exitcode=1", "--quiet"),
+        *(require_tool("cppcheck"), *checks, *suppressions, "--error-exitcode=1", "--quiet"),
         *(*PRECISION[precision], f"-I{sources}", str(sources / name)),
     )
 
 
-@pytest.mark.parametrize(("name", "precision"), ASKED)
+@pytest.mark.parametrize(("name", "precision"), CASES)
 def test_the_analyser_of_gcc_finds_nothing(sources, name, precision, tmp_path):
     run(
-        *(found("gcc"), *STRICT, "-fanalyzer", *PRECISION[precision], f"-I{sources}"),
+        *(require_tool("gcc"), *STRICT, "-fanalyzer", *PRECISION[precision], f"-I{sources}"),
         *("-c", str(sources / name), "-o", str(tmp_path / "made.o")),
     )

@@ -1,14 +1,14 @@
-"""Exactly at an edge: what is still allowed, and the sample at which something begins."""
+"""Values exactly at a limit, and the sample at which a condition begins."""
 
 import numpy as np
 import pytest
 
-from piezoid.runtime.controller import Controller, Status
+from piezoid.runtime.controller import Status
 from piezoid.runtime.schema import MAX_ORDER
-from tests.runtime.runtime_parameters import tunnelling
-from tests.runtime.test_blocks import started, static
+from tests.runtime.runtime_parameters import started, tunnelling
+from tests.runtime.test_blocks import static
 from tests.runtime.test_faults import lateral
-from tests.runtime.test_schema import LATERAL, refused
+from tests.runtime.test_schema import LATERAL, refused_name
 
 ONE_VOLT = {"voltage_minimum_V": -1.0, "voltage_maximum_V": 1.0}
 
@@ -18,7 +18,7 @@ def section(*numbers):
 
 
 @pytest.mark.parametrize(
-    ("given", "name"),
+    ("overrides", "name"),
     [
         ({**ONE_VOLT, "lsb_V": 1.0}, None),
         ({**ONE_VOLT, "lsb_V": 1.001}, "lsb_V"),
@@ -38,12 +38,12 @@ def section(*numbers):
         ({"knot_weight": [-0.7, -0.2, 1, -0.2, -0.7]}, None),
     ],
 )
-def test_lateral_parameters_are_usable_up_to_the_edge(given, name):
-    assert refused({**LATERAL, **given}) == name
+def test_lateral_parameters_are_accepted_up_to_their_limits(overrides, name):
+    assert refused_name({**LATERAL, **overrides}) == name
 
 
 @pytest.mark.parametrize(
-    ("given", "name"),
+    ("overrides", "name"),
     [
         ({"retract_voltage_V": -10.0}, None),
         ({"retract_voltage_V": 10.0}, None),
@@ -61,8 +61,8 @@ def test_lateral_parameters_are_usable_up_to_the_edge(given, name):
         ({"trip_limit": 0, "search_voltage_V": 0.0, "retract_step_V": 0.0}, None),
     ],
 )
-def test_tunnelling_parameters_are_usable_up_to_the_edge(given, name):
-    assert refused({**tunnelling(), **given}) == name
+def test_tunnelling_parameters_are_accepted_up_to_their_limits(overrides, name):
+    assert refused_name({**tunnelling(), **overrides}) == name
 
 
 @pytest.mark.parametrize(
@@ -80,34 +80,33 @@ def test_tunnelling_parameters_are_usable_up_to_the_edge(given, name):
     ],
 )
 def test_sections_are_stable_and_of_unit_gain(numbers, usable):
-    assert refused({**LATERAL, **section(*numbers)}) == (None if usable else "reference_section")
+    assert refused_name({**LATERAL, **section(*numbers)}) == (
+        None if usable else "reference_section"
+    )
 
 
-def test_a_code_on_a_limit_is_put_out_and_half_codes_go_away_from_zero():
+def test_codes_reach_the_limits_and_half_codes_round_away_from_zero():
     controller = started(static(lsb_V=0.25, **ONE_VOLT))
     volts = np.array([1.0, -1.0, 0.9, -0.9, 0.125, -0.125, 0.375, -0.375, 0.1, -0.1])
-    put_out = [1.0, -1.0, 1.0, -1.0, 0.25, -0.25, 0.5, -0.5, 0.0, 0.0]
+    outputs = [1.0, -1.0, 1.0, -1.0, 0.25, -0.25, 0.5, -0.5, 0.0, 0.0]
     run = controller.run(0.5 * volts, np.zeros(len(volts)))
-    np.testing.assert_array_equal(run.voltage_V, put_out)
+    np.testing.assert_array_equal(run.voltage_V, outputs)
     assert not run.status.any()
-
-
-def test_a_code_beyond_a_limit_between_two_codes_is_the_last_inside():
     limits = {"voltage_minimum_V": -0.9, "voltage_maximum_V": 0.9}
     run = started(static(lsb_V=0.25, **limits)).run(np.array([1.0, -1.0]), np.zeros(2))
     np.testing.assert_array_equal(run.voltage_V, [0.75, -0.75])
     assert (run.status == Status.VOLTAGE_LIMITED).all()
 
 
-def steps_of_a_quarter(**others):
-    """A loop whose voltage moves by exactly 0.25 V a sample, upward."""
-    return lateral(method="dob", voltage_step_V=0.25, lsb_V=0.25, **others)
+def steps_of_a_quarter(**overrides):
+    """Return a loop whose voltage rises by exactly 0.25 V per sample."""
+    return lateral(method="dob", voltage_step_V=0.25, lsb_V=0.25, **overrides)
 
 
 @pytest.mark.parametrize(
     ("samples", "volts", "first"), [(1, 0.25, 1), (3, 0.25, 2), (6, 0.25, 5), (2, 0.5, 2)]
 )
-def test_a_sensor_is_stuck_from_the_sample_at_which_both_conditions_hold(samples, volts, first):
+def test_a_sensor_is_stuck_once_both_conditions_hold(samples, volts, first):
     controller = started(steps_of_a_quarter(stuck_samples=samples, stuck_voltage_V=volts))
     run = controller.run(np.full(10, 2.9), np.zeros(10))
     assert np.diff(run.voltage_V[:3]).tolist() == [0.25, 0.25]
@@ -116,7 +115,7 @@ def test_a_sensor_is_stuck_from_the_sample_at_which_both_conditions_hold(samples
 
 
 @pytest.mark.parametrize("change", [0.01, -0.01])
-def test_any_change_lets_the_count_begin_anew(change):
+def test_any_change_restarts_the_count_of_equal_readings(change):
     controller = started(steps_of_a_quarter(stuck_samples=3, stuck_voltage_V=0.25))
     measured = np.where(np.arange(10) < 5, 0.0, change)
     run = controller.run(np.full(10, 2.9), measured)
@@ -133,15 +132,14 @@ def test_any_change_lets_the_count_begin_anew(change):
         (2e-8, Status.MEASUREMENT_LIMITED | Status.RETRACTED),
     ],
 )
-def test_a_current_is_judged_at_the_floor_and_at_the_ceiling(current_A, status):
-    controller = Controller(tunnelling())
-    controller.start(0.0, 1e-9)
+def test_a_current_is_compared_with_its_floor_and_ceiling(current_A, status):
+    controller = started(tunnelling(), measured=1e-9)
     controller.step(1e-9, current_A)
     assert controller.status == status
 
 
-def observer_of(states, **others):
-    """So many states, each of its own pole."""
+def observer_of(states, **overrides):
+    """Return an observer with ``states`` states and distinct poles."""
     pole = np.linspace(0.1, 0.9, states)
     return {
         **LATERAL,
@@ -155,61 +153,61 @@ def observer_of(states, **others):
         "observer_rest": np.ones(states),
         "feedback_K_V": np.full(states, 0.01),
         "feedback_N_V_per_m": 1.0 + 0.01 * states,
-        **others,
+        **overrides,
     }
 
 
 @pytest.mark.parametrize("states", [1, MAX_ORDER])
 @pytest.mark.parametrize("precision", ["double", "float"])
-def test_an_observer_of_least_and_of_full_order_is_usable_and_its_last_state_counts(
-    states, precision
-):
-    known = observer_of(states)
-    assert refused(known, precision) is None
-    for name, blamed in (
+def test_the_last_state_of_an_observer_of_any_order_is_checked(states, precision):
+    parameters = observer_of(states)
+    assert refused_name(parameters, precision) is None
+    for name, message in (
         ("observer_B", "observer_rest"),
         ("observer_C", "observer_C"),
         ("feedback_K_V", "feedback_N_V_per_m"),
     ):
-        other = known[name].copy()
-        other[-1] += 0.01
-        assert refused({**known, name: other}, precision) == blamed
+        changed = parameters[name].copy()
+        changed[-1] += 0.01
+        assert refused_name({**parameters, name: changed}, precision) == message
 
 
 def test_an_observer_of_full_order_runs_as_its_equations(rng):
-    given = observer_of(MAX_ORDER, observer_L=rng.normal(0, 0.1, MAX_ORDER), relaxation_count=0)
-    controller = started({**given, "method": "dob"})
-    A, B, C, L = (given[f"observer_{name}"] for name in "ABCL")
+    parameters = observer_of(
+        MAX_ORDER, observer_L=rng.normal(0, 0.1, MAX_ORDER), relaxation_count=0
+    )
+    controller = started({**parameters, "method": "dob"})
+    A, B, C, L = (parameters[f"observer_{name}"] for name in "ABCL")
     x, d = np.zeros(MAX_ORDER), 0.0
-    for wanted, measured in rng.normal(0, 1, (100, 2)):
+    for reference, measured in rng.normal(0, 1, (100, 2)):
         innovation = measured - C @ x
         x, d = x + L * innovation, d + 0.1 * innovation
-        volts = given["feedback_N_V_per_m"] * wanted - given["feedback_K_V"] @ x - d
-        assert controller.step(wanted, measured) == pytest.approx(volts, abs=1e-9)
+        volts = parameters["feedback_N_V_per_m"] * reference - parameters["feedback_K_V"] @ x - d
+        assert controller.step(reference, measured) == pytest.approx(volts, abs=1e-9)
         x = A @ x + B * (volts + d)
 
 
 @pytest.mark.parametrize("precision", ["double", "float"])
-def test_states_that_nothing_moves_at_rest_are_usable(precision):
-    """An oscillator among the states: it gets nothing from the voltage and is 0 at rest."""
-    turn = np.array([[0.8, 0.6], [-0.6, 0.8]])
-    known = observer_of(3)
-    known["observer_A"][1:, 1:] = turn
+def test_states_that_are_zero_at_rest_are_accepted(precision):
+    """Two states form an oscillator that the voltage does not drive."""
+    rotation = np.array([[0.8, 0.6], [-0.6, 0.8]])
+    parameters = observer_of(3)
+    parameters["observer_A"][1:, 1:] = rotation
     for name in ("observer_B", "observer_C", "observer_rest"):
-        known[name] = np.array([known[name][0], 0.0, 0.0])
-    known["observer_C"][0] = 1.0
-    known["feedback_K_V"] = np.array([0.01, 1.0, 0.0])
-    known["feedback_N_V_per_m"] = 1.01
-    assert refused(known, precision) is None
+        parameters[name] = np.array([parameters[name][0], 0.0, 0.0])
+    parameters["observer_C"][0] = 1.0
+    parameters["feedback_K_V"] = np.array([0.01, 1.0, 0.0])
+    parameters["feedback_N_V_per_m"] = 1.01
+    assert refused_name(parameters, precision) is None
 
 
 @pytest.mark.parametrize(("current_A", "is_stuck"), [(1e-11, False), (1.001e-11, True)])
-def test_a_current_that_rests_on_the_floor_is_no_stuck_sensor(current_A, is_stuck):
-    """The amplifier of a lost tip reads one number for as long as nothing flows."""
+def test_a_constant_current_at_the_floor_is_no_stuck_sensor(current_A, is_stuck):
+    """The amplifier of a lost tip reads a constant as long as no current flows."""
     watch = {"stuck_samples": 3, "stuck_voltage_V": 1e-6, "stuck_current_A": 1e-11}
-    controller = Controller(tunnelling(**watch))
-    controller.start(0.0, 1e-9)
-    run = controller.run(np.full(20, 1e-9), np.full(20, current_A))
+    run = started(tunnelling(**watch), measured=1e-9).run(
+        np.full(20, 1e-9), np.full(20, current_A)
+    )
     assert np.ptp(run.voltage_V) > 1e-6
     assert ((run.status & Status.STUCK_SENSOR) != 0).any() == is_stuck
 

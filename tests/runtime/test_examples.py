@@ -1,22 +1,21 @@
-"""The examples for microcontrollers: built for the chip, and run on an emulated one."""
+"""The examples for microcontrollers, built for the chip and run on an emulated chip."""
 
 import re
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from piezoid.export.bundle import bundle
 from tests.export.stage import stage as three_axes
-from tests.runtime.compiler import SOURCE, found, run, write_files
+from tests.runtime.compiler import SOURCE, attempt, require_tool, run, write_files
 from tests.verification.rig import stage
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 CORE = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard")
 FLAGS = ("-O2", "-ffp-contract=off", "-DPZ_REAL_FLOAT", "-Wall", "-Wextra", "-Werror")
 CORE_Hz, RATE_Hz = 168e6, 20e3
-INSTRUCTION_s = 8e-9  # the emulator's, -icount shift=3
-# Declarations of the STM32 core for Arduino that the sketch uses
+INSTRUCTION_s = 8e-9  # of the emulator with -icount shift=3
+# Declarations of the STM32 core for Arduino that the sketch uses.
 ARDUINO = """\
 #include <stdint.h>
 #define A0 0
@@ -47,11 +46,11 @@ def folder(tmp_path):
     return tmp_path
 
 
-def built(folder, *others, specs):
+def build_program(folder, *flags, specs):
     program = folder / "controller.elf"
     example = EXAMPLES / "stm32f405"
     run(
-        *(found("arm-none-eabi-gcc"), "-std=c99", *FLAGS, "-Wconversion", *CORE, *others),
+        *(require_tool("arm-none-eabi-gcc"), "-std=c99", *FLAGS, "-Wconversion", *CORE, *flags),
         *("-nostartfiles", f"--specs={specs}", "-T", str(example / "stm32f405.ld")),
         *("-I", str(folder / "bundle"), str(example / "main.c")),
         *(str(folder / "bundle" / "piezoid_runtime.c"), "-o", str(program)),
@@ -60,15 +59,17 @@ def built(folder, *others, specs):
 
 
 def test_the_interrupt_of_20_khz_has_time_to_spare_on_an_emulated_chip(folder):
-    emulator = found("qemu-system-arm")
-    # The emulator's timer counts at 1 GHz, whatever the clock is set to
-    program = built(folder, "-DPZ_EMULATED", "-DTIMER_Hz=1000000000u", specs="rdimon.specs")
-    said = run(
+    emulator = require_tool("qemu-system-arm")
+    # The timer of the emulator counts at 1 GHz for any setting of the clock.
+    program = build_program(
+        folder, "-DPZ_EMULATED", "-DTIMER_Hz=1000000000u", specs="rdimon.specs"
+    )
+    output = run(
         *(emulator, "-machine", "netduinoplus2", "-icount", "shift=3", "-display", "none"),
         *("-serial", "none", "-monitor", "none"),
         *("-semihosting-config", "enable=on,target=native", "-kernel", str(program)),
     )
-    steps, ticks, worst, missed = (int(word) for word in said.split())
+    steps, ticks, worst, missed = (int(word) for word in output.split())
     assert steps >= 4000
     assert missed == 0
     instructions = ticks / steps / CORE_Hz / INSTRUCTION_s
@@ -76,8 +77,8 @@ def test_the_interrupt_of_20_khz_has_time_to_spare_on_an_emulated_chip(folder):
 
 
 def test_the_program_for_the_chip_builds_without_a_warning_and_fits(folder):
-    program = built(folder, specs="nosys.specs")
-    size = run(found("arm-none-eabi-size"), str(program)).splitlines()[1].split()
+    program = build_program(folder, specs="nosys.specs")
+    size = run(require_tool("arm-none-eabi-size"), str(program)).splitlines()[1].split()
     assert int(size[0]) + int(size[1]) < 64 * 1024
     assert int(size[2]) < 16 * 1024
 
@@ -92,18 +93,18 @@ def test_the_program_for_the_chip_builds_without_a_warning_and_fits(folder):
 def test_the_examples_refuse_the_axis_of_a_tip(example, language, axis, tmp_path):
     write_files(tmp_path, bundle(three_axes()))
     (tmp_path / "Arduino.h").write_text(ARDUINO)
-    compiler = found("c++", "g++") if language == "c++" else found("cc", "gcc", "clang")
+    compiler = (
+        require_tool("c++", "g++") if language == "c++" else require_tool("cc", "gcc", "clang")
+    )
     command = [compiler, "-w", "-fsyntax-only", "-DPZ_REAL_FLOAT", f"-I{tmp_path}", "-x", language]
     if language == "c++":
         command[1:1] = ["-include", "Arduino.h"]
     text = (EXAMPLES / example).read_text()
     for content, is_refused in ((text, False), (text.replace(*axis), True)):
         (tmp_path / "example").write_text(content)
-        done = subprocess.run(
-            [*command, str(tmp_path / "example")], capture_output=True, text=True, check=False
-        )
-        assert (done.returncode != 0) is is_refused, done.stderr
-        assert ("for X and Y only" in done.stderr) is is_refused
+        result = attempt(*command, str(tmp_path / "example"))
+        assert (result.returncode != 0) is is_refused, result.stderr
+        assert ("for X and Y only" in result.stderr) is is_refused
 
 
 @pytest.mark.parametrize("example", ["stm32f405/main.c", "arduino/piezoid.ino"])
@@ -119,21 +120,15 @@ def test_the_examples_saturate_a_voltage_beyond_their_converter(example, tmp_pat
         '    for (double v : volts) std::printf("%d ", (int)drive_code((pz_real)v));\n}\n'
     )
     program = str(tmp_path / "codes")
-    run(found("c++", "g++"), f"-I{SOURCE}", str(tmp_path / "codes.cpp"), "-o", program)
+    run(require_tool("c++", "g++"), f"-I{SOURCE}", str(tmp_path / "codes.cpp"), "-o", program)
     assert run(program).split() == ["0", "0", "0", "2048", "4095", "4095", "4095", "4095"]
 
 
 def test_the_sketch_is_sound_against_the_declarations_it_uses(folder):
-    compiler = found("arm-none-eabi-g++")
+    compiler = require_tool("arm-none-eabi-g++")
     (folder / "bundle" / "Arduino.h").write_text(ARDUINO)
-    said = subprocess.run(
-        [
-            *(compiler, "-std=gnu++17", *FLAGS, "-Wno-missing-field-initializers", *CORE),
-            *("-fsyntax-only", "-include", "Arduino.h", "-I", str(folder / "bundle")),
-            *("-x", "c++", str(EXAMPLES / "arduino" / "piezoid.ino")),
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
+    run(
+        *(compiler, "-std=gnu++17", *FLAGS, "-Wno-missing-field-initializers", *CORE),
+        *("-fsyntax-only", "-include", "Arduino.h", "-I", str(folder / "bundle")),
+        *("-x", "c++", str(EXAMPLES / "arduino" / "piezoid.ino")),
     )
-    assert said.returncode == 0, said.stderr

@@ -1,4 +1,4 @@
-"""The one table: compared with the C, loop by loop."""
+"""The table of parameters agrees with the C sources and refuses invalid values."""
 
 import ctypes
 import re
@@ -15,7 +15,7 @@ from piezoid.runtime import schema
 from piezoid.runtime.controller import Status
 from piezoid.runtime.library import compare_layout, complete, library
 from piezoid.runtime.schema import METHODS, PARAMETERS
-from tests.runtime.compiler import SOURCE, found, run
+from tests.runtime.compiler import SOURCE, require_tool, run
 from tests.runtime.observer_design import observer_parameters
 from tests.runtime.runtime_parameters import WIDE, WORKED, hysteresis, tunnelling
 
@@ -27,53 +27,53 @@ CREEP = {"relaxation_count": 1, "relaxation_rate": [0.1], "relaxation_share": [0
 LATERAL = {**hysteresis(WORKED), **observer_parameters(), **CREEP, "method": "mpi_dob"}
 
 
-def refused(given, precision="double"):
-    """The name the runtime answers with, checks in Python passed by."""
-    opened = library(precision)
-    packed = opened.parameters()
+def refused_name(values, precision="double"):
+    """Return the name of the parameter that the C check refuses, or None."""
+    runtime = library(precision)
+    packed = runtime.parameters()
     for parameter in PARAMETERS:
-        value = padded(parameter, given.get(parameter.name, parameter.default))
+        value = padded(parameter, values.get(parameter.name, parameter.default))
         if parameter.shape:
             np.ctypeslib.as_array(getattr(packed, parameter.name))[...] = value
         else:
             number = int(value) if parameter.kind == "integer" else float(value)
             setattr(packed, parameter.name, number)
-    opened.seal(packed)
-    place = opened.code.pz_check(ctypes.byref(packed))
+    runtime.seal(packed)
+    index = runtime.code.pz_check(ctypes.byref(packed))
     names = {number: name for name, number in schema.INDEX.items()}
-    return names[place] if place else None
+    return names[index] if index else None
 
 
 def padded(parameter, value):
     if not parameter.shape:
         return np.asarray(METHODS.index(value) if isinstance(value, str) else value, float)
-    full, value = np.zeros(parameter.shape), np.asarray(value, float)
+    array, value = np.zeros(parameter.shape), np.asarray(value, float)
     if value.ndim:
-        full[tuple(slice(n) for n in value.shape)] = value
-    return full
+        array[tuple(slice(n) for n in value.shape)] = value
+    return array
 
 
 @pytest.mark.parametrize("precision", ["double", "float"])
-@pytest.mark.parametrize("given", [LATERAL, tunnelling()])
-def test_good_parameters_are_usable(given, precision):
-    assert refused(given, precision) is None
-    library(precision).pack(complete(given))
+@pytest.mark.parametrize("values", [LATERAL, tunnelling()])
+def test_valid_parameters_are_accepted(values, precision):
+    assert refused_name(values, precision) is None
+    library(precision).pack(complete(values))
 
 
-@pytest.mark.parametrize("given", [LATERAL, tunnelling()])
+@pytest.mark.parametrize("values", [LATERAL, tunnelling()])
 @pytest.mark.parametrize("parameter", [p for p in PARAMETERS if p.name not in SEALED], ids=str)
-def test_every_parameter_out_of_its_bounds_is_named(parameter, given):
-    """Both ends; every element of an array; NaN too."""
+def test_every_parameter_out_of_its_bounds_is_named(parameter, values):
+    """Both bounds, the first and last element of an array, and NaN are checked."""
     beyond = [parameter.lower - 1.0, parameter.upper + max(1.0, abs(parameter.upper) * 1e-6)]
-    places = {0, parameter.count - 1}
+    indices = {0, parameter.count - 1}
     for value in beyond if parameter.kind == "integer" else [*beyond, np.nan]:
-        for place in places:
-            array = padded(parameter, given.get(parameter.name, parameter.default)).copy()
-            array.ravel()[place] = value
-            bad = {**given, parameter.name: array}
-            assert refused(bad) == parameter.name
+        for index in indices:
+            array = padded(parameter, values.get(parameter.name, parameter.default)).copy()
+            array.ravel()[index] = value
+            changed = {**values, parameter.name: array}
+            assert refused_name(changed) == parameter.name
             with pytest.raises(ParameterFileError, match=parameter.name):
-                complete(bad)
+                complete(changed)
 
 
 BAD = {
@@ -121,39 +121,39 @@ BAD_RST = {
 
 
 @pytest.mark.parametrize(
-    ("good", "bad"),
+    ("values", "bad"),
     [*((LATERAL, bad) for bad in BAD.items()), *((tunnelling(), bad) for bad in BAD_RST.items())],
 )
-def test_inconsistent_parameters_are_named(good, bad):
+def test_inconsistent_parameters_are_named(values, bad):
     name, change = bad
-    assert refused({**good, **change}) == name
+    assert refused_name({**values, **change}) == name
     with pytest.raises(ParameterFileError, match=name):
-        library().pack(complete({**good, **change}))
+        library().pack(complete({**values, **change}))
 
 
 @pytest.mark.parametrize("precision", ["double", "float"])
 def test_every_changed_bit_of_the_packed_parameters_is_refused(precision):
-    opened = library(precision)
-    packed = opened.pack(complete(LATERAL))
+    runtime = library(precision)
+    packed = runtime.pack(complete(LATERAL))
     content = np.frombuffer(packed, dtype=np.uint8)
-    for place in range(0, len(content), 7):
-        content[place] ^= 1 << (place % 8)
-        assert opened.code.pz_check(ctypes.byref(packed)) in (1, 2, 3)
-        content[place] ^= 1 << (place % 8)
-    assert opened.code.pz_check(ctypes.byref(packed)) == 0
+    for index in range(0, len(content), 7):
+        content[index] ^= 1 << (index % 8)
+        assert runtime.code.pz_check(ctypes.byref(packed)) in (1, 2, 3)
+        content[index] ^= 1 << (index % 8)
+    assert runtime.code.pz_check(ctypes.byref(packed)) == 0
 
 
 def test_the_checksum_is_the_common_crc_of_everything_behind_it():
     import zlib
 
-    opened = library()
-    packed = opened.pack(complete(LATERAL))
-    behind = bytes(packed)[opened.parameters.method.offset :]
-    assert packed.checksum == zlib.crc32(behind)
+    runtime = library()
+    packed = runtime.pack(complete(LATERAL))
+    content = bytes(packed)[runtime.parameters.method.offset :]
+    assert packed.checksum == zlib.crc32(content)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("REAL(lsb_V, 0, 1e3)", "REAL(lsb_V, 0, 5)", "another layout: line"),
         ("index < PZ_PARAMETER_END", "index <= PZ_PARAMETER_END", "length of the parameter table"),
@@ -161,18 +161,18 @@ def test_the_checksum_is_the_common_crc_of_everything_behind_it():
     ],
     ids=["another bound", "a member more", "a member less"],
 )
-def test_a_library_of_another_table_is_refused(old, new, said, tmp_path):
-    """What somebody compiled from a source that is not this schema's."""
+def test_a_library_of_another_table_is_refused(old, new, message, tmp_path):
+    """The library is compiled from a source with another schema."""
     source = (SOURCE / "piezoid_runtime.c").read_text()
     assert old in source
     (tmp_path / "runtime.c").write_text(source.replace(old, new))
     sources = ("runtime.c", str(SOURCE / "run_many.c"))
     shared = ("-shared", "-fPIC", f"-I{SOURCE}", *sources, "-o", "runtime.so")
-    run(found("cc", "gcc", "clang"), *shared, cwd=tmp_path)
+    run(require_tool("cc", "gcc", "clang"), *shared, cwd=tmp_path)
     code = ctypes.CDLL(str(tmp_path / "runtime.so"))
     for name in ("pz_describe", "pz_size_of_real"):
         getattr(code, name).restype = getattr(library().code, name).restype
-    with pytest.raises(RuntimeLibraryError, match=said):
+    with pytest.raises(RuntimeLibraryError, match=message):
         compare_layout(replace(library(), code=code))
 
 
@@ -182,7 +182,7 @@ def test_sizes_methods_and_status_bits_are_those_of_the_header():
     assert f"#define PZ_SCHEMA_VERSION {schema.VERSION}\n" in HEADER
     methods = re.findall(r"PZ_METHOD_(\w+) = (\d+)", HEADER)
     assert [(name.lower(), int(value)) for name, value in methods] == [
-        (name, place) for place, name in enumerate(METHODS)
+        (name, index) for index, name in enumerate(METHODS)
     ]
     bits = re.findall(r"PZ_STATUS_(\w+) = (\d+)", HEADER)
     assert {name: int(value) for name, value in bits} == {s.name: s.value for s in Status}
@@ -203,14 +203,11 @@ def test_values_outside_of_the_table_are_refused(change, message):
         complete({**WIDE, **change})
 
 
-def test_a_negative_zero_is_a_zero():
-    """What is not written into a file is read as 0, so nothing else may be 0 differently."""
+def test_values_have_a_single_zero_and_are_read_only():
+    """A value missing in a file is read as 0, so there is only one zero."""
     values = complete({**WIDE, "voltage_offset_V": -0.0, "knot_m": [-1.0, -0.0]})
     assert not np.signbit(values["voltage_offset_V"])
     assert not np.signbit(values["knot_m"][1])
-
-
-def test_one_number_fills_all_places_and_nobody_writes_into_them():
     values = complete({**WIDE, "knot_m": 1.5, "play_memory_V": 1.0})
     assert (values["knot_m"] == 1.5).all()
     assert (values["play_memory_V"] == 1.0).all()
@@ -220,11 +217,8 @@ def test_one_number_fills_all_places_and_nobody_writes_into_them():
         assert not numbers.flags.writeable, name
 
 
-def test_a_library_of_the_other_precision_is_refused():
+def test_a_library_of_another_precision_or_without_code_is_refused():
     with pytest.raises(RuntimeLibraryError, match="size of pz_real is 4"):
         compare_layout(replace(library("float"), real=ctypes.c_double))
-
-
-def test_a_runtime_that_was_never_compiled_is_asked_for():
     with pytest.raises(RuntimeLibraryError, match="does not contain the compiled module"):
         compiled.opened("piezoid.runtime._never_compiled", {})

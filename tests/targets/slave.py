@@ -1,4 +1,4 @@
-"""One co-simulation unit in FMPy, stepped by its master."""
+"""A co-simulation unit in FMPy."""
 
 import pytest
 
@@ -8,14 +8,14 @@ INTEGERS = ("noise_seed", "status")
 
 
 class Slave:
-    """One unit; its master steps ``samples`` periods at once, and sums up the time."""
+    """A unit whose master steps ``samples`` periods at once and sums up the time."""
 
-    def __init__(self, place, folder, *, samples=1, **start):
+    def __init__(self, path, folder, *, samples=1, **start):
         fmpy = pytest.importorskip("fmpy")
-        described = fmpy.read_model_description(str(place))
-        self.at = {v.name: v.valueReference for v in described.modelVariables}
-        unzipped = fmpy.extract(str(place), str(folder / place.stem))
-        self.slave = fmpy.instantiate_fmu(unzipped, described, fmi_type="CoSimulation")
+        description = fmpy.read_model_description(str(path))
+        self.references = {v.name: v.valueReference for v in description.modelVariables}
+        unzipped = fmpy.extract(str(path), str(folder / path.stem))
+        self.slave = fmpy.instantiate_fmu(unzipped, description, fmi_type="CoSimulation")
         for name, value in start.items():
             self.put(name, value)
         self.slave.setupExperiment(startTime=0.0)
@@ -25,13 +25,13 @@ class Slave:
 
     def put(self, name, value):
         if name in INTEGERS:
-            self.slave.setInteger([self.at[name]], [value])
+            self.slave.setInteger([self.references[name]], [value])
         else:
-            self.slave.setReal([self.at[name]], [float(value)])
+            self.slave.setReal([self.references[name]], [float(value)])
 
     def get(self, name):
         read = self.slave.getInteger if name in INTEGERS else self.slave.getReal
-        return read([self.at[name]])[0]
+        return read([self.references[name]])[0]
 
     def step(self):
         self.slave.doStep(currentCommunicationPoint=self.now_s, communicationStepSize=self.step_s)

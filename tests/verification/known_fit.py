@@ -1,4 +1,4 @@
-"""A model known by heart with an amplifier, a sensor, and a tip: nothing is fitted for a test."""
+"""A constructed model with an amplifier, a sensor and a tip, so that no test fits it."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def fitted():
 
 
 def junction_model(ratios=(1.0, 0.8, 1.25)):
-    loop = loop_plant(ratios=ratios, others=())
+    loop = loop_plant(ratios=ratios, further_members=())
     return replace(fitted(), tunnelling=TunnellingModel(gap_law=None, loop_plant=loop))
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks.varied_chains import Chain, plant_from_chain
+from benchmarks.varied_chains import plant_from_chain
 from piezoid.design.plant import Section
 from piezoid.export.export_stage import observer_values
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
@@ -12,6 +12,7 @@ from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlins
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction
 from tests.design.placed import place_observer
+from tests.design.rig import lateral_chain
 from tests.runtime.observer_design import poles
 from tests.runtime.runtime_parameters import tunnelling
 
@@ -44,6 +45,12 @@ WATCH = {
 }
 
 
+def swing(samples=2000, amplitude_m=2e-5, frequency_Hz=20.0):
+    """Return a sine whose amplitude grows linearly from zero."""
+    k = np.arange(samples)
+    return amplitude_m * np.sin(2 * np.pi * frequency_Hz * k / RATE_Hz) * k / samples
+
+
 def operator(weight_factor=1.0, offset_V=0.0):
     weight = GAIN_m_per_V * np.array([0.72, 0.12, 0.08, 0.06, 0.04])
     weight[1:] *= weight_factor
@@ -56,17 +63,17 @@ def operator(weight_factor=1.0, offset_V=0.0):
     )
 
 
-def lateral(axis="x", *, weight_factor=1.05, noise_rms=1e-9, **others):
-    """The plant of one lateral axis; its plays are 5 % other than those the controller knows."""
-    given = {
+def lateral(axis="x", *, weight_factor=1.05, noise_rms=1e-9, **overrides):
+    """Return the plant of a lateral axis; its play weights differ by 5 % from the controller's."""
+    values = {
         "response": Hysteresis(operator=operator(weight_factor)),
         "front": (first_order(AMPLIFIER.frequency_Hz),),
         "measured": resonance(MODE.frequency_Hz, MODE.damping),
         "sensor": (first_order(SENSOR.frequency_Hz),),
-        **others,
+        **overrides,
     }
     return AxisPlant(
-        axis=axis, label="identified", sampling_rate_Hz=RATE_Hz, noise_rms=noise_rms, **given
+        axis=axis, label="identified", sampling_rate_Hz=RATE_Hz, noise_rms=noise_rms, **values
     )
 
 
@@ -86,15 +93,8 @@ def junction(gain=NEPERS_PER_V):
 
 
 def lateral_parameters(axis="x"):
-    chain = Chain(
-        label="model",
-        sampling_rate_Hz=RATE_Hz,
-        gain=GAIN_m_per_V,
-        output_unit="m",
-        sections=(AMPLIFIER, MODE, SENSOR),
-    )
     observer = place_observer(
-        plant_from_chain(chain),
+        plant_from_chain(lateral_chain(GAIN_m_per_V)),
         feedback_poles=np.r_[poles(630, 0.9), poles([4e3, 8.5e3])],
         observer_poles=np.r_[poles(1200, 0.8), poles([800, 4200, 8600])],
     )
@@ -118,12 +118,12 @@ def lateral_parameters(axis="x"):
         "knot_m": model.dead_zones.threshold,
         "knot_weight": model.dead_zones.weight,
     }
-    shipped, *others = [{**common, "method": m} for m in ("mpi_dob", "dob", "mpi", "none")]
-    return AxisParameters(axis=axis, values=shipped, alternatives=tuple(others))
+    values, *alternatives = [{**common, "method": m} for m in ("mpi_dob", "dob", "mpi", "none")]
+    return AxisParameters(axis=axis, values=values, alternatives=tuple(alternatives))
 
 
 def stage(*axes):
-    known = {
+    makers = {
         "x": lateral_parameters,
         "y": lambda: lateral_parameters("y"),
         "z": lambda: AxisParameters(
@@ -133,8 +133,8 @@ def stage(*axes):
             ),
         ),
     }
-    chosen = axes or ("x", "y", "z")
-    return ParameterFile(name="stage 42", axes=tuple(known[name]() for name in chosen))
+    names = axes or ("x", "y", "z")
+    return ParameterFile(name="stage 42", axes=tuple(makers[name]() for name in names))
 
 
 PLANTS = (lateral("x"), lateral("y"), junction())

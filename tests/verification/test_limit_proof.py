@@ -1,4 +1,4 @@
-"""Proofs of the shipped C: what ships is proved, what is broken or not analysed never is."""
+"""Proofs of the shipped C: correct code is proved, broken or unanalysed code is not."""
 
 import shutil
 from dataclasses import replace
@@ -29,18 +29,18 @@ def tool():
 
 
 @pytest.mark.usefixtures("tool")
-def test_the_tip_is_proved_and_a_limit_left_out_is_refused_with_its_place():
+def test_the_tip_is_proved_and_a_missing_limit_raises_an_alarm():
     file = stage("z")
-    held = bundle(file)
-    whole = prove_axis(held, file.axes[0], 0, "float")
-    assert (whole.verdict, whole.alarms) == ("proved", ())
-    assert whole.tool.startswith("Frama-C")
-    assert any("inside the limits" in claim for claim in whole.claims)
-    wanted = "clamp(wanted, p->voltage_minimum_V, p->voltage_maximum_V)"
-    made = broken(held[SOURCE].decode(), ("convert", wanted, "wanted"))
-    refused = prove_axis({**held, SOURCE: made.encode()}, file.axes[0], 0, "float")
-    assert not refused.passed
-    assert any("to_code" in alarm for alarm in refused.alarms)
+    files = bundle(file)
+    proof = prove_axis(files, file.axes[0], 0, "float")
+    assert (proof.verdict, proof.alarms) == ("proved", ())
+    assert proof.tool.startswith("Frama-C")
+    assert any("inside the limits" in claim for claim in proof.claims)
+    clamp = "clamp(wanted, p->voltage_minimum_V, p->voltage_maximum_V)"
+    source = broken(files[SOURCE].decode(), ("convert", clamp, "wanted"))
+    disproof = prove_axis({**files, SOURCE: source.encode()}, file.axes[0], 0, "float")
+    assert not disproof.passed
+    assert any("to_code" in alarm for alarm in disproof.alarms)
 
 
 @pytest.mark.usefixtures("tool")
@@ -52,35 +52,35 @@ def test_an_axis_of_plays_behind_functions_is_proved():
     values = dict(file.axes[0].values) | {"knot_count": 0, "envelope_count": 0}
     values |= function_values(straight.with_rises(rise_m)) | {"play_memory_V": np.zeros(6)}
     axis = replace(file.axes[0], values=values)
-    held = bundle(replace(file, axes=(axis, *file.axes[1:])))
-    found = prove_axis(held, axis, 0, "float")
-    assert (found.verdict, found.alarms) == ("proved", ())
+    files = bundle(replace(file, axes=(axis, *file.axes[1:])))
+    proof = prove_axis(files, axis, 0, "float")
+    assert (proof.verdict, proof.alarms) == ("proved", ())
 
 
 @pytest.mark.usefixtures("tool")
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("pz_real pz_step_feedforward(", "pz_real pz_stop(", "no body of pz_step_feedforward"),
         ("    state->ready = READY;", "    while (1) {\n    }", "never reached"),
         ("#include <float.h>", "#error broken", "ended with"),
     ],
 )
-def test_what_is_not_analysed_to_its_end_is_never_proved(old, new, said):
+def test_an_incomplete_analysis_is_no_proof(old, new, message):
     file = stage("z")
     source = runtime_source(SOURCE).decode().replace(old, new)
-    found = prove_axis({**bundle(file), SOURCE: source.encode()}, file.axes[0], 0, "double")
-    assert not found.is_proved
-    assert not found.passed
-    assert said in found.verdict
+    proof = prove_axis({**bundle(file), SOURCE: source.encode()}, file.axes[0], 0, "double")
+    assert not proof.is_proved
+    assert not proof.passed
+    assert message in proof.verdict
 
 
 @pytest.mark.usefixtures("tool")
-def test_a_proof_that_takes_too_long_says_so():
+def test_a_proof_beyond_its_time_limit_fails():
     file = stage("z")
-    found = prove_axis(bundle(file), file.axes[0], 0, "double", limit_s=0.01)
-    assert found.verdict == "not proved: stopped after 0.01 s"
-    assert not found.passed
+    proof = prove_axis(bundle(file), file.axes[0], 0, "double", limit_s=0.01)
+    assert proof.verdict == "not proved: stopped after 0.01 s"
+    assert not proof.passed
 
 
 def test_without_the_tool_nothing_is_claimed_and_nothing_fails(monkeypatch, tmp_path):
@@ -99,18 +99,15 @@ def test_an_edited_bundle_is_not_proved():
         prove(stage("x"), {})
 
 
-def test_an_alarm_fails_the_verification_and_stands_in_its_file():
+def test_an_alarm_fails_the_verification_and_is_in_its_file():
     alarmed = replace(PROVED, alarms=(ALARM,))
-    for given, passed in ((PROVED, True), (alarmed, False)):
-        found = verify(stage("x"), PLANTS[:1], scenarios=(), limit_proofs=[given])
-        assert found.passed is passed
-        read = verification_from_json(found.to_json())
-        assert read.limit_proofs == (given,)
+    for proof, passed in ((PROVED, True), (alarmed, False)):
+        verification = verify(stage("x"), PLANTS[:1], scenarios=(), limit_proofs=[proof])
+        assert verification.passed is passed
+        read = verification_from_json(verification.to_json())
+        assert read.limit_proofs == (proof,)
     assert alarmed.verdict == "not proved: 1 alarm"
     assert PROVED.verdict == "proved"
-
-
-def test_a_proof_of_nothing_is_none():
     assert not replace(PROVED, claims=()).is_proved
 
 

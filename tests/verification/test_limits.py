@@ -1,4 +1,4 @@
-"""Limits come from a file, by the names under which they are judged."""
+"""Limits of the verification come from a file, by name."""
 
 import pytest
 
@@ -6,20 +6,17 @@ from piezoid.errors import LabFileError
 from piezoid.verification.criteria import Limits, limits_from_toml
 
 
-def test_a_limit_that_is_written_replaces_the_default_and_no_other() -> None:
-    found = limits_from_toml("aligned_percent = 0.25\njudged_Hz = 20\n")
-    assert (found.aligned_percent, found.judged_Hz) == (0.25, 20.0)
-    assert found.settling_s == Limits().settling_s
-
-
-def test_every_limit_can_be_written() -> None:
+def test_written_limits_replace_the_defaults():
+    limits = limits_from_toml("aligned_percent = 0.25\njudged_Hz = 20\n")
+    assert (limits.aligned_percent, limits.judged_Hz) == (0.25, 20.0)
+    assert limits.settling_s == Limits().settling_s
     names = Limits.__struct_fields__
     text = "\n".join(f"{name} = 0.125" for name in names)
     assert limits_from_toml(text) == Limits(**dict.fromkeys(names, 0.125))
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("aligned = 1", "Object contains unknown field `aligned`"),
         ("settling_s = nan", "Expected `float` > 0.*settling_s"),
@@ -30,6 +27,6 @@ def test_every_limit_can_be_written() -> None:
         ("settling_s = ", "not TOML"),
     ],
 )
-def test_a_limit_nobody_can_judge_by_is_refused_where_it_stands(text: str, said: str) -> None:
-    with pytest.raises(LabFileError, match=rf"mine\.toml: {said}"):
+def test_an_invalid_limit_is_refused_by_name(text, message):
+    with pytest.raises(LabFileError, match=rf"mine\.toml: {message}"):
         limits_from_toml(text, "mine.toml")

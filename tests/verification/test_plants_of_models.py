@@ -1,4 +1,4 @@
-"""The plant a controller is verified against: the model's own, its neighbours, the tip's loop."""
+"""Plants of the verification: the identified plant, its variations, and the loop of a tip."""
 
 from dataclasses import replace
 from functools import cache
@@ -38,12 +38,12 @@ def test_the_plant_has_the_noise_rest_poles_and_delay_of_the_model():
     assert plant.measured is not None
     assert -plant.measured.A[0, 0] == pytest.approx(1.0 / 2.5e-4)
     assert [-s.A[0, 0] for s in plant.sensor] == [pytest.approx(2.0 * np.pi * 8.5e3)]
-    late = replace(model, lag=Lag(kind="delay", time_s=3e-5))
-    assert lateral_plant(late, sampling_rate_Hz=RATE_Hz).delay_s == 3e-5
+    delayed = replace(model, lag=Lag(kind="delay", time_s=3e-5))
+    assert lateral_plant(delayed, sampling_rate_Hz=RATE_Hz).delay_s == 3e-5
 
 
 def test_plays_behind_functions_answer_in_the_plant_as_their_operator_does(rng):
-    """After turning points, between edges and beyond the outermost, against a custom response."""
+    """The path turns and passes the outermost edges; a custom response is the reference."""
     edge_V = np.linspace(-6.0, 6.0, 7)
     straight = PreisachPlays(step_V=1.0, edge_V=edge_V, value_m=np.tile(1e-6 * edge_V, (6, 1)))
     operator = straight.with_rises(rng.uniform(1e-7, 2e-6, (6, 6)))
@@ -58,11 +58,11 @@ def test_plays_behind_functions_answer_in_the_plant_as_their_operator_does(rng):
 
         return respond
 
-    quiet = replace(lateral_plant(fitted()["x"], sampling_rate_Hz=RATE_Hz), noise_rms=0.0)
+    noiseless = replace(lateral_plant(fitted()["x"], sampling_rate_Hz=RATE_Hz), noise_rms=0.0)
     path = 3e-5 * np.cumsum(rng.standard_normal(2000)) / 20.0
     runs = [
         run_axis(
-            replace(quiet, response=response),
+            replace(noiseless, response=response),
             stage("x").axis("x").for_method("none"),
             path,
             rng=np.random.default_rng(0),
@@ -76,19 +76,19 @@ def test_plays_behind_functions_answer_in_the_plant_as_their_operator_does(rng):
     np.testing.assert_allclose(runs[0].position, runs[1].position, rtol=0.0, atol=1e-18)
 
 
-def test_drawn_plants_differ_and_stay_near_the_identified_one(rng):
+def test_varied_plants_differ_and_stay_near_the_identified_plant(rng):
     model = fitted()["x"]
     plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
-    drawn = varied_plants(plant, model, count=5, rng=rng)
-    assert len({p.label for p in drawn}) == 5
+    plants = varied_plants(plant, model, count=5, rng=rng)
+    assert len({p.label for p in plants}) == 5
     gains = []
-    for other in drawn:
-        assert isinstance(other.response, Hysteresis)
-        moved, _ = other.response.operator.run(
-            np.array([5.0, 10.0]), other.response.operator.virgin_memory()
+    for variation in plants:
+        assert isinstance(variation.response, Hysteresis)
+        displacement_m, _ = variation.response.operator.run(
+            np.array([5.0, 10.0]), variation.response.operator.virgin_memory()
         )
-        gains.append(np.ptp(moved))
-        factor = -other.front[0].A[0, 0] / (2.0 * np.pi * 4e3)
+        gains.append(np.ptp(displacement_m))
+        factor = -variation.front[0].A[0, 0] / (2.0 * np.pi * 4e3)
         assert 0.9 <= factor <= 1.1
     assert np.ptp(gains) > 0
     # one percent of each parameter; a handful of them add up
@@ -100,28 +100,28 @@ def test_a_tip_is_not_verified_against_a_model_that_has_none():
         verify_stage(stage("z"), fitted())
 
 
-def test_identified_dynamics_stand_in_the_plant_with_the_operators_gain(rng):
-    """What they say of the sensor is behind the position, all else in front of it."""
-    known = truth()
-    model = replace(fitted()["x"], dynamics=known)
+def test_the_plant_has_the_identified_dynamics_and_the_gain_of_its_operator(rng):
+    """The sensor poles act behind the position, all other dynamics in front of it."""
+    dynamics = truth()
+    model = replace(fitted()["x"], dynamics=dynamics)
     plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
     frequency_Hz = np.array([1.0, 100.0, 630.0, 2000.0])
-    late = np.exp(-2j * np.pi * frequency_Hz * known.delay_s)
-    found = plant.measured.response(frequency_Hz)[:, 0, 0] * late
+    delay = np.exp(-2j * np.pi * frequency_Hz * dynamics.delay_s)
+    response = plant.measured.response(frequency_Hz)[:, 0, 0] * delay
     for sensor in plant.sensor:
-        found = found * sensor.response(frequency_Hz)[:, 0, 0]
-    relative = known.response(frequency_Hz) / known.static_gain_m_per_V
-    named = [f.frequency_Hz for f in known.declared if f.name == "sensor"]
-    for pole_Hz in named:
-        relative = relative * (1.0 + 1j * frequency_Hz / pole_Hz)
+        response = response * sensor.response(frequency_Hz)[:, 0, 0]
+    expected = dynamics.response(frequency_Hz) / dynamics.static_gain_m_per_V
+    poles_Hz = [f.frequency_Hz for f in dynamics.declared if f.name == "sensor"]
+    for pole_Hz in poles_Hz:
+        expected = expected * (1.0 + 1j * frequency_Hz / pole_Hz)
     for sensor in plant.sensor:
-        relative = relative * sensor.response(frequency_Hz)[:, 0, 0]
-    assert found == pytest.approx(relative)
-    assert plant.delay_s == known.delay_s
+        expected = expected * sensor.response(frequency_Hz)[:, 0, 0]
+    assert response == pytest.approx(expected)
+    assert plant.delay_s == dynamics.delay_s
     depoled = replace(plant, response=replace(plant.response, history_V=()))
     settled = run_axis(depoled, shipped("none"), np.full(4000, 1e-5), rng=rng)
-    moved, _ = model.hysteresis.run(settled.voltage_V[-1:], model.virgin_memory_V)
-    assert settled.position[-1] == pytest.approx(moved[0], rel=1e-3)
+    displacement_m, _ = model.hysteresis.run(settled.voltage_V[-1:], model.virgin_memory_V)
+    assert settled.position[-1] == pytest.approx(displacement_m[0], rel=1e-3)
 
 
 RINGS = DriveMode(frequency_Hz=3e3, quality=30.0, share=0.8)
@@ -133,10 +133,10 @@ ONE_BARRIER = Lab(
 
 @cache
 def ringing(*modes):
-    """The known junction, its drive with a mode that the loop's identification found."""
-    known = junction_model()
-    loop = replace(known.tunnelling.loop_plant, modes=modes)
-    return replace(known, tunnelling=replace(known.tunnelling, loop_plant=loop))
+    """Return the known junction with modes in its drive."""
+    model = junction_model()
+    loop = replace(model.tunnelling.loop_plant, modes=modes)
+    return replace(model, tunnelling=replace(model.tunnelling, loop_plant=loop))
 
 
 @cache
@@ -146,23 +146,20 @@ def controller_for(*modes):
     return export_stage(model, design, design_digest=DIGEST, lab=ONE_BARRIER).axis("z")
 
 
-def unrest(axis, rng):
-    """The scatter of ln i behind a drive that rings, over the last tenth of a second."""
+def log_current_std(axis, rng):
+    """Return the standard deviation of ln i with a ringing drive, over the last 0.1 s."""
     loop = ringing(RINGS).tunnelling.loop_plant
     plant = junction_axis_plant(
         loop.plant, set_point_A=1e-9, decay_per_m=1e10, noise_rms_A=1e-12, modes=loop.modes
     )
-    found = run_axis(plant, axis, np.full(6000, 1e-9), rng=rng)
-    return float(np.std(np.log(np.maximum(found.position[-2000:], 1e-15) / 1e-9)))
+    run = run_axis(plant, axis, np.full(6000, 1e-9), rng=rng)
+    return float(np.std(np.log(np.maximum(run.position[-2000:], 1e-15) / 1e-9)))
 
 
-def test_a_drive_that_rings_is_held_by_the_loop_that_knows_it_and_not_by_the_other(rng):
-    assert unrest(controller_for(RINGS), rng) < 0.05
-    assert unrest(controller_for(), rng) > 0.2
-
-
-def test_a_tip_is_verified_with_the_mode_of_its_drive():
-    unaware = controller_for()
-    file = ParameterFile(name="tip", axes=(unaware,))
+def test_only_the_loop_designed_with_the_drive_mode_is_quiet_and_passes(rng):
+    assert log_current_std(controller_for(RINGS), rng) < 0.05
+    assert log_current_std(controller_for(), rng) > 0.2
+    axis = controller_for()
+    file = ParameterFile(name="tip", axes=(axis,))
     assert verify_stage(file, ringing(), lab=ONE_BARRIER).passed
     assert not verify_stage(file, ringing(RINGS), lab=ONE_BARRIER).passed

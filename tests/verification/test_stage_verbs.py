@@ -1,4 +1,4 @@
-"""A user's way: a fitted and designed folder is exported, verified, tampered with."""
+"""Export and verify a fitted and designed folder, then change its files."""
 
 import json
 from dataclasses import replace
@@ -65,10 +65,10 @@ def folder(designed, tmp_path):
 
 @pytest.fixture(scope="module")
 def exported_once(designed, tmp_path_factory):
-    place = tmp_path_factory.mktemp("exported")
-    write_stage(place, fitted(), designed)
-    assert called("export", place).exit_code == 0
-    return place
+    folder = tmp_path_factory.mktemp("exported")
+    write_stage(folder, fitted(), designed)
+    succeed("export", folder)
+    return folder
 
 
 @pytest.fixture
@@ -76,85 +76,86 @@ def exported(exported_once, tmp_path):
     return Path(copytree(exported_once, tmp_path / "exported"))
 
 
-def called(*arguments):
+def run_verb(*arguments):
     return CliRunner().invoke(APP, [str(argument) for argument in arguments])
+
+
+def succeed(*arguments):
+    result = run_verb(*arguments)
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def refusal(*arguments):
+    error = run_verb(*arguments).exception
+    assert isinstance(error, ParameterFileError)
+    return str(error)
+
+
+def names_in(folder):
+    return {path.name for path in folder.iterdir()}
 
 
 def test_verbs_leave_objects_of_all_kinds_in_the_folder_as_they_are(folder, tmp_path):
     names = [f"{sub}/{kind}" for sub in ("", "bundle", "refused", "mine") for kind in KINDS]
     for name in names:
-        plant(kind=name.split("/")[1], place=folder / f"./{name}", beyond=tmp_path / "beyond")
-    before = [look(folder / f"./{name}") for name in (*names, "beyond")]
+        plant(kind=name.split("/")[1], path=folder / f"./{name}", beyond=tmp_path / "beyond")
+    original = [look(folder / f"./{name}") for name in (*names, "beyond")]
     for verb in ("export", "export", "verify"):
-        assert called(verb, folder).exit_code == 0
-        assert [look(folder / f"./{name}") for name in (*names, "beyond")] == before
+        succeed(verb, folder)
+        assert [look(folder / f"./{name}") for name in (*names, "beyond")] == original
     (folder / "bundle/golden.csv").write_text("my notes")
-    assert called("export", folder).exception.exit_status == 2
+    assert run_verb("export", folder).exception.exit_status == 2
     assert (folder / "bundle/golden.csv").read_text() == "my notes"
 
 
-def test_targets_come_beside_the_bundle_and_go_with_an_export_that_does_not_ask_for_them(folder):
-    done = called("export", folder, "--target", "library", "--target", "fmu", "--json")
-    assert done.exit_code == 0, done.output
-    listed = json.loads(done.stdout)
-    assert listed["schema"] == "piezoid.exported/1"
-    assert (listed["unshipped"], set(listed["methods"])) == ({}, {"x"})
-    assert {"params.json", "bundle/piezo_params.h", "library/example.py"} <= set(listed["files"])
-    assert all((folder / name).is_file() for name in listed["files"])
-    assert {path.name for path in (folder / "fmu").iterdir()} == {
-        "x_controller_fmi2.fmu",
-        "x_plant_fmi2.fmu",
-    }
-    plain = (folder / "bundle" / "piezo_params.h").read_bytes()
-    assert (folder / "library" / "piezo_params.h").read_bytes() == plain
-    assert called("export", folder).exit_code == 0
+def test_targets_are_written_and_removed_by_the_next_export_without_them(folder):
+    result = succeed("export", folder, "--target", "library", "--target", "fmu", "--json")
+    listing = json.loads(result.stdout)
+    assert listing["schema"] == "piezoid.exported/1"
+    assert (listing["unshipped"], set(listing["methods"])) == ({}, {"x"})
+    assert {"params.json", "bundle/piezo_params.h", "library/example.py"} <= set(listing["files"])
+    assert all((folder / name).is_file() for name in listing["files"])
+    assert names_in(folder / "fmu") == {"x_controller_fmi2.fmu", "x_plant_fmi2.fmu"}
+    header = (folder / "bundle" / "piezo_params.h").read_bytes()
+    assert (folder / "library" / "piezo_params.h").read_bytes() == header
+    succeed("export", folder)
     assert not (folder / "fmu").exists()
     assert not (folder / "library").exists()
 
 
-def test_boxes_get_their_files_and_the_terminal_says_what_they_lose(folder):
+def test_targets_of_boxes_are_written_with_their_expected_error(folder):
     (folder / "box.toml").write_text("[pid]\nnotches = 0\n[waveform]\nrange_V = [0, 10]\n")
     targets = ("--target", "pid", "--target", "waveform")
-    done = called("export", folder, *targets, "--box", folder / "box.toml")
-    assert done.exit_code == 0, done.output
-    said = " ".join(done.output.split())
-    assert "and no notch, a spiral of 10 Hz errs by" in said
-    assert "axis x: the expected error of the waveform is" in said
-    assert {path.name for path in (folder / "pid").iterdir()} == {
-        "README.md",
-        "sections.csv",
-        "settings.csv",
-    }
-    assert {path.name for path in (folder / "waveform").iterdir()} == {
-        "README.md",
-        "x.csv",
-        "x_int16.bin",
-    }
+    result = succeed("export", folder, *targets, "--box", folder / "box.toml")
+    output = " ".join(result.output.split())
+    assert "and no notch, a spiral of 10 Hz errs by" in output
+    assert "axis x: the expected error of the waveform is" in output
+    assert names_in(folder / "pid") == {"README.md", "sections.csv", "settings.csv"}
+    assert names_in(folder / "waveform") == {"README.md", "x.csv", "x_int16.bin"}
 
 
-def test_without_a_controller_that_ships_there_is_no_target(folder):
+def test_no_target_is_written_without_a_shipped_controller(folder):
     (folder / "lab.toml").write_text("[verification]\n" + TIGHT)
-    done = called("export", folder, "--target", "fmu")
-    assert done.exit_code == 1
-    assert "no target was written" in done.output
+    result = run_verb("export", folder, "--target", "fmu")
+    assert result.exit_code == 1
+    assert "no target was written" in result.output
     assert not (folder / "fmu").exists()
     assert not (folder / "bundle").exists()
 
 
 def test_an_unknown_target_is_refused_before_anything_is_written(folder):
-    done = called("export", folder, "--target", "simulink")
-    assert done.exit_code != 0
-    assert "no target 'simulink'" in str(done.exception)
-    assert called("verify", folder, "--target", "z80").exit_code == 2
+    result = run_verb("export", folder, "--target", "simulink")
+    assert result.exit_code != 0
+    assert "no target 'simulink'" in str(result.exception)
+    assert run_verb("verify", folder, "--target", "z80").exit_code == 2
     assert not (folder / "params.json").exists()
 
 
 def test_a_designed_folder_is_exported_and_verified(folder):
-    assert called("export", folder).exit_code == 0
-    names = {path.name for path in (folder / "bundle").iterdir()}
-    assert {"piezo_params.h", "piezoid_runtime.c", "golden.csv"} <= names
-    done = called("verify", folder, "--rebuild")
-    assert done.exit_code == 0, done.output
+    succeed("export", folder)
+    assert {"piezo_params.h", "piezoid_runtime.c", "golden.csv"} <= names_in(folder / "bundle")
+    succeed("verify", folder, "--rebuild")
     record = verification_from_json((folder / "verification.json").read_bytes())
     assert record.passed
     file = from_json((folder / "params.json").read_bytes(), "params.json")
@@ -166,69 +167,62 @@ def test_a_designed_folder_is_exported_and_verified(folder):
     assert (folder / "model.json").exists()
 
 
-def test_a_limit_of_a_file_or_of_the_lab_toml_fails_a_verification_which_is_still_written(
-    exported,
-):
-    first = (exported / "params.json").read_bytes()
+def test_a_verification_that_misses_a_limit_fails_and_is_written(exported):
+    parameters = (exported / "params.json").read_bytes()
     (exported / "limits.toml").write_text(TIGHT)
-    done = called("verify", exported, "--limits", exported / "limits.toml")
-    assert done.exit_code == 1
-    assert "allowed 0.0001" in done.output
+    result = run_verb("verify", exported, "--limits", exported / "limits.toml")
+    assert result.exit_code == 1
+    assert "allowed 0.0001" in result.output
     (exported / "lab.toml").write_text("[verification]\n" + TIGHT)
-    assert called("verify", exported).exit_code == 1
-    assert (exported / "params.json").read_bytes() == first
+    assert run_verb("verify", exported).exit_code == 1
+    assert (exported / "params.json").read_bytes() == parameters
     record = verification_from_json((exported / "verification.json").read_bytes())
     assert record.lab_digest == read_lab(exported / "lab.toml").digest
     assert not record.passed
 
 
-def test_a_guard_that_was_written_after_the_export_does_not_pass_unseen(folder, with_tip):
-    """1 uA instead of 9 nA: the tip would retract when it is in the surface."""
+def test_a_guard_changed_after_the_export_is_refused(folder, with_tip):
+    """Without the guard the tip would retract only after contact with the surface."""
     write_stage(folder, *with_tip[:2])
     (folder / "lab.toml").write_text(GUARDED)
-    assert called("export", folder).exit_code == 0
+    succeed("export", folder)
     shipped = from_json((folder / "params.json").read_bytes(), "params.json")
     assert shipped.sources["lab"] == read_lab(folder / "lab.toml").digest
     (folder / "lab.toml").write_text(GUARDED.replace("9e-9", "8e-9"))
-    done = called("verify", folder)
-    assert isinstance(done.exception, ParameterFileError)
-    assert "other guards than params.json was exported with" in str(done.exception)
-    assert called("export", folder).exit_code == 0
-    again = from_json((folder / "params.json").read_bytes(), "params.json")
-    assert again.sources["lab"] == read_lab(folder / "lab.toml").digest
-    assert float(again.axis("z").values["current_ceiling_A"]) == 8e-9
+    assert "other guards than params.json was exported with" in refusal("verify", folder)
+    succeed("export", folder)
+    renewed = from_json((folder / "params.json").read_bytes(), "params.json")
+    assert renewed.sources["lab"] == read_lab(folder / "lab.toml").digest
+    assert float(renewed.axis("z").values["current_ceiling_A"]) == 8e-9
     (folder / "lab.toml").write_text(GUARDED.replace("[-10, 10]", "[-5, 5]"))
-    done = called("export", folder)
-    assert isinstance(done.exception, ParameterFileError)
-    assert "piezoid design" in str(done.exception)
+    assert "piezoid design" in refusal("export", folder)
 
 
 @pytest.fixture(scope="module")
 def with_tip(designed, tmp_path_factory):
-    """The known stage and a tip: model, design and laboratory, X designed once for all tests."""
-    place = tmp_path_factory.mktemp("lab") / "lab.toml"
-    place.write_text(GUARDED)
+    """Return model, design and laboratory of the known stage with a tip."""
+    lab_file = tmp_path_factory.mktemp("lab") / "lab.toml"
+    lab_file.write_text(GUARDED)
     model = junction_model()
-    tip = replace(model, axes={})
-    found = design_stage(tip, model_digest="sha256:none", lab=read_lab(place))
+    tip_model = replace(model, axes={})
+    tip_design = design_stage(tip_model, model_digest="sha256:none", lab=read_lab(lab_file))
     digest = json.loads(write_model(model))["digest"]
-    axes = (*designed.axes, *found.axes)
-    return model, replace(found, axes=axes, model_digest=digest), read_lab(place)
+    axes = (*designed.axes, *tip_design.axes)
+    return model, replace(tip_design, axes=axes, model_digest=digest), read_lab(lab_file)
 
 
-def test_x_and_a_tip_over_a_rough_surface_go_to_a_verdict_by_the_verbs(folder, with_tip):
+def test_a_lateral_axis_and_a_tip_are_exported_and_verified(folder, with_tip):
     write_stage(folder, *with_tip[:2])
     (folder / "lab.toml").write_text(LAB_TOML)
-    partly = called("export", folder)
-    assert partly.exit_code == 1
-    assert "axis z does not ship" in partly.output
+    result = run_verb("export", folder)
+    assert result.exit_code == 1
+    assert "axis z does not ship" in result.output
     assert json.loads((folder / "params.json").read_bytes())["axes"][0]["axis"] == "x"
     assert b"Axis z is not included" in (folder / "bundle" / "README.md").read_bytes()
-    assert called("verify", folder).exit_code == 0
+    succeed("verify", folder)
     (folder / "lab.toml").write_text(GUARDED)
-    assert called("export", folder).exit_code == 0
-    done = called("verify", folder)
-    assert done.exit_code == 0, done.output
+    succeed("export", folder)
+    succeed("verify", folder)
     record = verification_from_json((folder / "verification.json").read_bytes())
     assert record.methods == {"x": "mpi_dob", "z": "rst"}
     current = {row.scenario: row for row in record.currents}["spiral, 10 Hz"]
@@ -237,7 +231,7 @@ def test_x_and_a_tip_over_a_rough_surface_go_to_a_verdict_by_the_verbs(folder, w
     assert {"gain x0.5, axis z", "gain x2, axis z"} <= set(record.plants)
 
 
-def test_a_stage_of_which_no_axis_can_ship_is_refused_with_the_line_to_write(with_tip, tmp_path):
+def test_a_stage_without_any_axis_to_ship_is_refused_with_the_line_to_write(with_tip, tmp_path):
     model, design, _ = with_tip
     unguarded = tmp_path / "lab.toml"
     unguarded.write_text(LAB_TOML)
@@ -257,65 +251,59 @@ def test_readings_come_in_steps_of_the_declared_converter(with_tip, rng):
     assert steps == pytest.approx(np.round(steps), abs=1e-6)
 
 
-def test_a_model_that_was_fitted_again_no_longer_fits(exported):
-    other = replace(fitted(), stage="another")
-    (exported / "model.json").write_bytes(write_model(other))
+def test_a_refitted_model_is_refused(exported):
+    refitted = replace(fitted(), stage="another")
+    (exported / "model.json").write_bytes(write_model(refitted))
     for verb in ("export", "verify"):
-        done = called(verb, exported)
-        assert isinstance(done.exception, ParameterFileError)
-        assert "was made from the model" in str(done.exception)
+        assert "was made from the model" in refusal(verb, exported)
 
 
 def test_largest_errors_are_bounded_on_request(exported):
-    done = called("verify", exported, "--bounds")
-    assert done.exit_code == 0, done.output
-    assert "with 95 % probability" in " ".join(done.output.split())
-    found = verification_from_json((exported / "verification.json").read_bytes())
-    for row in found.bounds:  # what is probable lies between what is usual and what is possible
+    output = succeed("verify", exported, "--bounds").output
+    assert "with 95 % probability" in " ".join(output.split())
+    verification = verification_from_json((exported / "verification.json").read_bytes())
+    for row in verification.bounds:
         assert row.simulated_m < row.probable_m <= row.worst_found_m < row.bound_m
-    assert [row.axis for row in found.bounds] == ["x"] * 3
+    assert [row.axis for row in verification.bounds] == ["x"] * 3
 
 
-def test_another_design_than_the_exported_one_is_not_compared(exported, designed):
-    other = replace(designed, remarks=("made again",))
-    (exported / "design.json").write_bytes(other.to_json())
+def test_another_design_than_the_exported_design_is_refused(exported, designed):
+    redesigned = replace(designed, remarks=("made again",))
+    (exported / "design.json").write_bytes(redesigned.to_json())
     for flags in ((), ("--bounds",)):
-        done = called("verify", exported, *flags)
-        assert isinstance(done.exception, ParameterFileError)
-        assert "not the design" in str(done.exception)
+        assert "not the design" in refusal("verify", exported, *flags)
 
 
-def test_a_verdict_stands_only_beside_the_bundle_it_was_reached_on(exported, designed):
+def test_a_verdict_counts_only_for_the_bundle_it_was_computed_from(exported, designed):
 
     def reported():
-        done = called("report", exported, "--force")
-        assert done.exit_code == 0, done.output
+        result = succeed("report", exported, "--force")
         page = (exported / "report.html").read_text()
-        return "not verified" not in page, " ".join(done.output.split())
+        return "not verified" not in page, " ".join(result.output.split())
 
     assert reported()[0]
     runtime = exported / "bundle/piezoid_runtime.c"
     original = runtime.read_bytes()
     for content in (None, original + b" "):
         runtime.write_bytes(content) if content else runtime.unlink()
-        is_verified, said = reported()
+        is_verified, output = reported()
         assert not is_verified
-        assert "bundle/piezoid_runtime.c is missing or changed; run piezoid export" in said
-    done = called("verify", exported)
-    assert done.exit_code == 1
-    assert "piezoid_runtime.c" in done.output
+        assert "bundle/piezoid_runtime.c is missing or changed; run piezoid export" in output
+    result = run_verb("verify", exported)
+    assert result.exit_code == 1
+    assert "piezoid_runtime.c" in result.output
     assert b'"passed": false' in (exported / "verification.json").read_bytes()
     runtime.write_bytes(original)
-    assert called("verify", exported).exit_code == 0
+    succeed("verify", exported)
     assert reported()[0]
     (exported / "lab.toml").write_text("[acquisition]\ninput_range_V = [-1, 1]\n")
-    is_verified, said = reported()
+    is_verified, output = reported()
     assert not is_verified
-    assert "the rig in lab.toml was changed; run piezoid design" in said
-    assert "another rig" in str(called("verify", exported).exception)
+    assert "the rig in lab.toml was changed; run piezoid design" in output
+    assert "another rig" in str(run_verb("verify", exported).exception)
     (exported / "lab.toml").unlink()
-    other = replace(designed, remarks=("made again",))
-    (exported / "design.json").write_bytes(other.to_json())
-    is_verified, said = reported()
+    redesigned = replace(designed, remarks=("made again",))
+    (exported / "design.json").write_bytes(redesigned.to_json())
+    is_verified, output = reported()
     assert not is_verified
-    assert "params.json (exported from another design.json; run piezoid export" in said
+    assert "params.json (exported from another design.json; run piezoid export" in output

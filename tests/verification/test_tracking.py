@@ -1,4 +1,4 @@
-"""Paths are what they say, and the numbers made of them are the known ones."""
+"""Reference paths have their stated shape, and tracking metrics have known values."""
 
 from functools import partial
 
@@ -19,12 +19,12 @@ RATE_Hz = 20e3
 RADIUS_m = 2e-5
 
 
-def measured(path, moved, frequency_Hz=10.0):
-    wanted = {"x": RADIUS_m * path.x, "y": RADIUS_m * path.y}
-    moved = dict(zip("xy", moved, strict=True))
+def measured(path, position_m, frequency_Hz=10.0):
+    reference_m = {"x": RADIUS_m * path.x, "y": RADIUS_m * path.y}
+    position_m = dict(zip("xy", position_m, strict=True))
     return track(
-        wanted,
-        moved,
+        reference_m,
+        position_m,
         path=path,
         radius_m=RADIUS_m,
         frequency_Hz=frequency_Hz,
@@ -36,18 +36,15 @@ def spiral(turns=5.0, frequency_Hz=10.0):
     return constant_angular_velocity(RATE_Hz, frequency_Hz, turns)
 
 
-def test_a_spiral_of_constant_angular_velocity_turns_evenly_out_to_its_rim():
+def test_spirals_have_constant_angular_or_linear_velocity():
     path = spiral()
     angle = np.unwrap(np.arctan2(path.y, path.x)[100:])
     turning = np.diff(angle) * RATE_Hz / (2 * np.pi)
     assert turning == pytest.approx(10.0)
     assert np.hypot(path.x, path.y)[-1] == pytest.approx(1.0, abs=1e-4)
-
-
-def test_a_spiral_of_constant_linear_velocity_has_one_speed_away_from_its_middle():
     path = constant_linear_velocity(RATE_Hz, 10.0, 10.0)
     speed = np.hypot(np.diff(path.x), np.diff(path.y)) * RATE_Hz
-    # the cap of 3 on the turning binds within the inner third of the radius
+    # The angular velocity is limited within the inner third of the radius.
     outside = np.hypot(path.x, path.y)[:-1] > 0.34
     assert speed[outside] == pytest.approx(2 * np.pi * 10.0, rel=2e-3)
     assert speed.max() < 1.01 * 2 * np.pi * 10.0
@@ -76,66 +73,72 @@ def test_every_path_begins_in_the_middle():
 
 
 @pytest.mark.parametrize("delay_s", [-3e-4, 0.0, 1.23e-4, 2e-3])
-def test_a_late_stage_is_aligned_and_its_delay_found(delay_s):
+def test_the_delay_of_a_stage_is_estimated_and_aligned(delay_s):
     path = spiral(turns=20.0, frequency_Hz=20.0)
-    late = 2 * np.pi * 20.0 * (np.arange(len(path.x)) / RATE_Hz - delay_s)
-    r = late / (2 * np.pi * 20.0)
-    found = measured(path, (RADIUS_m * r * np.cos(late), RADIUS_m * r * np.sin(late)), 20.0)
-    assert found.delay_s == pytest.approx(delay_s, abs=1e-9)
+    angle = 2 * np.pi * 20.0 * (np.arange(len(path.x)) / RATE_Hz - delay_s)
+    radius = angle / (2 * np.pi * 20.0)
+    tracking = measured(
+        path, (RADIUS_m * radius * np.cos(angle), RADIUS_m * radius * np.sin(angle)), 20.0
+    )
+    assert tracking.delay_s == pytest.approx(delay_s, abs=1e-9)
     # a cubic spline over 1000 samples a turn
-    assert found.aligned_rms_m < 1e-9 * RADIUS_m
+    assert tracking.aligned_rms_m < 1e-9 * RADIUS_m
     if delay_s:
-        assert found.rms_m > 1e3 * found.aligned_rms_m
+        assert tracking.rms_m > 1e3 * tracking.aligned_rms_m
 
 
-def test_known_errors_give_the_known_numbers():
+def test_known_errors_give_known_metrics():
     path = spiral()
     x, y = RADIUS_m * path.x, RADIUS_m * path.y
-    found = measured(path, (x + 3e-9, y - 4e-9))
-    assert found.rms_m == pytest.approx(5e-9)
-    assert found.max_m == pytest.approx(5e-9)
-    assert found.rms_percent == pytest.approx(100 * 5e-9 / (2 * RADIUS_m))
-    longer = measured(path, (1.01 * x, 1.01 * y))
+    tracking = measured(path, (x + 3e-9, y - 4e-9))
+    assert tracking.rms_m == pytest.approx(5e-9)
+    assert tracking.max_m == pytest.approx(5e-9)
+    assert tracking.rms_percent == pytest.approx(100 * 5e-9 / (2 * RADIUS_m))
+    scaled = measured(path, (1.01 * x, 1.01 * y))
     r = np.hypot(x, y)
-    assert longer.radial_rms_m == pytest.approx(0.01 * np.sqrt(np.mean(r**2)))
-    assert longer.pitch_error == pytest.approx(0.0, abs=1e-3)
+    assert scaled.radial_rms_m == pytest.approx(0.01 * np.sqrt(np.mean(r**2)))
+    assert scaled.pitch_error == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_wave_across_the_turns_is_seen_as_pitch_error():
+def test_alternating_turn_spacing_is_a_pitch_error():
     path = spiral(turns=10.0)
     r, angle = np.hypot(path.x, path.y), np.arctan2(path.y, path.x)
     turn = 10.0 * r
     uneven = r + 0.01 * np.where(turn.astype(int) % 2, 1.0, -1.0) * (turn > 1)
-    found = measured(path, (RADIUS_m * uneven * np.cos(angle), RADIUS_m * uneven * np.sin(angle)))
+    tracking = measured(
+        path, (RADIUS_m * uneven * np.cos(angle), RADIUS_m * uneven * np.sin(angle))
+    )
     # spacings alternate by +-0.02 about a pitch of 0.1
-    assert found.pitch_error == pytest.approx(0.2, rel=0.1)
+    assert tracking.pitch_error == pytest.approx(0.2, rel=0.1)
 
 
 def test_the_delay_never_leaves_its_range():
-    wanted = np.sin(np.arange(4000) / 50)[None, :]
-    rms, delay_s = align(wanted, np.roll(wanted, 40, axis=1), RATE_Hz, 1e-3)
+    reference = np.sin(np.arange(4000) / 50)[None, :]
+    rms, delay_s = align(reference, np.roll(reference, 40, axis=1), RATE_Hz, 1e-3)
     assert delay_s == pytest.approx(1e-3)
     assert rms > 0.1
 
 
 @pytest.mark.parametrize("samples", [5, 8, 400])
 @pytest.mark.parametrize("delay", [-40.0, -1.0, -0.25, 0.0, 0.999, 1.0, 40.0])
-def test_what_is_left_is_measured_from_the_spline_through_the_path(samples, delay):
+def test_the_aligned_error_is_measured_from_the_spline_through_the_path(samples, delay):
     rng = np.random.default_rng(samples)
-    wanted, longest = np.cumsum(rng.normal(size=(2, samples)), axis=1), (samples - 2) // 2
-    spline, at = CubicSpline(np.arange(samples), wanted, axis=1), np.arange(samples)
+    reference, longest = np.cumsum(rng.normal(size=(2, samples)), axis=1), (samples - 2) // 2
+    spline, sample = CubicSpline(np.arange(samples), reference, axis=1), np.arange(samples)
     delay = float(np.clip(delay, -longest, longest))
-    rms, delay_s = align(wanted, spline(at - delay), RATE_Hz, longest / RATE_Hz)
-    out = int(np.ceil(longest))
-    left = (spline(at - delay) - spline(at - delay_s * RATE_Hz))[:, out : samples - out]
+    rms, delay_s = align(reference, spline(sample - delay), RATE_Hz, longest / RATE_Hz)
+    margin = int(np.ceil(longest))
+    residual = (spline(sample - delay) - spline(sample - delay_s * RATE_Hz))[
+        :, margin : samples - margin
+    ]
     assert abs(delay_s) * RATE_Hz <= longest
-    assert rms == pytest.approx(np.sqrt((left**2).sum() / left.shape[1]), abs=1e-12)
+    assert rms == pytest.approx(np.sqrt((residual**2).sum() / residual.shape[1]), abs=1e-12)
 
 
-def test_a_surface_has_its_roughness_and_stands_still_under_the_start():
+def test_a_surface_has_its_roughness_and_zero_height_at_the_start():
     surface = partial(rough_surface_m, rms_m=1e-10, shortest_m=1e-6, seed=4)
     points = np.random.default_rng(0).uniform(-1e-3, 1e-3, (2, 20_000))
     assert np.std(surface(*points)) == pytest.approx(1e-10, rel=0.03)
     assert surface(np.zeros(1), np.zeros(1))[0] == 0.0
-    near = surface(np.array([1e-8]), np.zeros(1))[0]
-    assert abs(near) < 2 * np.pi * 1e-2 * np.sqrt(2 * 40) * 1e-10
+    height_m = surface(np.array([1e-8]), np.zeros(1))[0]
+    assert abs(height_m) < 2 * np.pi * 1e-2 * np.sqrt(2 * 40) * 1e-10

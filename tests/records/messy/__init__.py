@@ -1,1 +1,1 @@
-"""Files as laboratories leave them: each with what is wrong, and what must come of it."""
+"""Real-world files with faults, and the expected results of reading them."""

@@ -1,4 +1,4 @@
-"""Text tables in odd characters: encodings, line ends, separators, decimal and thousands marks."""
+"""Text tables with unusual encodings, line ends, separators, decimal and thousands marks."""
 
 import gzip
 
@@ -19,13 +19,13 @@ from tests.records.messy.writers import (
 SMALL = ("time [s]", "voltage [mV]", "position [nm]")
 
 
-def whole_volts(k: int) -> str:
-    """Return 950 or 1,234: no decimals, thousands marked off."""
+def rounded_volts(k: int) -> str:
+    """Return a voltage without decimals and with thousands marks, such as 950 or 1,234."""
     return f"{round(1e3 * VOLTAGE_V[k] / 40):,}"
 
 
 def with_thousands(mark: str, decimal: str) -> Write:
-    """Write millivolts and nanometres with a mark between thousands, semicolons between."""
+    """Write millivolts and nanometres with thousands marks and semicolons."""
     rows = [
         ";".join(
             (
@@ -40,14 +40,14 @@ def with_thousands(mark: str, decimal: str) -> Write:
 
 
 def _prefixed(line: str) -> str:
-    """Write a displacement below 5 um as thousandths with a prefix."""
+    """Write a displacement below 5 um with the prefix m."""
     *cells, displacement = line.split(",")
     value = float(displacement)
     return ",".join([*cells, f"{1e3 * value:.3f}m" if abs(value) < 5 else displacement])
 
 
-def _with_zeros(content: bytes, at: int, count: int) -> bytes:
-    return content[:at] + bytes(count) + content[at + count :]
+def _with_zeros(content: bytes, offset: int, count: int) -> bytes:
+    return content[:offset] + bytes(count) + content[offset + count :]
 
 
 FILES: tuple[Messy, ...] = (
@@ -113,13 +113,18 @@ FILES: tuple[Messy, ...] = (
             separator=",",
             decimal=",",
         ),
-        lines='separator = ","\ndecimal = ","\n',
+        entry='separator = ","\ndecimal = ","\n',
     ),
     Messy(
         "thousands.txt",
         "`1,234.50`: commas mark thousands",
         text(
-            lines(";", table=columns() * [1, 1e3, 1e3], names=SMALL, written=lambda v: f"{v:,.3f}")
+            lines(
+                ";",
+                table=columns() * [1, 1e3, 1e3],
+                names=SMALL,
+                written=lambda v: f"{v:,.3f}",
+            )
         ),
     ),
     Messy("tausender.csv", "`1.234,50`: points mark thousands", with_thousands(".", ",")),
@@ -130,7 +135,7 @@ FILES: tuple[Messy, ...] = (
         text(
             [
                 "time [ms];voltage [mV];position [um]",
-                *(f"{k};{whole_volts(k)};{k % 7},{k % 5}" for k in EVERY),
+                *(f"{k};{rounded_volts(k)};{k % 7},{k % 5}" for k in EVERY),
             ]
         ),
     ),
@@ -150,7 +155,7 @@ FILES: tuple[Messy, ...] = (
         text(lines("  ", written=lambda v: f"{v:.8E}".replace("E", "D"))),
     ),
     Messy(
-        "strange_mark.csv", "`~` between the fields", text(lines("~")), lines='separator = "~"\n'
+        "strange_mark.csv", "`~` between the fields", text(lines("~")), entry='separator = "~"\n'
     ),
     Messy(
         "zeros.csv",

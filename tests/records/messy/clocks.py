@@ -1,4 +1,4 @@
-"""Text tables with odd clocks: repeated rows, gaps, times of day, counters that begin anew."""
+"""Text tables with unusual clocks: repeated rows, gaps, times of day, wrapping counters."""
 
 import numpy as np
 
@@ -15,22 +15,22 @@ from tests.records.messy.writers import (
     Write,
     across_midnight,
     across_noon,
-    at,
+    all_rows_but,
     clock_of_day,
     clocked,
     columns,
     iso,
     lines,
+    repeat_rows,
     stamped,
     text,
-    twice,
     two_rates,
     with_rows,
 )
 
 
 def counter(first: int, bits: int, heading: str, ticks: int, low: int = 0) -> Write:
-    """Write stamps of a counter of so many bits, ``ticks`` a sample, under its heading."""
+    """Write stamps of a counter of ``bits`` bits with ``ticks`` per sample."""
     counts = (first + ticks * EVERY - low) % 2**bits + low
     table = np.column_stack([counts, VOLTAGE_V, POSITION_um])
     return text(lines(table=table, names=(heading, *NAMES[1:]), written="{:.10g}".format))
@@ -41,9 +41,9 @@ FILES: tuple[Messy, ...] = (
         "newest_first.csv",
         "the newest row first",
         with_rows(lambda rows: [rows[0], *rows[:0:-1]]),
-        lines="reverse = true\n",
+        entry="reverse = true\n",
     ),
-    Messy("rows_twice.csv", "60 rows written twice", with_rows(twice)),
+    Messy("rows_twice.csv", "60 rows written twice", with_rows(repeat_rows)),
     Messy(
         "jitter.csv",
         "stamps that scatter by 5 %",
@@ -52,8 +52,8 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "gap.csv",
         "40 samples lost",
-        text(lines(table=columns(at(*range(150, 190))))),
-        kept=at(*range(150, 190)),
+        text(lines(table=columns(all_rows_but(*range(150, 190))))),
+        true_rows=all_rows_but(*range(150, 190)),
         breaks=1,
     ),
     Messy(
@@ -104,7 +104,7 @@ FILES: tuple[Messy, ...] = (
         "no uniform clock",
         clocked(np.cumsum(np.random.default_rng(4).uniform(0, 2e-3, SAMPLES)), "{:.6f}".format),
     ),
-    Messy("two_rates.csv", "256 Hz, then 2048 Hz", two_rates, kept=np.zeros(0, dtype=int)),
+    Messy("two_rates.csv", "256 Hz, then 2048 Hz", two_rates, true_rows=np.zeros(0, dtype=int)),
     Messy(
         "bursts.csv",
         "bursts of 100 samples, a second between",
@@ -137,6 +137,6 @@ FILES: tuple[Messy, ...] = (
         "rate_in_comment.csv",
         "the rate only in a comment",
         text(["# fs = 1000 Hz", *lines(table=columns()[:, 1:], names=NAMES[1:])]),
-        lines="sampling_rate_Hz = 1000.0\n",
+        entry="sampling_rate_Hz = 1000.0\n",
     ),
 )

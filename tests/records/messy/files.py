@@ -1,4 +1,4 @@
-"""Files as laboratories leave them, each with what is wrong and what must come of it."""
+"""All messy files with their faults and expected results."""
 
 from tests.records.messy import characters, clocks, formats, quantities, tables
 

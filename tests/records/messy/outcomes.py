@@ -1,4 +1,4 @@
-"""What happens to every messy file: the table of docs/messy_files.md."""
+"""Outcome of reading every messy file, the table of docs/messy_files.md."""
 
 import tempfile
 from pathlib import Path
@@ -10,8 +10,8 @@ from tests.records.messy.files import FILES
 from tests.records.messy.writers import Messy, lines, text
 
 
-def inspected(messy: Messy, folder: Path, entry: str = "") -> tuple[Inspection, ...]:
-    """Write a file, and a lab.toml where there is an entry, and inspect it."""
+def inspect_messy(messy: Messy, folder: Path, entry: str = "") -> tuple[Inspection, ...]:
+    """Write a file, and a lab.toml if there is an entry, and inspect the file."""
     path = folder / messy.name
     messy.write(path)
     lab = Lab()
@@ -19,26 +19,24 @@ def inspected(messy: Messy, folder: Path, entry: str = "") -> tuple[Inspection, 
         (folder / "lab.toml").write_text(f'[[recording]]\nfile = "{messy.name}"\n{entry}')
         lab = read_lab(folder / "lab.toml")
     paths = [path]
-    if messy.beside:
+    if messy.needs_clean_file:
         text(lines())(folder / "clean.csv")
         paths = [folder / "clean.csv", path]
     return tuple(i for i in inspect_files(paths, lab) if i.name.startswith(messy.name))
 
 
 def outcome(messy: Messy, folder: Path) -> str:
-    """Say in a few words what happens to a file."""
-    found = inspected(messy, folder)
-    first = found[0]
-    if first.refusal is not None:
-        found_here = first.refusal.replace(f"{messy.name}: ", "").split(". Needed: ")[0]
-        reason = found_here.split(" (seen")[0]
-        mended = ", read with: `" + "`, `".join(messy.lines.split("\n")[:-1]) + "`"
-        return f"refused: {' '.join(reason.split())}" + (mended if messy.lines else "")
-    rates = " and ".join(f"{one.sampling_rate_Hz:.9g} Hz" for one in found)
-    odd = dict.fromkeys(problem.quantity for one in found for problem in one.statements)
-    mended = ", goes with: `" + "`, `".join(messy.lines.split("\n")[:-1]) + "`"
-    told = f"; told: {', '.join(f'`{kind}`' for kind in odd)}" if odd else ""
-    return f"read, {rates}{told}" + (mended if messy.lines else "")
+    """Summarise the result of reading a file."""
+    inspections = inspect_messy(messy, folder)
+    entry = "`" + "`, `".join(messy.entry.split("\n")[:-1]) + "`"
+    refusal = inspections[0].refusal
+    if refusal is not None:
+        reason = refusal.replace(f"{messy.name}: ", "").split(". Needed: ")[0].split(" (seen")[0]
+        return f"refused: {' '.join(reason.split())}" + f", read with: {entry}" * bool(messy.entry)
+    rates = " and ".join(f"{inspection.sampling_rate_Hz:.9g} Hz" for inspection in inspections)
+    quantities = dict.fromkeys(f"`{s.quantity}`" for i in inspections for s in i.statements)
+    reported = f"; told: {', '.join(quantities)}" if quantities else ""
+    return f"read, {rates}{reported}" + f", goes with: {entry}" * bool(messy.entry)
 
 
 def table() -> str:
@@ -47,9 +45,9 @@ def table() -> str:
     for messy in FILES:
         with tempfile.TemporaryDirectory() as folder:
             try:
-                said = outcome(messy, Path(folder))
+                result = outcome(messy, Path(folder))
             except PiezoidError as error:
-                said = f"refused: {error.found}"
-        cells = (f"`{messy.name}`", messy.wrong, said)
+                result = f"refused: {error.found}"
+        cells = (f"`{messy.name}`", messy.fault, result)
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(rows) + "\n"

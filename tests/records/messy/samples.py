@@ -1,4 +1,4 @@
-"""A sample file for every registered reader: what the fuzzer damages, and the table of formats."""
+"""A sample file for every registered reader, for the fuzzer, and the table of formats."""
 
 import tempfile
 from pathlib import Path
@@ -6,22 +6,22 @@ from pathlib import Path
 from piezoid.records.readers import READERS, archive
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import open_source
-from tests.records.formats import SILENT, SPEAKING
+from tests.records.formats import DESCRIBED, UNDESCRIBED
 from tests.records.messy.outcomes import FILES
 from tests.records.messy.writers import Write
 
 
 def samples() -> dict[str, Write]:
     """Return the writers of the known recording, and a messy file for each other reader."""
-    chosen: dict[str, Write] = {**SPEAKING, **SILENT}
+    writers: dict[str, Write] = {**DESCRIBED, **UNDESCRIBED}
     with tempfile.TemporaryDirectory() as folder:
-        covered = {reader_of(Path(folder), name, write).name for name, write in chosen.items()}
+        covered = {reader_of(Path(folder), name, write).name for name, write in writers.items()}
         for messy in FILES:
             reader = reader_of(Path(folder), messy.name, messy.write)
             if reader.name not in covered:
                 covered.add(reader.name)
-                chosen[messy.name] = messy.write
-    return chosen
+                writers[messy.name] = messy.write
+    return writers
 
 
 def reader_of(folder: Path, name: str, write: Write) -> Reader:
@@ -32,7 +32,7 @@ def reader_of(folder: Path, name: str, write: Write) -> Reader:
 
 
 def formats_table() -> str:
-    """Return the table of the formats that are read; archives are recognised to be refused."""
+    """Return the table of the formats that are read; archives are only recognised."""
     head = "| format | usual endings | needs the extra | with `--stream` |"
     rows = [head, "| --- | --- | --- | --- |"]
     for reader in READERS:

@@ -1,4 +1,4 @@
-"""Text tables in odd shapes: headings, comments, rows cut short, several runs in one file."""
+"""Text tables of unusual shape: headings, comments, truncated rows, several runs in a file."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ from tests.records.messy.writers import (
     Messy,
     TIME_s,
     Write,
-    at,
+    all_rows_but,
     columns,
     lines,
     text,
@@ -24,15 +24,15 @@ MIDDLE = 1 + SAMPLES // 2
 
 
 def headed_anew(table: np.ndarray, names: Sequence[str]) -> Write:
-    """Write the first half, and the second half of another table under its own heading."""
+    """Write the first half, and the second half of another table below its heading."""
     return text([*lines()[:MIDDLE], *lines(table=table[MIDDLE - 1 :], names=names)])
 
 
-def with_last_cells(cell: str, *places: int) -> Write:
-    """Write the recording with other words in the last column of some lines."""
+def with_last_cells(cell: str, *line_numbers: int) -> Write:
+    """Write the recording with another text in the last column of some lines."""
     return with_rows(
         lambda rows: [
-            row if k not in places else f"{row.rsplit(',', 1)[0]},{cell}"
+            row if k not in line_numbers else f"{row.rsplit(',', 1)[0]},{cell}"
             for k, row in enumerate(rows)
         ]
     )
@@ -55,19 +55,19 @@ FILES: tuple[Messy, ...] = (
         with_rows(lambda rows: [rows[0], *(f"{k},{row}" for k, row in enumerate(rows[1:]))]),
     ),
     Messy(
-        "no_heading.csv", "no headings at all", with_rows(lambda rows: rows[1:]), lines=BY_NUMBER
+        "no_heading.csv", "no headings at all", with_rows(lambda rows: rows[1:]), entry=BY_NUMBER
     ),
     Messy(
         "far_heading.csv",
         "headings above other words",
         with_rows(lambda rows: [rows[0], "first run", "after lunch", *rows[1:]]),
-        lines="heading_row = 1\n",
+        entry="heading_row = 1\n",
     ),
     Messy(
         "no_units.csv",
         "headings without units",
         text(lines(names=("t", "U", "position"))),
-        lines='columns = { time = "t", voltage = "U", displacement = "position" }\n' + UNITS,
+        entry='columns = { time = "t", voltage = "U", displacement = "position" }\n' + UNITS,
     ),
     Messy(
         "two_positions.csv",
@@ -78,7 +78,7 @@ FILES: tuple[Messy, ...] = (
                 *(f"{row},{k}" for k, row in enumerate(rows[1:])),
             ]
         ),
-        lines="columns = { time = 1, voltage = 2, displacement = 3 }\n",
+        entry="columns = { time = 1, voltage = 2, displacement = 3 }\n",
     ),
     Messy(
         "noise_density.csv",
@@ -104,20 +104,20 @@ FILES: tuple[Messy, ...] = (
         "cut_row.csv",
         "the last row cut in its middle",
         with_rows(lambda rows: [*rows[:-1], rows[-1][:8]]),
-        kept=EVERY[:-1],
+        true_rows=EVERY[:-1],
     ),
     Messy(
         "words.csv",
         "`OVERLOAD` in place of three numbers",
         with_last_cells("OVERLOAD", 50, 51, 52),
-        kept=at(49, 50, 51),
+        true_rows=all_rows_but(49, 50, 51),
         breaks=1,
     ),
     Messy(
         "holes.csv",
         "empty cells in two pairs of rows",
         with_last_cells("", 50, 51, 300, 301),
-        kept=at(49, 50, 299, 300),
+        true_rows=all_rows_but(49, 50, 299, 300),
         breaks=2,
     ),
     Messy(
@@ -129,7 +129,7 @@ FILES: tuple[Messy, ...] = (
         "two_runs.csv",
         "two runs in one file, each with its heading",
         text([*lines(), *lines(table=np.column_stack([TIME_s[:300], columns()[100:, 1:]]))]),
-        kept=np.concatenate([EVERY, EVERY[100:]]),
+        true_rows=np.concatenate([EVERY, EVERY[100:]]),
         breaks=1,
     ),
     Messy(

@@ -1,6 +1,6 @@
-"""What a messy file is, and the writers that several of them share.
+"""Definition of a messy file, and writers that several files share.
 
-``docs/messy_files.md`` holds what happens to each: the reason of its refusal, or what is told.
+``docs/messy_files.md`` lists the result of each file: its refusal, or the reported statements.
 """
 
 import io
@@ -12,6 +12,9 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import openpyxl
+import pandas as pd
+from scipy.io import savemat
 
 from tests.records.microscopes import write_ibw, write_jpk
 
@@ -25,6 +28,7 @@ POSITION_um = np.round(9 + 8 * np.sin(2 * np.pi * 5 * TIME_s - 0.2) + _noise, 4)
 NAMES = ("time [s]", "voltage [V]", "position [um]")
 AFTERNOON = datetime(2026, 3, 1, 14, 5, 3, 250000)
 FULL_HOUR = datetime(2026, 3, 1, 14, 59, 59, 800000)
+LATE = datetime(2026, 3, 1, 23, 59, 59, 800000)
 LONG = 4096  # samples of the files whose rate changes
 
 Write = Callable[[Path], None]
@@ -32,25 +36,25 @@ Write = Callable[[Path], None]
 
 @dataclass(frozen=True)
 class Messy:
-    """One file.
+    """A file with a fault.
 
-    name      of the file; its suffix may matter
-    wrong     what is wrong with it, for people
-    write     writes it
-    kept      the samples of the truth that must come out if it is read; none for other values
-    breaks    how often memory is interrupted
-    lines     of its entry in lab.toml, with which its values are the true ones
-    beside    whether it is inspected beside the clean file
+    name       of the file; its suffix may matter
+    fault      description for users
+    write      writes the file
+    true_rows  rows of the truth that a reading must give; none for other values
+    breaks     number of breaks of the memory
+    entry      lines of lab.toml with which the values are the true ones
+    needs_clean_file  whether it is inspected together with a clean file
     """
 
     name: str
-    wrong: str
+    fault: str
     write: Write
     _: KW_ONLY
-    kept: np.ndarray = field(default_factory=lambda: EVERY)
+    true_rows: np.ndarray = field(default_factory=lambda: EVERY)
     breaks: int = 0
-    lines: str = ""
-    beside: bool = False
+    entry: str = ""
+    needs_clean_file: bool = False
 
 
 def columns(k: np.ndarray = EVERY) -> np.ndarray:
@@ -91,8 +95,8 @@ def clocked(stamps: np.ndarray, written: Callable[[float], str] = "{:.4f}".forma
     return text(lines(table=np.column_stack([stamps, VOLTAGE_V, POSITION_um]), written=written))
 
 
-def with_rows(edit: Callable[[list[str]], list[str]], **named: object) -> Write:
-    return text(edit(lines(**named)))  # type: ignore[arg-type]
+def with_rows(edit: Callable[[list[str]], list[str]], **options: object) -> Write:
+    return text(edit(lines(**options)))  # type: ignore[arg-type]
 
 
 def grouped(value: float, mark: str, decimal: str) -> str:
@@ -100,25 +104,26 @@ def grouped(value: float, mark: str, decimal: str) -> str:
 
 
 def clock_of_day(k: int, mark: str = ".", start: datetime = AFTERNOON) -> str:
-    at = start + timedelta(seconds=float(TIME_s[k]))
-    return at.strftime("%H:%M:%S") + f"{mark}{at.microsecond // 1000:03d}"
+    instant = start + timedelta(seconds=float(TIME_s[k]))
+    return instant.strftime("%H:%M:%S") + f"{mark}{instant.microsecond // 1000:03d}"
 
 
-def stamped(first: Sequence[str], separator: str = ",", heading: str = "time") -> Write:
+def stamped(stamps: Sequence[str], separator: str = ",", heading: str = "time") -> Write:
     rows = [row.split(",", 1)[1].replace(",", separator) for row in lines()[1:]]
     above = separator.join((heading, *NAMES[1:]))
-    return text([above, *(separator.join(pair) for pair in zip(first, rows, strict=True))])
+    return text([above, *(separator.join(pair) for pair in zip(stamps, rows, strict=True))])
+
+
+def instants(start: datetime) -> list[datetime]:
+    return [start + timedelta(seconds=float(t)) for t in TIME_s]
 
 
 def across_midnight() -> list[str]:
-    start = datetime(2026, 3, 1, 23, 59, 59, 800000)
-    at = [start + timedelta(seconds=float(t)) for t in TIME_s]
-    return [f"{t:%d/%m/%Y %H:%M:%S}.{t.microsecond // 1000:03d}" for t in at]
+    return [f"{t:%d/%m/%Y %H:%M:%S}.{t.microsecond // 1000:03d}" for t in instants(LATE)]
 
 
 def iso() -> list[str]:
-    start = datetime(2026, 3, 1, 23, 59, 59, 800000)
-    return [(start + timedelta(seconds=float(t))).isoformat() for t in TIME_s]
+    return [instant.isoformat() for instant in instants(LATE)]
 
 
 def two_rates(path: Path) -> None:
@@ -130,7 +135,7 @@ def two_rates(path: Path) -> None:
     text(lines(table=table, written="{:.9g}".format))(path)
 
 
-def held(path: Path) -> None:
+def closed_loop_file(path: Path) -> None:
     time_s = np.arange(LONG) / RATE_Hz
     noise_um = np.random.default_rng(6).normal(0, 0.002, LONG)
     ramp = np.clip(time_s / 0.5, 0, 1)
@@ -141,8 +146,8 @@ def held(path: Path) -> None:
 
 
 def across_noon() -> list[str]:
-    at = [datetime(2026, 5, 4, 11, 59, 59, 800000) + timedelta(seconds=float(t)) for t in TIME_s]
-    return [f"{t:%m/%d/%Y %I:%M:%S.%f %p}" for t in at]
+    start = datetime(2026, 5, 4, 11, 59, 59, 800000)
+    return [f"{t:%m/%d/%Y %I:%M:%S.%f %p}" for t in instants(start)]
 
 
 def dated_array(path: Path) -> None:
@@ -154,8 +159,6 @@ def dated_array(path: Path) -> None:
 
 
 def dated_parquet(path: Path) -> None:
-    import pandas as pd
-
     index = pd.to_datetime("2026-01-02") + pd.to_timedelta(TIME_s, unit="s")
     frame = pd.DataFrame(dict(zip(NAMES[1:], columns()[:, 1:].T, strict=True)), index=index)
     frame.rename_axis("time").to_parquet(path)
@@ -163,8 +166,6 @@ def dated_parquet(path: Path) -> None:
 
 def excel(cells: Callable[[object], None]) -> Write:
     def write(path: Path) -> None:
-        import openpyxl
-
         book = openpyxl.Workbook()
         cells(book)
         book.save(path)
@@ -198,14 +199,14 @@ def computed_cells(book: object) -> None:
 def second_sheet(book: object) -> None:
     sheet = book.active  # type: ignore[attr-defined]
     sheet.append(["operator", "Ada"])
-    other = book.create_sheet("run 7")  # type: ignore[attr-defined]
-    other.append(["stage 42"])
-    other.append(NAMES)
+    run = book.create_sheet("run 7")  # type: ignore[attr-defined]
+    run.append(["stage 42"])
+    run.append(NAMES)
     for row in columns().tolist():
-        other.append(row)
-    more = book.create_sheet("summary")  # type: ignore[attr-defined]
-    more.append(["mean", 3.0, 4.0])
-    more.append(["std", 1.0, 2.0])
+        run.append(row)
+    summary = book.create_sheet("summary")  # type: ignore[attr-defined]
+    summary.append(["mean", 3.0, 4.0])
+    summary.append(["std", 1.0, 2.0])
 
 
 def cut_excel(path: Path) -> None:
@@ -232,11 +233,9 @@ def zipped_csv(path: Path) -> None:
         archive.writestr("run.csv", "\n".join(lines()))
 
 
-def matlab(**held_there: object) -> Write:
+def matlab(**variables: object) -> Write:
     def write(path: Path) -> None:
-        from scipy.io import savemat
-
-        savemat(path, held_there)
+        savemat(path, variables)
 
     return write
 
@@ -246,16 +245,14 @@ def _element(kind: int, data: bytes) -> bytes:
 
 
 def matlab_table(path: Path) -> None:
-    """Write a timetable as MATLAB 5 does: an opaque variable that refers to its bookkeeping."""
-    from scipy.io import savemat
-
-    held_there, reference = io.BytesIO(), io.BytesIO()
-    savemat(held_there, {"note": "made by hand"})
+    """Write a timetable as MATLAB 5 does, as an opaque variable."""
+    note, reference = io.BytesIO(), io.BytesIO()
+    savemat(note, {"note": "made by hand"})
     savemat(reference, {"x": np.array([[0xDD000000, 2, 1, 1, 1, 1]], dtype=np.uint32)})
     flags = _element(6, struct.pack("<II", 17, 0))
     names = b"".join(_element(1, word) for word in (b"run", b"MCOS", b"timetable"))
     body = flags + names + reference.getvalue()[128:]
-    path.write_bytes(held_there.getvalue() + _element(14, body))
+    path.write_bytes(note.getvalue() + _element(14, body))
 
 
 def structured(path: Path) -> None:
@@ -264,12 +261,12 @@ def structured(path: Path) -> None:
     np.save(path, table)
 
 
-def twice(rows: list[str]) -> list[str]:
+def repeat_rows(rows: list[str]) -> list[str]:
     return [row for k, row in enumerate(rows) for _ in range(2 if 100 < k <= 160 else 1)]
 
 
-def at(*places: int) -> np.ndarray:
-    return np.setdiff1d(EVERY, places)
+def all_rows_but(*rows: int) -> np.ndarray:
+    return np.setdiff1d(EVERY, rows)
 
 
 COUNTS = "scale = { displacement = 1e-10 }\n"
