@@ -56,7 +56,7 @@ ONE_SPEED = {
     "waves": np.linspace(0.2, 1.0, len(TIME_s)) * np.sin(2.0 * np.pi * 0.7 * TIME_s),
 }
 SPEEDS = ONE_SPEED | {"fast": triangle(5.3, 1.0, 0.4), "slow": triangle(0.35, 0.4, 0.9)}
-FASTER = SPEEDS | {"fast": triangle(9.3, 1.0, 0.4)}
+FASTER = {"loops": ONE_SPEED["loops"], "fast": triangle(9.3, 1.0, 0.4)}
 WITH_TONES = ONE_SPEED | {"tones": TONES / 30.0}
 
 
@@ -167,7 +167,7 @@ STAGES: Mapping[str, Callable[[], tuple[Recording, ...]]] = {
 
 
 # Extended together with loop shape; for a periodic error: test_loop_shape.py.
-WITH_LOOP_SHAPE = ("gain_change", "creep", "delay")
+WITH_LOOP_SHAPE = ("creep", "delay")
 
 
 @cache
