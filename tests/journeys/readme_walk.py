@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # In this order: each goes on with what the one before has written.
 WALKED = ("README.md", "docs/guide/command_line.md", "docs/guide/targets.md")
 ROWS = 2500
+SHORT_ROWS = 1200  # of recordings of the virtual laboratory and of a batch
 # The gate makes the environment itself, and installs the wheel in a clean one.
 APART = ("make ", "python3 -m venv", ".venv/bin/pip")
 # `make demo`, the step of the gate before, has calibrated the whole bundled stage.
@@ -62,8 +63,8 @@ def walk(folder: Path, lines: Iterator[str]) -> int:
         _show(f"[{time.perf_counter() - began:.1f} s, status {status}]\n")
         if status:
             break
-        for made in place.glob("made/recordings/*.csv"):
-            made.write_text(shortened(made))
+        for made in (*place.glob("made/recordings/*.csv"), *place.glob("night/*/*.csv")):
+            made.write_text(shortened(made, SHORT_ROWS))
     shell.stdin.close()
     shell.wait()
     return status
