@@ -48,6 +48,7 @@ def test_a_clock_that_loses_samples_is_named_with_their_number(tmp_path: Path) -
     assert causes(diagnosis) == ("timestamp_fault",)
     finding = next(one for one in diagnosis.findings if one.effect == "timestamp_fault")
     assert finding.size.unit == "samples"
+    assert finding.size.value == -LOST
     assert finding.size.ci95[0] < -LOST < finding.size.ci95[1]
     assert diagnosis.final.rms_m < 0.3 * diagnosis.baseline.rms_m
     assert "timestamp fault" in shown
