@@ -37,7 +37,7 @@ from piezoid.verification.plant import AxisPlant, lateral_plant
 from piezoid.verification.scenarios import raster
 from piezoid.verification.verify_stage import plant_of
 from piezoid_cli.calibration import calibrate
-from piezoid_datasets.virtual_lab.campaign import draw_campaign, named
+from piezoid_datasets.virtual_lab.campaign import draw_campaign, member_named
 from piezoid_datasets.virtual_lab.stage import Run, Stage, record
 from piezoid_datasets.virtual_lab.truths import ZOO
 from piezoid_datasets.virtual_lab.write import campaign_files
@@ -220,7 +220,7 @@ def open_loop_cases(law: str, seed: int, folder: Path, draws: int) -> Iterator[C
         lab.write(f"\n[actuator]\nbandwidth_Hz = {NO_MODE_BELOW_Hz}\n")
     model = calibrate(sorted(folder.glob("*.csv")), folder / "lab.toml", lambda _: None).model
     rig = campaign.rig
-    ceramic = named(ZOO, law).draw(np.random.default_rng([seed, crc32(b"ceramic")]))
+    ceramic = member_named(ZOO, law).draw(np.random.default_rng([seed, crc32(b"ceramic")]))
     axis = next(iter(model.axes.values()))
     plant = lateral_plant(axis, sampling_rate_Hz=rig.clock_Hz)
 
