@@ -82,9 +82,9 @@ def loop_s(watch: Stopwatch, data: Recording) -> float:
     return time_s * data.samples / len(voltage_V)
 
 
-def main(words: Sequence[str] | None = None, *, watch: Stopwatch = PATIENT) -> None:
+def main(arguments: Sequence[str] | None = None, *, watch: Stopwatch = PATIENT) -> None:
     """Print the figures."""
-    arguments = sys.argv[1:] if words is None else words
+    arguments = sys.argv[1:] if arguments is None else arguments
     data = recording(int(arguments[0]) if arguments else 1_000_000)
     initial_megabytes = peak_megabytes()
     timed = fit(data)

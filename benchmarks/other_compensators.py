@@ -10,10 +10,10 @@
 - ``gpi_dob``    inverse of a generalised Prandtl-Ishlinskii model, equal envelopes and no dead
   zones, under the shipped observer [Al Janaideh, Rakheja & Su 2011]
 
-The loops of the first two are searched for with the plant family, the limits and the figure of
-merit of ``piezoid design``; the third keeps the gains of ``mpi_dob``. An observer that estimates a
-constant disturbance satisfies d_hat = Q d for every d, hence d_hat = Q (G^-1 y - u) with a Q that
-follows from its poles; ``inversion`` is therefore built as an observer without state feedback.
+The loops of the first two are tuned with the plant family, the limits and the figure of merit of
+``piezoid design``. The third keeps the gains of ``mpi_dob``. An observer of a constant disturbance
+satisfies d_hat = Q d, hence d_hat = Q (G^-1 y - u), where Q follows from its poles. ``inversion``
+is therefore an observer without state feedback.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -3,9 +3,8 @@
     python -m benchmarks.probable_bounds [--stages 700-711] [--kept FOLDER]
 
 Each stage is recorded and calibrated, and its bounds are computed. The shipped controller then
-follows random references of half a second on the simulated stage: sines, triangles, ramps and sums
-of sines, as in ``benchmarks.outsiders``, at the three speeds of the bounds. One run in twenty may
-exceed a bound of 95 %.
+follows the random references of ``benchmarks.outsiders`` on the simulated stage, at the three
+speeds of the bounds. One run in twenty may exceed a bound of 95 %.
 """
 
 import argparse
@@ -58,9 +57,9 @@ def coverage_of(name: str, seed: int, parent: Path) -> Iterator[BoundCoverage]:
     model = read_model((folder / "model.json").read_bytes(), "model.json")
     design = design_from_json((folder / "design.json").read_bytes(), "design.json")
     file = from_json((folder / "params.json").read_bytes(), "params.json")
-    plants, drawn_plants = stage_plants(file, model, lab)
+    plants, family_plants = stage_plants(file, model, lab)
     simulator = load_simulator(name)
-    for index, bound in enumerate(error_bounds(file, design, model, plants, drawn_plants)):
+    for index, bound in enumerate(error_bounds(file, design, model, plants, family_plants)):
         rng = np.random.default_rng([seed, index])
         errors_m = (
             largest_error_m(

@@ -5,9 +5,9 @@
 Stage ``number`` of a seed is always the same: a simulator, a law, hidden effects, and a change of
 the files (format, unit, missing cells, copies, length). ``piezoid fit`` runs in a child process
 with limits of processor time and memory. The program reports exceptions, time-outs, budgets that
-do not add up, false names of effects, and shipped loops that are unstable on the simulated stage,
-each with the command that reproduces it. The exit status is 1 after an exception, a time-out or an
-unstable loop.
+do not add up, false names of effects, and shipped loops that are unstable on the simulated stage.
+It prints the command that reproduces each fault. The exit status is 1 after an exception, a
+time-out or an unstable loop.
 """
 
 import argparse
@@ -306,9 +306,9 @@ def table(outcomes: Sequence[Outcome], seed: int) -> str:
         lines.append(f"closure: median {median:.2f}, 10 to 90 % {low:.2f} to {high:.2f}")
     for outcome in outcomes:
         if outcome.fault or outcome.false_names:
-            why = outcome.fault or f"false: {', '.join(outcome.false_names)}"
+            fault = outcome.fault or f"false: {', '.join(outcome.false_names)}"
             lines.append(
-                f"{why} ({outcome.stage}; files: {outcome.change}): "
+                f"{fault} ({outcome.stage}; files: {outcome.change}): "
                 f"python -m benchmarks.soak --seed {seed} --first {outcome.number} --stages 1"
             )
     return "\n".join(lines)

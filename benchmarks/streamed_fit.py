@@ -100,7 +100,7 @@ def loop_error_m(axis: AxisModel) -> float:
     return float(np.std(fitted_m - truth_m))
 
 
-def fit_one(path: Path, *, whole: bool = False) -> None:
+def fit_one(path: Path, *, in_memory: bool = False) -> None:
     """Fit one file, in chunks or from memory, and print its row."""
     from piezoid.digests import digest_of_bytes
     from piezoid.identification.fit import fit
@@ -113,14 +113,14 @@ def fit_one(path: Path, *, whole: bool = False) -> None:
         time.process_time(),
         time.monotonic(),
     )
-    recordings = collect([path]).recordings if whole else read_thinned([path])
+    recordings = collect([path]).recordings if in_memory else read_thinned([path])
     read_s = time.process_time() - start_s
     model = fit(recordings)
     (axis,) = model.axes.values()
     cells = (
         path.stem.partition("_")[2],
         f"{path.stat().st_size / 1e9:.3f}",
-        "whole" if whole else "in chunks",
+        "whole" if in_memory else "in chunks",
         f"{peak_megabytes():.0f}",
         f"{initial_megabytes:.0f}",
         f"{read_s:.3g}",
@@ -162,7 +162,7 @@ def main() -> None:
     parser.add_argument("--whole", action="store_true", help="fit the whole recording in memory")
     arguments = parser.parse_args()
     if arguments.fit:
-        return fit_one(arguments.fit, whole=arguments.whole)
+        return fit_one(arguments.fit, in_memory=arguments.whole)
     if arguments.write:
         return write(arguments.write, int(arguments.samples[0]))
     print(f"| {' | '.join(HEADINGS)} |", flush=True)

@@ -29,12 +29,12 @@ def inputs_of(folder: Path) -> TargetInputs:
     file = from_json(content_of(folder / "params.json"), "params.json")
     path = folder / "lab.toml"
     lab = read_lab(path) if path.exists() else Lab()
-    plants, drawn_plants = stage_plants(file, model, lab)
+    plants, family_plants = stage_plants(file, model, lab)
     axes = [plant.axis for plant in plants]
     return TargetInputs(
         file=file,
         plants=plants,
-        drawn=dict(zip(axes, drawn_plants, strict=True)),
+        drawn=dict(zip(axes, family_plants, strict=True)),
         models={axis.axis: model[axis.axis] for axis in file.axes if axis.method != "rst"},
         designs={axis.axis: axis for axis in design.axes},
         converter_V=lab.acquisition.input_range_V,

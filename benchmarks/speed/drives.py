@@ -28,8 +28,8 @@ def thresholds_V(plays: int = PLAYS) -> Array:
 
 def model(plays: int = PLAYS) -> ModifiedPrandtlIshlinskii:
     """Return an operator with a number of moving plays and twelve dead zones."""
-    side = np.linspace(0.9, 0.98, ZONES)
-    slope = np.concatenate([side, [1.0, 1.0], side[::-1]])
+    slopes = np.linspace(0.9, 0.98, ZONES)
+    slope = np.concatenate([slopes, [1.0, 1.0], slopes[::-1]])
     return ModifiedPrandtlIshlinskii(
         plays=PrandtlIshlinskii(
             threshold=np.concatenate([[0.0], thresholds_V(plays)]),

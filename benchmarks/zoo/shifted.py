@@ -8,7 +8,7 @@ initial states. Its gain on the n held-out blocks,
     g = -n log(rms with / rms without),
 
 is compared with that of placebos: the same columns, rolled by a random number of samples within
-each recording, every other placebo reversed in time. An exponential tail above their median
+each recording. Every other placebo is reversed in time. An exponential tail above their median
 extrapolates small p-values, which are multiplied by the number of tested effects (Bonferroni).
 The program prints the effects below 5 %; a valid null accuses one stage in twenty. Hysteresis
 residuals are locked to the drive, as are the columns of an effect, but rolled columns are not.
