@@ -133,7 +133,7 @@ def mutate(source: str, mutation: Mutation) -> str:
     end = source.index("\n}", start)
     body = source[start:end]
     if text not in body:
-        raise ValueError(f"{function} does not contain {text!r}")
+        raise ValueError(f"{function} does not hold {text!r}")
     return source[:start] + body.replace(text, mutated, 1) + source[end:]
 
 

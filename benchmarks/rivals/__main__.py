@@ -188,7 +188,7 @@ def _emulated_instructions(table: Preisach, state: BoucWen) -> tuple[float, floa
         f"static const preisach table = {{{{{rows}}}, -1.0f, {2.0 / (NODES - 1):.9e}f}};",
         f"static const real start = {table.start:.9e}f;",
         f"static const bouc_wen state = {{{','.join(f'{v:.9e}f' for v in state.numbers)}}};",
-        f"static const real wanted[] = {{{','.join(f'{v:.9e}f' for v in path)}}};",
+        f"static const real path[] = {{{','.join(f'{v:.9e}f' for v in path)}}};",
     )
     with TemporaryDirectory() as name:
         folder = Path(name)
