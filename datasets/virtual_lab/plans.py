@@ -36,7 +36,7 @@ def run_of(plan: Plan, rig: Rig, rng: np.random.Generator, *, past_V: Past | Non
 
     past_V  (rig, rng) -> turning points before the recording; None: two cycles over the range
     """
-    rate_Hz, shape, others = plan.shape(rig, rng)
+    rate_Hz, shape, other_drives = plan.shape(rig, rng)
     history = cycled_history_V(rig) if past_V is None else past_V(rig, rng)
     return Run(
         name=plan.name,
@@ -44,7 +44,7 @@ def run_of(plan: Plan, rig: Rig, rng: np.random.Generator, *, past_V: Past | Non
         command_V=volts_of(rig, shape),
         history_V=history,
         rest_s=float(rng.uniform(20.0, 300.0)),
-        others_V={axis: volts_of(rig, drive) for axis, drive in others.items()},
+        others_V={axis: volts_of(rig, drive) for axis, drive in other_drives.items()},
     )
 
 

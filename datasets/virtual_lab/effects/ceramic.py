@@ -206,7 +206,7 @@ def _crept(response_m: Array, scene: Scene, tilt: float) -> Array:
     crept = np.zeros_like(response_m)
     for log_tau, share in zip(decades, weight, strict=True):
         tau_s = 10.0 ** float(log_tau)
-        left = -np.expm1(-CYCLED_s / tau_s) * np.exp(-scene.rest_s / tau_s)
-        start = float(response_m[0] + (middle_m - response_m[0]) * left)
+        remaining = -np.expm1(-CYCLED_s / tau_s) * np.exp(-scene.rest_s / tau_s)
+        start = float(response_m[0] + (middle_m - response_m[0]) * remaining)
         crept += share * first_order(response_m, tau_s, scene.rate_Hz, start)
     return crept

@@ -149,9 +149,9 @@ def generalised_bouc_wen_memory(
         psi = b1 * sign * z + b2 * sign * x + b3 * x * z + b4 * sign + b5 * z + b6 * x
         return 1.0 - float(abs(state) ** sharpness) * psi
 
-    others = sum(map(abs, shape[1:]))
-    saturation = float((b1 - others) ** (-1.0 / sharpness))  # a bound of the state
-    steepest = 1.0 + float(saturation**sharpness) * (b1 + others)  # a bound of the slope
+    remainder = sum(map(abs, shape[1:]))
+    saturation = float((b1 - remainder) ** (-1.0 / sharpness))  # a bound of the state
+    steepest = 1.0 + float(saturation**sharpness) * (b1 + remainder)  # a bound of the slope
     first = -float((b1 - b2 + b3 + b4 - b5 - b6) ** (-1.0 / sharpness))
     return steepest * path - states_along(slope, path, first, jumps=(centre,))
 
