@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.speed.loops import numpy_sum
 from benchmarks.speed.stopwatch import Stopwatch, used_s
 from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.gauss_newton import HysteresisFit, minimise, rms_of
+from piezoid.identification.hysteresis.gauss_newton import HysteresisFit, Task, minimise, rms_of
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.numerics.arrays import Array
@@ -80,8 +80,12 @@ def fitted(one: Recording) -> Found:
     pieces = pieces_of([one], "x", scales_of([one], "x"), Rig())
     thinned = search(pieces, SHAPE, SETTINGS)
     thinned_s = used_s() - begun_s
-    whole = minimise(thinned.theta, replace(thinned.task, stride=1), iterations=4)
+    whole = minimise(thinned.theta, every_sample(thinned.task), iterations=4)
     return Found(thinned=thinned, whole=whole, thinned_s=thinned_s, total_s=used_s() - begun_s)
+
+
+def every_sample(task: Task) -> Task:
+    return replace(task, samples=[piece.fitted_samples() for piece in task.pieces])
 
 
 def loop_s(watch: Stopwatch, one: Recording) -> float:
@@ -102,7 +106,7 @@ def main(words: Sequence[str] | None = None, *, watch: Stopwatch = PATIENT) -> N
     one = recording(int(asked[0]) if asked else 1_000_000)
     before = peak_megabytes()
     found = fitted(one)
-    after, task = peak_megabytes(), replace(found.thinned.task, stride=1)
+    after, task = peak_megabytes(), every_sample(found.thinned.task)
     forward_s = watch.cpu_s(lambda: rms_of(found.whole.theta, task))
     residual_nm = 1e9 * found.whole.rms * abs(scales_of([one], "x").displacement_m)
     print(f"{one.samples} samples, 16 plays and 12 dead zones, thresholds included:")

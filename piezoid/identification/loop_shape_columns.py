@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from piezoid.identification.extensions.extension import Where
 from piezoid.identification.extensions.linear_mode import rows_after_steps
 from piezoid.identification.forward import MAX_ENTRIES
-from piezoid.identification.hysteresis.pieces import PieceStart
+from piezoid.identification.hysteresis.pieces import PieceStart, where_of
 from piezoid.identification.loop_shape import (
     FitWithoutShape,
     LoopShape,
@@ -25,7 +25,7 @@ from piezoid.identification.loop_shape import (
     settling_samples,
 )
 from piezoid.identification.model import AxisModel
-from piezoid.identification.simulation import fitted_pieces, starts_of, where_of
+from piezoid.identification.simulation import fitted_pieces, starts_of
 from piezoid.numerics.arrays import Array, spread_rows
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
 from piezoid.operators.play import thinned_drive, turns_of

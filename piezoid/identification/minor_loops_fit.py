@@ -26,7 +26,7 @@ from scipy.optimize import least_squares
 from piezoid.errors import IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.rate_dependence import RateDependence
-from piezoid.identification.hysteresis.pieces import PieceStart
+from piezoid.identification.hysteresis.pieces import PieceStart, where_of
 from piezoid.identification.hysteresis.uncertainty import BLOCKS, DRAWS, SEED
 from piezoid.identification.minor_loops import FunctionOrder, MinorLoops, PlaysFit
 from piezoid.identification.model import AxisModel
@@ -35,7 +35,6 @@ from piezoid.identification.simulation import (
     fitted_pieces,
     simulate_recording,
     starts_of,
-    where_of,
     zero_of,
 )
 from piezoid.numerics.arrays import Array

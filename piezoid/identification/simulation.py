@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from piezoid.errors import IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.extension import Where
-from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, PieceStart
+from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, PieceStart, where_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, freeze, same_length
 from piezoid.records.recording import Quantity, Recording
@@ -87,24 +87,6 @@ def simulate_fitted_rows(axis_model: AxisModel, recording: Recording) -> Array:
     is_fitted[list(recording.bridged)] = False
     displacement_m[~is_fitted] = np.nan
     return displacement_m
-
-
-def where_of(recording: Recording, axis: str, rows: slice) -> Where:
-    """Return the location of some rows for extensions, with the drives of other axes that move."""
-    other_drives = {
-        channel.axis: channel.values[rows]
-        for channel in recording.channels
-        if channel.quantity is Quantity.VOLTAGE
-        and channel.axis != axis
-        and np.ptp(channel.values) > 0.0
-    }
-    return Where(
-        recording=recording.name,
-        rate_Hz=recording.sampling_rate_Hz,
-        first=rows.start,
-        samples=rows.stop - rows.start,
-        others_V=other_drives,
-    )
 
 
 def zero_of(start: PieceStart, samples: int) -> Array:

@@ -123,27 +123,12 @@ def jackknife(theta: Array, task: Task) -> Jackknife:
                 gradients[c][columns] += tangent.T @ residual
         first += len(edges[index]) - 1
     kinks, _ = task.prior
-    bounds = coordinates.bounds(task.longest_lag_s)
-    return leave_blocks_out(theta, bounds, normals, gradients, kinks.T @ kinks)
-
-
-def leave_blocks_out(
-    theta: Array,
-    bounds: tuple[Array, Array],
-    normals: Array,
-    gradients: Array,
-    prior: Array | float = 0.0,
-) -> Jackknife:
-    """Return refits without each block, from J_c'J_c and J_c'e_c of every block.
-
-    prior  added to J'J in A for every block that is left out
-    """
-    data = normals.sum(axis=0)
-    lower, upper = bounds
+    data, prior = normals.sum(axis=0), kinks.T @ kinks
+    lower, upper = task.bounds(theta)
     is_free = (theta > lower + 1e-9) & (theta < upper - 1e-9) & (np.diag(data) > 0)
-    replicates = np.repeat(theta[None], len(normals), axis=0)
+    replicates = np.repeat(theta[None], blocks, axis=0)
     scale = np.sqrt(np.diag(data)[is_free])
-    for block, (normal, gradient) in enumerate(zip(normals, gradients, strict=True)):
+    for number, (normal, gradient) in enumerate(zip(normals, gradients, strict=True)):
         remaining, regularised = (
             (matrix - normal)[np.ix_(is_free, is_free)] / np.outer(scale, scale)
             for matrix in (data, data + prior)
@@ -151,7 +136,7 @@ def leave_blocks_out(
         eigenvalue, direction = np.linalg.eigh(remaining)
         axes = direction[:, eigenvalue > MIN_EIGENVALUE * eigenvalue[-1]]
         step = np.linalg.solve(axes.T @ regularised @ axes, axes.T @ (gradient[is_free] / scale))
-        replicates[block, is_free] += axes @ step / scale
+        replicates[number, is_free] += axes @ step / scale
     return Jackknife(
         theta=theta,
         replicates=np.clip(replicates, lower, upper),

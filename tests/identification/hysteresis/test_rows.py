@@ -59,7 +59,7 @@ def test_tangents_are_finite_differences_of_the_simulation(
         pieces=[piece],
         coordinates=coordinates,
         sensor_pole_Hz=sensor_Hz,
-        stride=stride,
+        samples=[piece.fitted_samples(stride)],
         longest_lag_s=1.0,
     )
     samples, blocks = zip(*rows_of(theta, task, 0), strict=True)

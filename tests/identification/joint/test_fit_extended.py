@@ -33,7 +33,7 @@ from tests.identification.joint.stage import (
 )
 
 TIMES_s = (0.3, 3.0)
-PIECES = [part.where for part in parts_of(known_model(), recordings_of())]
+PIECES = [part.piece.where for part in parts_of(known_model(), recordings_of())]
 ANSWER = CrossAxis(axis="y", centre_V=5.0, gain_m_per_V=2e-8, curvature_m_per_V_per_V=1e-9)
 HUM = MainsLines.of(PIECES, 50.0, harmonics=(1,))
 DRIFT = ThermalDrift.of(PIECES)
