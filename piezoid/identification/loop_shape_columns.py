@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from piezoid.identification.extensions.extension import Where
 from piezoid.identification.extensions.linear_mode import rows_after_steps
 from piezoid.identification.forward import MAX_ENTRIES
-from piezoid.identification.hysteresis.pieces import PieceStart, where_of
+from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.loop_shape import (
     FitWithoutShape,
     LoopShape,
@@ -25,7 +25,7 @@ from piezoid.identification.loop_shape import (
     settling_samples,
 )
 from piezoid.identification.model import AxisModel
-from piezoid.identification.simulation import fitted_pieces, starts_of
+from piezoid.identification.simulation import fitted_pieces
 from piezoid.numerics.arrays import Array, spread_rows
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
 from piezoid.operators.play import thinned_drive, turns_of
@@ -159,16 +159,12 @@ def piece_rows(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[PieceR
     low_V, high_V = axis.voltage_V
     pieces: list[PieceRows] = []
     for recording in recordings:
-        starts, samples = starts_of(axis, recording), fitted_pieces(recording)
-        if len(starts) != len(samples):
-            continue
         bridged = np.array(recording.bridged, dtype=np.intp)
-        for piece, start in zip(samples, starts, strict=True):
-            where = where_of(recording, axis.axis, piece)
-            voltage_V = recording.voltage_V(axis.axis)[piece]
+        for piece in fitted_pieces(axis, recording):
+            where, start, voltage_V = piece.where, piece.start, piece.voltage_V
             level = 2.0 * (voltage_V - low_V) / (high_V - low_V) - 1.0
             after_steps = rows_after_steps(level, where.rate_Hz, axis.extensions, min_rows=2)
-            excluded = np.concatenate([bridged - piece.start, after_steps])
+            excluded = np.concatenate([bridged - piece.samples.start, after_steps])
             rows = start.first + spread_rows(start.last - start.first, max_rows)
             rows = np.setdiff1d(rows, excluded)
             # Folds are blocks of whole cycles in turn, shifted for each piece.
@@ -184,7 +180,7 @@ def piece_rows(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[PieceR
                 PieceRows(
                     where=where,
                     voltage_V=voltage_V,
-                    measured_m=recording.displacement_m(axis.axis)[piece],
+                    measured_m=recording.displacement_m(axis.axis)[piece.samples],
                     drive_V=axis.forward.driven_V(voltage_V, where.rate_Hz),
                     start=start,
                     rows=rows,

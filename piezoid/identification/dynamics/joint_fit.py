@@ -25,8 +25,9 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from piezoid.identification.dynamics.fit_dynamics import STEP, sorted_terms
 from piezoid.identification.dynamics.modal import JointFit, LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
-from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, behind_pole
+from piezoid.identification.hysteresis.pieces import behind_pole
 from piezoid.identification.model import AxisModel
+from piezoid.identification.simulation import fitted_pieces
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
 from piezoid.numerics.robust import NORMAL_95
@@ -94,19 +95,17 @@ def segments_of(
     structure    modes and lags of the basis
     """
     rate_Hz, operator = recording.sampling_rate_Hz, axis.hysteresis
+    measured_m = recording.displacement_m(axis.axis)
     # The longest time constant; an overdamped mode has its slow pole at w / (2 zeta).
     w, zeta = 2.0 * np.pi * dynamics.mode_frequency_Hz, dynamics.mode_damping
     modes_s = np.maximum(1.0 / (zeta * w), np.where(zeta > 1.0, 2.0 * zeta / w, 0.0))
     lags_s = 1.0 / (2.0 * np.pi * dynamics.lag_frequency_Hz)
     longest_s = float(max([*modes_s, *lags_s], default=0.0))
     ring = int(np.ceil((RINGING * longest_s + dynamics.delay_s) * rate_Hz)) + 1
-    starts = [start for start in axis.starts if start.recording == recording.name]
-    pieces = [p for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES]
     segments = []
-    for piece, start in zip(pieces, starts, strict=False):
-        rows = slice(piece.start, min(piece.stop, piece.start + MAX_SAMPLES))
+    for piece in fitted_pieces(axis, recording):
         drive_V = _drive_at_operator(
-            recording.voltage_V(axis.axis)[rows],
+            piece.voltage_V[:MAX_SAMPLES],
             axis.rig.amplifier_bandwidth_Hz,
             rate_Hz,
             dynamics.sampling_rate_Hz,
@@ -114,7 +113,7 @@ def segments_of(
         inside_V = operator.envelope.run(drive_V - operator.voltage_offset_V)
         # The memory is a curve of slope at most one over the threshold: interpolation is
         # admissible.
-        memory_V = np.interp(threshold_V, operator.plays.threshold, start.memory_V)
+        memory_V = np.interp(threshold_V, operator.plays.threshold, piece.start.memory_V)
         states_V, _ = play_columns(inside_V, threshold_V, memory_V)
         padded = next_fast_len(len(drive_V) + min(len(drive_V), ring), real=True)
         frequency_Hz = np.asarray(rfftfreq(padded, 1.0 / rate_Hz))
@@ -124,7 +123,7 @@ def segments_of(
             Segment(
                 recording=recording.name,
                 states_V=np.ascontiguousarray(states_V.T),
-                measured_m=axis.polarity * recording.displacement_m(axis.axis)[rows],
+                measured_m=axis.polarity * measured_m[piece.samples][:MAX_SAMPLES],
                 basis=ModalBasis(
                     structure=structure,
                     frequency_Hz=frequency_Hz,

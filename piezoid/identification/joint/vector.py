@@ -29,6 +29,7 @@ from piezoid.identification.hysteresis.pieces import (
     pieces_of,
 )
 from piezoid.identification.model import AxisModel
+from piezoid.identification.simulation import fitted_pieces
 from piezoid.numerics.arrays import Array, Samples, spread_rows
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
@@ -83,14 +84,14 @@ def parts_of(
     """
     pieces = pieces_of(recordings, model.axis, scales_from(model), model.rig)
     max_rows = max(MAX_ROWS // len(pieces), 50)
-    starts: list[list[PieceStart]] = []
-    for number, recording in enumerate(recordings):
-        count = sum(piece.recording == number for piece in pieces)
-        of_recording = [start for start in model.starts if start.recording == recording.name]
-        starts.append(of_recording if len(of_recording) == count else [])
+    starts = {
+        (number, fitted.samples.start): fitted.start
+        for number, recording in enumerate(recordings)
+        for fitted in fitted_pieces(model, recording)
+    }
     parts = []
     for number, piece in enumerate(pieces):
-        start = starts[piece.recording].pop(0) if starts[piece.recording] else None
+        start = starts.get((piece.recording, piece.begin))
         if start is not None:
             piece = replace(piece, first=start.first, last=start.last)
         if samples is None:
