@@ -110,7 +110,7 @@ def weights_by_others(columns: Array, target: Array) -> Mapping[str, Callable[[]
 
 def kuhnen(program: Program) -> Array:
     """Solve Kuhnen's program by way of the triangle."""
-    return optimum_of(triangle_of(program.rows), program.threshold, program.zones).x
+    return optimum_of(triangle_of(program.rows), program.threshold, program.zones)[0]
 
 
 def kuhnen_by_cvxpy(program: Program) -> Array:

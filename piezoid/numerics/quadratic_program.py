@@ -6,7 +6,6 @@ unlike the Gram matrix J'J, does not square the condition number, which reaches 
 regressors.
 """
 
-from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -26,18 +25,6 @@ _EQUALITY = 5  # daqp's constraint type of equal bounds
 _SOLVED = 1  # daqp's status
 _PRIMAL_TOLERANCE = 1e-11  # of variables of order one
 _REFLECTED_COLUMNS = 16  # together, in an update of the triangular factor
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Optimum:
-    """Solution of a convex program, with a bound of its distance from the optimum.
-
-    x        (unknowns,)
-    kkt_gap  scaled stationarity residual: 0 at an exact optimum, dimensionless
-    """
-
-    x: Array
-    kkt_gap: float
 
 
 def column_norms(columns: Array) -> Array:

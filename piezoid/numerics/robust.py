@@ -173,6 +173,19 @@ def student_quantile(probability: ArrayLike, freedom: ArrayLike) -> Array:
     return np.asarray(np.where(is_normal, ndtri(probability), student))
 
 
+def jackknife_half(replicates: Array) -> Array:
+    """Return half the 95 % interval of a jackknife, (values,) [Tukey 1958]; infinite for one.
+
+    replicates  (replicates, values)  each estimated without one block of the data
+    """
+    count = len(replicates)
+    if count < 2:
+        return np.full(replicates.shape[1], np.inf)
+    spread = ((replicates - replicates.mean(axis=0)) ** 2).sum(axis=0)
+    quantile = float(student_quantile(0.975, count - 1))
+    return np.asarray(quantile * np.sqrt((count - 1) / count * spread))
+
+
 def white_noise_rms(signal: Array, spacing: int = 1) -> float:
     """Return the rms of the white part of a slowly varying signal's noise.
 

@@ -21,7 +21,6 @@ from piezoid.identification.hysteresis.pieces import Piece, widest_swing
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.derivative_free import direct_search
 from piezoid.numerics.quadratic_program import (
-    Optimum,
     bounded_step,
     empty_triangle,
     gather,
@@ -68,12 +67,12 @@ def kuhnen_start(
     highest = max(float(piece.response.max()) for piece in pieces)
     lowest = min(float(piece.response.min()) for piece in pieces)
     zones = zone_thresholds(lowest, highest, shape)
-    optimum = optimum_of(triangle_of(pieces, threshold, zones, lag_s), threshold, zones)
-    weight = np.maximum(optimum.x[: shape.plays + 1], 0.0)
+    optimum, kkt_gap = optimum_of(triangle_of(pieces, threshold, zones, lag_s), threshold, zones)
+    weight = np.maximum(optimum[: shape.plays + 1], 0.0)
     inverse = DeadZones(
-        threshold=zones, weight=optimum.x[shape.plays + 1 : shape.plays + 1 + len(zones)]
+        threshold=zones, weight=optimum[shape.plays + 1 : shape.plays + 1 + len(zones)]
     )
-    constant = float(np.mean(optimum.x[shape.plays + 1 + len(zones) :]))
+    constant = float(np.mean(optimum[shape.plays + 1 + len(zones) :]))
     # Rewrite Psi(h + c) as offset + Psi_c(h) with Psi_c(0) = 0 and central slope 1.
     psi = inverse.inverse()
     kinks = psi.threshold[psi.threshold != 0.0] - constant
@@ -93,7 +92,7 @@ def kuhnen_start(
         lag_s=lag_s,
     )
     offset = float(psi.run(np.array([constant]))[0])
-    return Start(operator=operator, offset=offset, kkt_gap=optimum.kkt_gap)
+    return Start(operator=operator, offset=offset, kkt_gap=kkt_gap)
 
 
 def zone_thresholds(low: float, high: float, shape: Shape) -> Array:
@@ -125,8 +124,10 @@ def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: 
     return triangle
 
 
-def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Optimum:
-    """Solve the program, given the triangular factor of its rows with the offsets last.
+def optimum_of(triangle: Array, threshold: Array, zones: Array) -> tuple[Array, float]:
+    """Return weights, slopes and offsets of the program, and its duality (KKT) gap.
+
+    triangle  factor of the rows of the program, with the offsets last
 
     The unknowns are slopes of Psi' instead of weights, so that their limits are bounds; w_0
     follows from the normalisation: w_0 = 1 - sum_(i>0) (1 - r_i) w_i in scaled units, r_0 = 0.
@@ -146,7 +147,7 @@ def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Optimum:
     x = free[:, 1:] @ step
     x[0] = max(1.0 + x[0], MIN_SLOPE)
     gap = stationarity(design, step, target, np.eye(len(step)), (lower, upper))
-    return Optimum(x=np.asarray(x), kkt_gap=gap)
+    return np.asarray(x), gap
 
 
 def _spread(positions: Array, distance: float) -> Array:

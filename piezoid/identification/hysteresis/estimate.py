@@ -42,7 +42,6 @@ from piezoid.identification.hysteresis.search import (
     prune,
     search,
     search_from,
-    simulate_piece,
 )
 from piezoid.identification.hysteresis.sensor_noise import sensor_noise
 from piezoid.identification.hysteresis.uncertainty import certify, jackknife, summarise
@@ -260,9 +259,7 @@ def remarks_on(fit: HysteresisFit, held_out_kind: str, rig: Rig) -> tuple[str, .
 def _quality(
     fit: HysteresisFit, choice: Choice, pieces: Sequence[Piece], stroke_m: float
 ) -> FitQuality:
-    residuals = [
-        simulate_piece(fit, index, piece) - piece.response for index, piece in enumerate(pieces)
-    ]
+    residuals = [fit.simulate(index, piece) - piece.response for index, piece in enumerate(pieces)]
     noise, is_bound = zip(*map(sensor_noise, pieces, residuals), strict=True)
     rows = [piece.rows for piece in pieces]
     return FitQuality(

@@ -147,6 +147,10 @@ class HysteresisFit:
         """The fitted operator in scaled units."""
         return operator_of(self.theta, self.task.coordinates)
 
+    def simulate(self, index: int, piece: Piece) -> Array:
+        """Simulate a piece with the fitted parameters, memory and zero of one piece of the fit."""
+        return simulate(self.theta, self.task, index, piece)
+
     def starts(self, scales: Scales) -> tuple[PieceStart, ...]:
         """Return the initial states and zeros of all pieces in SI units."""
         stretch_V = envelope_stretch(self.operator) * scales.voltage_V

@@ -18,9 +18,8 @@ from piezoid.identification.hysteresis.coordinates import (
     vector_of,
     with_flat_envelope,
 )
-from piezoid.identification.hysteresis.gauss_newton import HysteresisFit, Task, minimise, simulate
+from piezoid.identification.hysteresis.gauss_newton import HysteresisFit, Task, minimise
 from piezoid.identification.hysteresis.pieces import Piece, widest_swing
-from piezoid.numerics.arrays import Array
 
 MANY_PLAYS = 6  # with more plays the better of two starts is enough
 # Scaled: kinks of 0.1 cost 1e-11, a thousandth of the square of the lowest noise (1e-4).
@@ -141,11 +140,6 @@ def task_for(pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Sett
         swing=widest_swing(pieces),
         ridge=RIDGE,
     )
-
-
-def simulate_piece(fit: HysteresisFit, index: int, piece: Piece) -> Array:
-    """Simulate a piece with the fitted parameters, memory and zero of one piece of the fit."""
-    return simulate(fit.theta, fit.task, index, piece)
 
 
 def refit_initial_state(fit: HysteresisFit, pieces: Sequence[Piece]) -> HysteresisFit:

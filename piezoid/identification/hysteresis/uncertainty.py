@@ -36,7 +36,7 @@ from piezoid.identification.hysteresis.gauss_newton import Task, column_indices,
 from piezoid.identification.hysteresis.pieces import Piece, Scales
 from piezoid.identification.quality import Certificate, Uncertainty
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.robust import student_quantile
+from piezoid.numerics.robust import jackknife_half
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import worst_case
@@ -85,8 +85,7 @@ class Jackknife:
 
     def half_width(self, functional: Callable[[Array], Array]) -> Array:
         """Return half the width of the 95 % interval of each value of a function of theta."""
-        quantile = float(student_quantile(0.975, self.blocks - 1))
-        return np.asarray(quantile * np.sqrt(np.diag(self.spread(functional))))
+        return jackknife_half(np.array([functional(replicate) for replicate in self.replicates]))
 
     def upper_limit(self, index: int) -> float:
         """Return the one-sided 95 % limit of a parameter on its lower bound.
