@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from piezoid.identification.extensions.extension import Where
 from piezoid.identification.extensions.linear_mode import rows_after_steps
 from piezoid.identification.forward import MAX_ENTRIES
-from piezoid.identification.hysteresis.pieces import PieceStart
+from piezoid.identification.hysteresis.pieces import PieceStart, cycle_edges
 from piezoid.identification.loop_shape import (
     FitWithoutShape,
     LoopShape,
@@ -169,11 +169,7 @@ def piece_rows(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[PieceR
             rows = np.setdiff1d(rows, excluded)
             # Folds are blocks of whole cycles in turn, shifted for each piece.
             span = np.maximum.accumulate(level) - np.minimum.accumulate(level)
-            middle = 0.5 * (level.max() + level.min())
-            rises = np.flatnonzero((level[:-1] < middle) & (level[1:] >= middle))
-            edges = np.linspace(0, len(level), BLOCKS_PER_PIECE + 1)[1:-1]
-            if len(rises) >= BLOCKS_PER_PIECE:
-                edges = np.unique(rises[np.abs(rises[:, None] - edges).argmin(axis=0)])
+            edges = cycle_edges(level, BLOCKS_PER_PIECE)[1:-1]
             fold = (np.searchsorted(edges, rows, side="right") + len(pieces)) % FOLDS
             is_settled = (span >= COVERED * span[-1])[rows]
             pieces.append(

@@ -124,6 +124,21 @@ def response_range(pieces: Sequence[Piece]) -> float:
     return max(float(np.ptp(piece.fitted_response)) for piece in pieces)
 
 
+def cycle_edges(drive: Array, blocks: int) -> Samples:
+    """Return the edges of blocks of whole cycles, which begin where a drive rises past its median.
+
+    drive     (samples,)
+    returned  (edges,)  0 to samples; with fewer cycles than blocks, blocks of equal length
+    """
+    edges = np.linspace(0, len(drive), blocks + 1).astype(int)
+    is_above = drive > np.median(drive)
+    rises = 1 + np.flatnonzero(~is_above[:-1] & is_above[1:])
+    if len(rises) < blocks:
+        return edges
+    nearest = rises[np.abs(rises[:, None] - edges[1:-1]).argmin(axis=0)]
+    return np.unique(np.concatenate([edges[:1], nearest, edges[-1:]]))
+
+
 def widest_swing(pieces: Sequence[Piece]) -> tuple[float, float]:
     """Return minimum and maximum of the drive in the piece with the largest range."""
     drives = [piece.drive[: piece.last] for piece in pieces]

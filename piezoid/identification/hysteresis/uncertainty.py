@@ -18,7 +18,7 @@ the 99.9 % quantile of the held-out residual. Every term is finite, so the error
 with it that of the compensation by its inverse, is bounded for all bounded drives.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +33,7 @@ from piezoid.identification.hysteresis.coordinates import (
     to_si_units,
 )
 from piezoid.identification.hysteresis.gauss_newton import Task, column_indices, rows_of
-from piezoid.identification.hysteresis.pieces import Piece, Scales
+from piezoid.identification.hysteresis.pieces import Scales, cycle_edges
 from piezoid.identification.quality import Certificate, Uncertainty
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import jackknife_half
@@ -107,7 +107,11 @@ class Jackknife:
 def jackknife(theta: Array, task: Task) -> Jackknife:
     """Return refits without each block of whole cycles in turn."""
     coordinates = task.coordinates
-    edges = block_edges(task.pieces)
+    share = BLOCKS / sum(piece.rows for piece in task.pieces)
+    edges = [
+        piece.first + cycle_edges(piece.fitted_drive, max(2, round(share * piece.rows)))
+        for piece in task.pieces
+    ]
     blocks = sum(len(edge) - 1 for edge in edges)
     normals = np.zeros((blocks, coordinates.total, coordinates.total))  # J_c'J_c
     gradients = np.zeros((blocks, coordinates.total))  # J_c'e_c
@@ -143,29 +147,6 @@ def jackknife(theta: Array, task: Task) -> Jackknife:
         normal=data + prior,
         gradient=gradients,
     )
-
-
-def block_edges(pieces: Sequence[Piece]) -> list[NDArray[np.int_]]:
-    """Return the edges of blocks of each piece, where the drive rises through its median.
-
-    returned  for each piece the edges, from its first row to its last; about 24 blocks in all
-    """
-    total = sum(piece.rows for piece in pieces)
-    edges = []
-    for piece in pieces:
-        blocks = max(2, round(BLOCKS * piece.rows / total))
-        edges_of_piece = np.linspace(piece.first, piece.last, blocks + 1).astype(int)
-        drive = piece.fitted_drive
-        is_above = drive > np.median(drive)
-        rises = piece.first + 1 + np.flatnonzero(~is_above[:-1] & is_above[1:])
-        if len(rises) >= blocks:
-            inner = edges_of_piece[1:-1]
-            nearest = rises[np.abs(rises[:, None] - inner).argmin(axis=0)]
-            edges_of_piece = np.unique(
-                np.concatenate([edges_of_piece[:1], nearest, edges_of_piece[-1:]])
-            )
-        edges.append(edges_of_piece)
-    return edges
 
 
 def summarise(refits: Jackknife, coordinates: Coordinates, scales: Scales) -> Uncertainty:
