@@ -131,6 +131,13 @@ class Forward:
             position_m = extension.reading(position_m, where)
         return position_m
 
+    def gain_at(self, sample: Samples, where: Where) -> Array | float:
+        """Return the gain of the extensions at samples, (rows, 1), or 1."""
+        gain: Array | float = 1.0
+        for extension in self.extensions:
+            gain = gain * extension.gain(where)
+        return gain if isinstance(gain, float) else gain[sample, None]
+
     def chain(self, memory_slope: Array, rate_Hz: float) -> Chain:
         """Return the hysteresis in the form of the kernel that computes its derivatives."""
         operator = self.operator
@@ -302,10 +309,8 @@ class Run:
         else:
             columns = self._columns(chain, np.arange(int(sample[-1]) + 1))
             columns = forward.linear_response(columns, where, fast_only=True)[sample]
-        gain: Array | float = 1.0
-        for extension in forward.extensions:
-            gain = gain * extension.gain(where)
-        return columns if isinstance(gain, float) else columns * gain[sample, None]
+        gain = forward.gain_at(sample, where)
+        return columns if isinstance(gain, float) else columns * gain
 
     def _columns(self, chain: Chain, source: Samples) -> Array:
         rows = np.empty((len(source), chain.plays + chain.columns), order="F")

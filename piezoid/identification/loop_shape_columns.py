@@ -129,7 +129,7 @@ class _HistoryPath:
             filtered = np.concatenate([change, settled])
         else:
             filtered = _at_sensor(axis, piece, self.interpolated(change, piece.where.samples))
-        return np.asarray(filtered * gain_at_rows(axis, piece))
+        return np.asarray(filtered * axis.forward.gain_at(piece.rows, piece.where))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -222,7 +222,9 @@ def columns_of(
             table = _at_sensor(axis, piece, static)
             drive_V, row_index = _drive_at_rows(piece.drive_V, piece.rows, 0.0)
         remainder = plays_m / (0.5 * axis.quality.range_m) - table @ plays[:-1]
-        tables.append(np.column_stack([table, remainder]) * gain_at_rows(axis, piece))
+        tables.append(
+            np.column_stack([table, remainder]) * axis.forward.gain_at(piece.rows, piece.where)
+        )
         paths.append(
             _history_path(axis, memory_V, drive_V, row_index, sample, count, is_pure_delay)
         )
@@ -280,14 +282,6 @@ def _reference() -> tuple[Array, NDArray[np.str_], Array, Array, Array]:
 def _at_sensor(axis: AxisModel, piece: PieceRows, static: Array) -> Array:
     """Filter a static response, (samples,) or (samples, columns), by fast extensions, at rows."""
     return axis.forward.linear_response(static, piece.where, fast_only=True)[piece.rows]
-
-
-def gain_at_rows(axis: AxisModel, piece: PieceRows) -> Array | float:
-    """Return the gain of the extensions at the rows, (rows, 1), or 1."""
-    gain: Array | float = 1.0
-    for extension in axis.extensions:
-        gain = gain * extension.gain(piece.where)
-    return gain if isinstance(gain, float) else gain[piece.rows, None]
 
 
 def zero_loop_shape(axis: AxisModel) -> LoopShape:

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from piezoid.errors import IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.rate_dependence import RateDependence
 from piezoid.identification.hysteresis.pieces import PieceStart, where_of
@@ -34,7 +33,6 @@ from piezoid.identification.simulation import (
     FittedPiece,
     fit_start,
     fitted_pieces,
-    simulate_recording,
     zero_of,
 )
 from piezoid.numerics.arrays import Array
@@ -329,14 +327,11 @@ def _fitted_start(axis: AxisModel, recording: Recording, piece: FittedPiece) -> 
 
 def _rows(axis: AxisModel, recording: Recording, lattice: PreisachPlays) -> Iterator[Rows]:
     """Yield the regression rows of each piece of a recording, thinned."""
-    try:
-        simulated_m = simulate_recording(axis, recording)
-    except IdentificationError:
-        return
     forward = axis.forward
-    residual_m = recording.displacement_m(axis.axis) - simulated_m
     for piece in fitted_pieces(axis, recording):
         where, start = piece.where, piece.start
+        measured_m = recording.displacement_m(axis.axis)[piece.samples]
+        residual_m = measured_m - piece.simulate(axis)
         driven_V = forward.driven_V(piece.voltage_V, where.rate_Hz)
         inner_V = np.ascontiguousarray(driven_V - lattice.voltage_offset_V)
         plays_m = axis.static_m(driven_V, start.memory_V, where.rate_Hz)
@@ -350,8 +345,8 @@ def _rows(axis: AxisModel, recording: Recording, lattice: PreisachPlays) -> Iter
         yield Rows(
             recording=recording.name,
             columns=columns,
-            target=filtered_m + axis.polarity * residual_m[piece.samples][sample],
-            plays_residual_m=residual_m[piece.samples][sample],
+            target=filtered_m + axis.polarity * residual_m[sample],
+            plays_residual_m=residual_m[sample],
             is_settled=_is_settled(inner_V)[sample],
             drive_range_V=(float(inner_V.min()), float(inner_V.max())),
         )

@@ -49,6 +49,12 @@ class FittedPiece:
     where: Where
     start: PieceStart
 
+    def simulate(self, axis_model: AxisModel) -> Array:
+        """Simulate the displacement from the fitted start, (samples,) m."""
+        start, where = self.start, self.where
+        motion_m = axis_model.motion_m(self.voltage_V, start.memory_V, where, start.history_weight)
+        return axis_model.forward.read(zero_of(start, where.samples) + motion_m, where)
+
 
 def fitted_pieces(axis_model: AxisModel, recording: Recording) -> tuple[FittedPiece, ...]:
     """Return the pieces of a recording with their starts; empty if it was not fitted."""
@@ -94,17 +100,8 @@ def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
         )
     displacement_m = np.full(recording.samples, np.nan)
     for piece in pieces:
-        displacement_m[piece.samples] = _simulated_from(
-            axis_model, piece.voltage_V, piece.start, piece.where
-        )
+        displacement_m[piece.samples] = piece.simulate(axis_model)
     return displacement_m
-
-
-def _simulated_from(
-    axis_model: AxisModel, voltage_V: Array, start: PieceStart, where: Where
-) -> Array:
-    motion_m = axis_model.motion_m(voltage_V, start.memory_V, where, start.history_weight)
-    return axis_model.forward.read(zero_of(start, where.samples) + motion_m, where)
 
 
 def simulate_fitted_rows(axis_model: AxisModel, recording: Recording) -> Array:
@@ -270,8 +267,9 @@ def _predicted_piece(model: AxisModel, voltage_V: Array, measured_m: Array, wher
         motion_m = model.motion_m(voltage_V, memory_V, where, weight)
         zero_m += float(np.mean(measured_m - model.forward.read(zero_m + motion_m, where)))
     candidates = [model.forward.read(zero_m + motion_m, where)]
+    samples = slice(where.first, where.first + where.samples)
     candidates += [
-        _simulated_from(model, voltage_V, start, where)
+        FittedPiece(samples=samples, voltage_V=voltage_V, where=where, start=start).simulate(model)
         for start in model.starts
         if start.recording == where.recording and start.last <= len(voltage_V)
     ]
