@@ -30,7 +30,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import fitted_pieces
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
-from piezoid.numerics.robust import NORMAL_95
+from piezoid.numerics.robust import NORMAL_95, sandwich_covariance
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
@@ -411,8 +411,6 @@ def _covariance(
 ) -> Array:
     """Return the largest, for each parameter, of inverse curvature and two sandwiches.
 
-        C^-1 M C^-1,   M the sum of outer products of sums of dependent scores     [White 1982]
-
     Scores are whitened derivatives times the whitened residual. Sums over neighbouring samples
     allow for noise that changes in time [Newey & West 1987]; sums over parts of a segment allow
     for the error of the operator, which repeats from cycle to cycle and changes during a sweep.
@@ -437,9 +435,4 @@ def _covariance(
         starts = np.linspace(0, scores.shape[1], PARTS + 1).astype(np.int64)[:-1]
         sums = np.add.reduceat(scores, starts, axis=1)
         by_part += sums @ sums.T * PARTS / (PARTS - 1) * (PARTS_QUANTILE / NORMAL_95) ** 2
-    scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
-    inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-12, hermitian=True)
-    inverse = inverse / np.outer(scale, scale)
-    spread = np.maximum(*(np.diag(inverse @ sums @ inverse) for sums in (by_sample, by_part)))
-    stretch = np.sqrt(np.maximum(spread / np.maximum(np.diag(inverse), TINY), 1.0))
-    return np.asarray(inverse * np.outer(stretch, stretch))
+    return sandwich_covariance(curvature, (by_sample, by_part))
