@@ -250,22 +250,15 @@ class Run:
         """
         forward, rate_Hz = self.forward, self.where.rate_Hz
         chain, delay = forward.filtered_chain(self.memory_slope, rate_Hz)
-        first_shared = chain.plays + zeros
-        lag = first_shared + chain.columns - 2
         if forward.extensions:
-            first = lag + (forward.lag != "none")
-            numbers = [len(extension.free().value) for extension in forward.extensions]
-            block = np.empty((len(sample), first + sum(numbers) + 1), order="F")
             columns = self.by_hysteresis(sample)
-            block[:, : chain.plays] = columns[:, : chain.plays]
-            block[:, first_shared:lag] = columns[:, chain.plays :]
+            of_memory, of_operator = np.split(columns, [chain.plays], axis=1)
+            tables = [of_memory, np.zeros((len(sample), zeros)), of_operator]
             if forward.lag != "none":
-                block[:, lag] = self.by_lag(sample)
-            for number, count in enumerate(numbers):
-                block[:, first : first + count] = self.by_extension(number, sample)
-                first += count
-            block[:, -1] = self.reading[sample]
-            yield sample, block
+                tables.append(self.by_lag(sample)[:, None])
+            tables += [self.by_extension(k, sample) for k in range(len(forward.extensions))]
+            tables.append(self.reading[sample, None])
+            yield sample, np.asfortranarray(np.hstack(tables))
             return
         tangents = Following(chain, float(self.command[0]))
         drive, source = self.command, np.maximum(sample - delay, 0)
@@ -277,7 +270,7 @@ class Run:
             last_source = source[min(start + CHUNK, len(sample)) - 1]
             end = int(np.searchsorted(source, last_source, side="right"))
             rows = sample[start:end]
-            block = np.empty((len(rows), first_shared + chain.columns), order="F")
+            block = np.empty((len(rows), chain.plays + zeros + chain.columns), order="F")
             tangents.rows(drive[first : last_source + 1], source[start:end] - first, block)
             reading = block[:, -1] + constant
             if forward.lag == "none":
