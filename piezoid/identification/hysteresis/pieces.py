@@ -125,13 +125,13 @@ def response_range(pieces: Sequence[Piece]) -> float:
 
 
 def cycle_edges(drive: Array, blocks: int) -> Samples:
-    """Return the edges of blocks of whole cycles, which begin where a drive rises past its median.
+    """Return the edges of blocks of whole cycles, from one rise through the middle to another.
 
     drive     (samples,)
     returned  (edges,)  0 to samples; with fewer cycles than blocks, blocks of equal length
     """
     edges = np.linspace(0, len(drive), blocks + 1).astype(int)
-    is_above = drive > np.median(drive)
+    is_above = drive >= 0.5 * (drive.max() + drive.min())
     rises = 1 + np.flatnonzero(~is_above[:-1] & is_above[1:])
     if len(rises) < blocks:
         return edges
