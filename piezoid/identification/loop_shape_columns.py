@@ -13,10 +13,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.extensions.extension import Where
 from piezoid.identification.extensions.linear_mode import rows_after_steps
 from piezoid.identification.forward import MAX_ENTRIES
-from piezoid.identification.hysteresis.pieces import PieceStart, cycle_edges
+from piezoid.identification.hysteresis.pieces import cycle_edges
 from piezoid.identification.loop_shape import (
     FitWithoutShape,
     LoopShape,
@@ -25,7 +24,8 @@ from piezoid.identification.loop_shape import (
     settling_samples,
 )
 from piezoid.identification.model import AxisModel
-from piezoid.identification.simulation import fitted_pieces
+from piezoid.identification.quality import FOLDS, NEVER_OUT
+from piezoid.identification.simulation import FittedPiece, fitted_pieces
 from piezoid.numerics.arrays import Array, spread_rows
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
 from piezoid.operators.play import thinned_drive, turns_of
@@ -45,7 +45,6 @@ from piezoid.records.recording import Recording
 # Rows of all pieces. With 12,000 the errors on left-out blocks of thirteen laws are equal, but the
 # error of the bundled axis x is 13.3 nm instead of 12.7 nm: its chirp determines the lag.
 MAX_ROWS = 20_000
-FOLDS = 5
 BLOCKS_PER_PIECE = 15
 COVERED = 0.97  # of the range of a piece: until then its rows depend on the initial state
 JITTER = 1e-7  # of the mean diagonal, below which a component is redundant
@@ -56,23 +55,20 @@ PLAYS = "plays"  # family of the plays' remainder, which the class cannot approx
 # sample exceed MAX_ENTRIES: 200,000 samples took 3.2 GB and 177 s, with a delay 1 GB and 24 s.
 MAX_DELAY_ERROR = 0.02
 MIN_WEIGHT = 1e-3  # of a history: smaller ones do not change the columns noticeably
-NEVER_OUT = -1  # fold number of rows that are always used for training
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PieceRows:
+class PieceRows(FittedPiece):
     """One piece of a recording with its rows of the regression.
 
-    drive_V  (samples,)  V, at the input of the hysteresis
-    rows     (rows,)     samples
-    fold     (rows,)     the fold that leaves a row out, or ``NEVER_OUT``
+    measured_m  (samples,)
+    drive_V     (samples,)  V, at the input of the hysteresis
+    rows        (rows,)     samples
+    fold        (rows,)     the fold that leaves a row out, or ``NEVER_OUT``
     """
 
-    where: Where
-    voltage_V: Array
     measured_m: Array
     drive_V: Array
-    start: PieceStart
     rows: NDArray[np.intp]
     fold: NDArray[np.intp]
 
@@ -174,11 +170,9 @@ def piece_rows(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[PieceR
             is_settled = (span >= COVERED * span[-1])[rows]
             pieces.append(
                 PieceRows(
-                    where=where,
-                    voltage_V=voltage_V,
+                    **vars(piece),
                     measured_m=recording.displacement_m(axis.axis)[piece.samples],
                     drive_V=axis.forward.driven_V(voltage_V, where.rate_Hz),
-                    start=start,
                     rows=rows,
                     fold=np.where(is_settled, fold, NEVER_OUT),
                 )

@@ -12,14 +12,9 @@ import numpy as np
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.hysteresis.coordinates import to_si_units
 from piezoid.identification.hysteresis.gauss_newton import HysteresisFit, minimise, residuals
-from piezoid.identification.joint.vector import (
-    FOLDS,
-    Structure,
-    parts_of,
-    task_of,
-)
+from piezoid.identification.joint.vector import Structure, parts_of, task_of
 from piezoid.identification.model import AxisModel, Lag
-from piezoid.identification.quality import BLOCKS, IN_SAMPLE, with_noise_bound
+from piezoid.identification.quality import BLOCKS, FOLDS, IN_SAMPLE, with_noise_bound
 from piezoid.numerics.arrays import Array, Samples
 from piezoid.numerics.levenberg_marquardt import Rule
 from piezoid.records.recording import Recording

@@ -29,16 +29,15 @@ from piezoid.identification.hysteresis.pieces import (
     pieces_of,
 )
 from piezoid.identification.model import AxisModel
+from piezoid.identification.quality import FOLDS, NEVER_OUT
 from piezoid.identification.simulation import fitted_pieces
 from piezoid.numerics.arrays import Array, Samples, spread_rows
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
 MAX_ROWS = 12_000  # of all pieces together
-FOLDS = 5
 MIN_BLOCKS, MAX_BLOCKS = 6, 15  # of a piece
 BLOCK_s = 4.0
-NEVER_OUT = -1  # fold number of blocks that are always used for training
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,7 +22,8 @@ from piezoid.identification.extensions import (
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.joint.fit_extended import fit_extended
-from piezoid.identification.joint.vector import NEVER_OUT, Structure, parts_of
+from piezoid.identification.joint.vector import Structure, parts_of
+from piezoid.identification.quality import NEVER_OUT
 from piezoid.identification.simulation import simulate_recording
 from tests.identification.joint.stage import (
     MEMORY_V,
