@@ -3,5 +3,5 @@
     fit_extended(model, recordings, extensions, ...) -> Extended
 
 Start at fit_extended.py; vector.py selects rows and blocks, and defines the start. The search is
-that of hysteresis/gauss_newton.py. May import hysteresis and extensions.
+that of the hysteresis fit. May import hysteresis and extensions.
 """
