@@ -59,7 +59,7 @@ class FittedPiece:
 def fitted_pieces(axis_model: AxisModel, recording: Recording) -> tuple[FittedPiece, ...]:
     """Return the pieces of a recording with their starts; empty if it was not fitted."""
     starts, pieces = starts_of(axis_model, recording), _long_pieces(recording)
-    if len(starts) != len(pieces):
+    if not starts or len(starts) != len(pieces):
         return ()
     voltage_V = recording.voltage_V(axis_model.axis)
     return tuple(

@@ -95,7 +95,6 @@ def segments_of(
     structure    modes and lags of the basis
     """
     rate_Hz, operator = recording.sampling_rate_Hz, axis.hysteresis
-    measured_m = recording.displacement_m(axis.axis)
     # The longest time constant; an overdamped mode has its slow pole at w / (2 zeta).
     w, zeta = 2.0 * np.pi * dynamics.mode_frequency_Hz, dynamics.mode_damping
     modes_s = np.maximum(1.0 / (zeta * w), np.where(zeta > 1.0, 2.0 * zeta / w, 0.0))
@@ -104,6 +103,7 @@ def segments_of(
     ring = int(np.ceil((RINGING * longest_s + dynamics.delay_s) * rate_Hz)) + 1
     segments = []
     for piece in fitted_pieces(axis, recording):
+        measured_m = recording.displacement_m(axis.axis)[piece.samples]
         drive_V = _drive_at_operator(
             piece.voltage_V[:MAX_SAMPLES],
             axis.rig.amplifier_bandwidth_Hz,
@@ -123,7 +123,7 @@ def segments_of(
             Segment(
                 recording=recording.name,
                 states_V=np.ascontiguousarray(states_V.T),
-                measured_m=axis.polarity * measured_m[piece.samples][:MAX_SAMPLES],
+                measured_m=axis.polarity * measured_m[:MAX_SAMPLES],
                 basis=ModalBasis(
                     structure=structure,
                     frequency_Hz=frequency_Hz,
@@ -180,8 +180,7 @@ def fit_jointly(
     not depend on frequency would be fitted as a delay. Half of the change without these plays
     counts as uncertainty of the structure.
     """
-    start_names = {start.recording for start in axis.starts}
-    if exciting.name not in start_names:
+    if not fitted_pieces(axis, exciting):
         return None
     structure = Structure(
         modes=len(dynamics.mode_frequency_Hz), lags=len(dynamics.lag_frequency_Hz)
@@ -195,7 +194,6 @@ def fit_jointly(
     segments = [
         segment
         for recording in recordings
-        if recording.name in start_names
         for segment in segments_of(axis, recording, threshold_V, dynamics, structure)
     ]
     layout = Layout(
