@@ -20,7 +20,6 @@ from piezoid.identification.hysteresis.search import (
     Settings,
     refit_initial_state,
     search,
-    simulate_piece,
 )
 from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
@@ -43,7 +42,7 @@ def main() -> None:
     errors_nm = []
     for shape in (Shape(plays=0, below=0, above=0), Shape(plays=16, below=6, above=6, bends=6)):
         fit = refit_initial_state(search([sweep, rates], shape, settings), [check])
-        error = check.response - simulate_piece(fit, 0, check)
+        error = check.response - fit.simulate(0, check)
         errors_nm.append(1e9 * abs(scales.displacement_m) * error)
     seconds = np.arange(len(check.drive)) / check.sampling_rate_Hz
     figure, (loop_axes, error_axes) = plt.subplots(1, 2, figsize=(9, 3.2), width_ratios=(1, 1.7))

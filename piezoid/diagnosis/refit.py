@@ -239,7 +239,7 @@ def _with_effects(
         voltage_V=scales.voltage_V,
         voltage_offset_V=scales.voltage_offset_V,
         half_stroke_m=abs(scales.displacement_m),
-        pieces=tuple(part.where for part in parts_of(model, recordings)),
+        pieces=tuple(part.piece.where for part in parts_of(model, recordings)),
         recordings=tuple(recording.name for recording in recordings),
     )
     starts: dict[str, tuple[Extension, ...]] = {}

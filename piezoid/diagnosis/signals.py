@@ -9,7 +9,7 @@ from piezoid.diagnosis.effect import Filter, Parameters, Trial
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Track
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.simulation import where_of
+from piezoid.identification.hysteresis.pieces import where_of
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import recursive_filter
 from piezoid.operators.play import play_columns

@@ -17,12 +17,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import brentq
 
-from piezoid.errors import IdentificationError
 from piezoid.identification.hysteresis.uncertainty import adversarial_drives
 from piezoid.identification.model import AxisModel, Discrepancy
 from piezoid.identification.quality import FitQuality
-from piezoid.identification.simulation import simulate_recording
-from piezoid.numerics.arrays import Array, runs_of
+from piezoid.identification.simulation import fitted_pieces
+from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
@@ -55,18 +54,13 @@ def with_discrepancy(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
     reach_V = 0.5 * (high_V - low_V)
     tables, residuals_m = [], []  # centred states and residual of every piece, thinned
     for recording in recordings:
-        try:
-            simulated_m = simulate_recording(axis, recording)
-        except IdentificationError:
-            continue
-        drive_V = recording.voltage_V(axis.axis) - 0.5 * sum(axis.voltage_V)
-        error_m = axis.polarity * (recording.displacement_m(axis.axis) - simulated_m)
         step = max(recording.samples // MAX_ROWS, 1)
-        for first, stop in runs_of(np.isfinite(error_m)):
-            states = _states(drive_V[first:stop], reach_V)[::step]
-            piece_m = error_m[first:stop:step]
+        for piece in fitted_pieces(axis, recording):
+            measured_m = recording.displacement_m(axis.axis)[piece.samples]
+            error_m = axis.polarity * (measured_m - piece.simulate(axis))[::step]
+            states = _states(piece.voltage_V - 0.5 * sum(axis.voltage_V), reach_V)[::step]
             tables.append(states - states.mean(axis=0))
-            residuals_m.append(piece_m - piece_m.mean())
+            residuals_m.append(error_m - error_m.mean())
     if not tables:
         return replace(axis, discrepancy=None)
     columns, residual_m = np.concatenate(tables), np.concatenate(residuals_m)

@@ -8,9 +8,11 @@ different parameters. Its quantities are volts and metres, or scaled as ``Scales
 derivatives by hysteresis, lag and sensor come from ``operators.chain``.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.hysteresis.coordinates import Scaled
@@ -21,7 +23,10 @@ from piezoid.operators.chain import Chain, Following
 from piezoid.operators.dead_zone import LINEAR
 from piezoid.operators.filters import FirstOrder, lagged
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.play import thinned_drive
 
+CHUNK = 1024  # rows written together: about the size of the L2 cache
+SPARSE = 3  # samples per row, above which computing from row to row is faster
 MAX_DELAY_ERROR = 0.004  # of the motion, of a delay instead of the filters
 MAX_ENTRIES = 16_000_000  # of one array of columns
 LAG_STEP = 1e-3  # samples
@@ -126,6 +131,13 @@ class Forward:
             position_m = extension.reading(position_m, where)
         return position_m
 
+    def gain_at(self, sample: Samples, where: Where) -> Array | float:
+        """Return the gain of the extensions at samples, (rows, 1), or 1."""
+        gain: Array | float = 1.0
+        for extension in self.extensions:
+            gain = gain * extension.gain(where)
+        return gain if isinstance(gain, float) else gain[sample, None]
+
     def chain(self, memory_slope: Array, rate_Hz: float) -> Chain:
         """Return the hysteresis in the form of the kernel that computes its derivatives."""
         operator = self.operator
@@ -165,6 +177,7 @@ class Run:
     zero_m        m, of the piece
     centre_m      m, subtracted from readings before they are scaled
     where         location of the piece, for extensions
+    turns         (samples,)  reversals of the command, if known
     """
 
     forward: Forward
@@ -173,10 +186,13 @@ class Run:
     zero_m: float
     centre_m: float
     where: Where
+    turns: NDArray[np.bool_] | None = None
 
     @Once
     def drive(self) -> Array:
         """Scaled drive at the ceramic, (samples,)."""
+        if not self.forward.extensions and self.forward.amplifier_Hz is None:
+            return self.command
         scales = self.forward.scales
         voltage_V = scales.voltage_offset_V + scales.voltage_V * self.command
         reached_V = self.forward.driven_V(voltage_V, self.where.rate_Hz)
@@ -196,6 +212,72 @@ class Run:
         position_m = self.forward.position(self.static, self.where, self.zero_m)
         relative_m = self.forward.read(position_m, self.where) - self.centre_m
         return np.asarray(relative_m / self.forward.scales.displacement_m)
+
+    def reading_at(self, sample: Samples) -> Array:
+        """Return the scaled reading at increasing samples, (rows,).
+
+        Behind a pure delay, the states are computed from row to row if the rows are sparse.
+        """
+        forward, rate_Hz = self.forward, self.where.rate_Hz
+        if forward.extensions:
+            return self.reading[sample]
+        memory = forward.memory(self.command[0], self.memory_slope)
+        is_sparse = SPARSE * len(sample) < len(self.command)
+        if forward.lag == "delay" and forward.sensor_Hz is None and is_sparse:
+            whole_samples = int(np.floor(forward.lag_s * rate_Hz))
+            share = forward.lag_s * rate_Hz - whole_samples
+            source = np.maximum(sample - whole_samples, 0)
+            drive, nearest = thinned_drive(
+                self.command, source, with_previous=True, turns=self.turns
+            )
+            output, _ = forward.static(drive, memory, rate_Hz)
+            previous = output[np.maximum(nearest - 1, 0)]
+            output = (1.0 - share) * output[nearest] + share * previous
+        else:
+            output, _ = forward.static(self.command, memory, rate_Hz)
+            output = forward.filtered(output, rate_Hz)[sample]
+        return np.asarray(output + (self.zero_m - self.centre_m) / forward.scales.displacement_m)
+
+    def rows(self, sample: Samples, zeros: int) -> Iterator[tuple[Samples, Array]]:
+        """Yield samples and the derivatives of the reading by all parameters, in chunks of rows.
+
+        The columns are memory slopes; columns of the zero, which are not written; gaps, weights,
+        zones, envelope and lag; numbers of the extensions; and the reading. Without a lag there is
+        no column of it.
+
+        sample  (rows,)  increasing
+        zeros   number of columns of the zero
+        """
+        forward, rate_Hz = self.forward, self.where.rate_Hz
+        chain, delay = forward.filtered_chain(self.memory_slope, rate_Hz)
+        if forward.extensions:
+            columns = self.by_hysteresis(sample)
+            of_memory, of_operator = np.split(columns, [chain.plays], axis=1)
+            tables = [of_memory, np.zeros((len(sample), zeros)), of_operator]
+            if forward.lag != "none":
+                tables.append(self.by_lag(sample)[:, None])
+            tables += [self.by_extension(k, sample) for k in range(len(forward.extensions))]
+            tables.append(self.reading[sample, None])
+            yield sample, np.asfortranarray(np.hstack(tables))
+            return
+        tangents = Following(chain, float(self.command[0]))
+        drive, source = self.command, np.maximum(sample - delay, 0)
+        if chain.lag is None and chain.sensor is None and SPARSE * len(sample) < len(drive):
+            drive, source = thinned_drive(drive, source, with_previous=True, turns=self.turns)
+        constant = (self.zero_m - self.centre_m) / forward.scales.displacement_m
+        first = start = 0
+        while start < len(sample):
+            last_source = source[min(start + CHUNK, len(sample)) - 1]
+            end = int(np.searchsorted(source, last_source, side="right"))
+            rows = sample[start:end]
+            block = np.empty((len(rows), chain.plays + zeros + chain.columns), order="F")
+            tangents.rows(drive[first : last_source + 1], source[start:end] - first, block)
+            reading = block[:, -1] + constant
+            if forward.lag == "none":
+                block = block[:, :-1]
+            block[:, -1] = reading
+            yield rows, block
+            first, start = int(last_source) + 1, end
 
     def by_hysteresis(self, sample: Samples) -> Array:
         """Return d reading / d [memory slopes, gaps, weights, zones, envelope], (rows, numbers).
@@ -220,10 +302,8 @@ class Run:
         else:
             columns = self._columns(chain, np.arange(int(sample[-1]) + 1))
             columns = forward.linear_response(columns, where, fast_only=True)[sample]
-        gain: Array | float = 1.0
-        for extension in forward.extensions:
-            gain = gain * extension.gain(where)
-        return columns if isinstance(gain, float) else columns * gain[sample, None]
+        gain = forward.gain_at(sample, where)
+        return columns if isinstance(gain, float) else columns * gain
 
     def _columns(self, chain: Chain, source: Samples) -> Array:
         rows = np.empty((len(source), chain.plays + chain.columns), order="F")

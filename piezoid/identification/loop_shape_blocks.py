@@ -13,9 +13,10 @@ from operator import add
 
 import numpy as np
 
-from piezoid.identification.loop_shape_columns import FOLDS, PieceRows
+from piezoid.identification.loop_shape_columns import PieceRows
 from piezoid.identification.loop_shape_regression import Estimate, Regression
 from piezoid.identification.model import AxisModel
+from piezoid.identification.quality import FOLDS
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
 

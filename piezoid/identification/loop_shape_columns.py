@@ -13,10 +13,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.extensions.extension import Where
 from piezoid.identification.extensions.linear_mode import rows_after_steps
 from piezoid.identification.forward import MAX_ENTRIES
-from piezoid.identification.hysteresis.pieces import PieceStart
+from piezoid.identification.hysteresis.pieces import cycle_edges
 from piezoid.identification.loop_shape import (
     FitWithoutShape,
     LoopShape,
@@ -25,7 +24,8 @@ from piezoid.identification.loop_shape import (
     settling_samples,
 )
 from piezoid.identification.model import AxisModel
-from piezoid.identification.simulation import fitted_pieces, starts_of, where_of
+from piezoid.identification.quality import FOLDS, NEVER_OUT
+from piezoid.identification.simulation import FittedPiece, fitted_pieces
 from piezoid.numerics.arrays import Array, spread_rows
 from piezoid.numerics.family_ridge import FamilyRidge, Moments
 from piezoid.operators.play import thinned_drive, turns_of
@@ -45,7 +45,6 @@ from piezoid.records.recording import Recording
 # Rows of all pieces. With 12,000 the errors on left-out blocks of thirteen laws are equal, but the
 # error of the bundled axis x is 13.3 nm instead of 12.7 nm: its chirp determines the lag.
 MAX_ROWS = 20_000
-FOLDS = 5
 BLOCKS_PER_PIECE = 15
 COVERED = 0.97  # of the range of a piece: until then its rows depend on the initial state
 JITTER = 1e-7  # of the mean diagonal, below which a component is redundant
@@ -56,23 +55,20 @@ PLAYS = "plays"  # family of the plays' remainder, which the class cannot approx
 # sample exceed MAX_ENTRIES: 200,000 samples took 3.2 GB and 177 s, with a delay 1 GB and 24 s.
 MAX_DELAY_ERROR = 0.02
 MIN_WEIGHT = 1e-3  # of a history: smaller ones do not change the columns noticeably
-NEVER_OUT = -1  # fold number of rows that are always used for training
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PieceRows:
+class PieceRows(FittedPiece):
     """One piece of a recording with its rows of the regression.
 
-    drive_V  (samples,)  V, at the input of the hysteresis
-    rows     (rows,)     samples
-    fold     (rows,)     the fold that leaves a row out, or ``NEVER_OUT``
+    measured_m  (samples,)
+    drive_V     (samples,)  V, at the input of the hysteresis
+    rows        (rows,)     samples
+    fold        (rows,)     the fold that leaves a row out, or ``NEVER_OUT``
     """
 
-    where: Where
-    voltage_V: Array
     measured_m: Array
     drive_V: Array
-    start: PieceStart
     rows: NDArray[np.intp]
     fold: NDArray[np.intp]
 
@@ -129,7 +125,7 @@ class _HistoryPath:
             filtered = np.concatenate([change, settled])
         else:
             filtered = _at_sensor(axis, piece, self.interpolated(change, piece.where.samples))
-        return np.asarray(filtered * gain_at_rows(axis, piece))
+        return np.asarray(filtered * axis.forward.gain_at(piece.rows, piece.where))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,34 +155,24 @@ def piece_rows(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[PieceR
     low_V, high_V = axis.voltage_V
     pieces: list[PieceRows] = []
     for recording in recordings:
-        starts, samples = starts_of(axis, recording), fitted_pieces(recording)
-        if len(starts) != len(samples):
-            continue
         bridged = np.array(recording.bridged, dtype=np.intp)
-        for piece, start in zip(samples, starts, strict=True):
-            where = where_of(recording, axis.axis, piece)
-            voltage_V = recording.voltage_V(axis.axis)[piece]
+        for piece in fitted_pieces(axis, recording):
+            where, start, voltage_V = piece.where, piece.start, piece.voltage_V
             level = 2.0 * (voltage_V - low_V) / (high_V - low_V) - 1.0
             after_steps = rows_after_steps(level, where.rate_Hz, axis.extensions, min_rows=2)
-            excluded = np.concatenate([bridged - piece.start, after_steps])
+            excluded = np.concatenate([bridged - piece.samples.start, after_steps])
             rows = start.first + spread_rows(start.last - start.first, max_rows)
             rows = np.setdiff1d(rows, excluded)
             # Folds are blocks of whole cycles in turn, shifted for each piece.
             span = np.maximum.accumulate(level) - np.minimum.accumulate(level)
-            middle = 0.5 * (level.max() + level.min())
-            rises = np.flatnonzero((level[:-1] < middle) & (level[1:] >= middle))
-            edges = np.linspace(0, len(level), BLOCKS_PER_PIECE + 1)[1:-1]
-            if len(rises) >= BLOCKS_PER_PIECE:
-                edges = np.unique(rises[np.abs(rises[:, None] - edges).argmin(axis=0)])
+            edges = cycle_edges(level, BLOCKS_PER_PIECE)[1:-1]
             fold = (np.searchsorted(edges, rows, side="right") + len(pieces)) % FOLDS
             is_settled = (span >= COVERED * span[-1])[rows]
             pieces.append(
                 PieceRows(
-                    where=where,
-                    voltage_V=voltage_V,
-                    measured_m=recording.displacement_m(axis.axis)[piece],
+                    **vars(piece),
+                    measured_m=recording.displacement_m(axis.axis)[piece.samples],
                     drive_V=axis.forward.driven_V(voltage_V, where.rate_Hz),
-                    start=start,
                     rows=rows,
                     fold=np.where(is_settled, fold, NEVER_OUT),
                 )
@@ -230,7 +216,9 @@ def columns_of(
             table = _at_sensor(axis, piece, static)
             drive_V, row_index = _drive_at_rows(piece.drive_V, piece.rows, 0.0)
         remainder = plays_m / (0.5 * axis.quality.range_m) - table @ plays[:-1]
-        tables.append(np.column_stack([table, remainder]) * gain_at_rows(axis, piece))
+        tables.append(
+            np.column_stack([table, remainder]) * axis.forward.gain_at(piece.rows, piece.where)
+        )
         paths.append(
             _history_path(axis, memory_V, drive_V, row_index, sample, count, is_pure_delay)
         )
@@ -288,14 +276,6 @@ def _reference() -> tuple[Array, NDArray[np.str_], Array, Array, Array]:
 def _at_sensor(axis: AxisModel, piece: PieceRows, static: Array) -> Array:
     """Filter a static response, (samples,) or (samples, columns), by fast extensions, at rows."""
     return axis.forward.linear_response(static, piece.where, fast_only=True)[piece.rows]
-
-
-def gain_at_rows(axis: AxisModel, piece: PieceRows) -> Array | float:
-    """Return the gain of the extensions at the rows, (rows, 1), or 1."""
-    gain: Array | float = 1.0
-    for extension in axis.extensions:
-        gain = gain * extension.gain(piece.where)
-    return gain if isinstance(gain, float) else gain[piece.rows, None]
 
 
 def zero_loop_shape(axis: AxisModel) -> LoopShape:

@@ -18,13 +18,12 @@ from scipy.optimize import least_squares
 from piezoid.identification.extensions.extension import Extension, Free, free
 from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.loop_shape_columns import (
-    FOLDS,
-    NEVER_OUT,
     Columns,
     PieceRows,
     zero_loop_shape,
 )
 from piezoid.identification.model import AxisModel
+from piezoid.identification.quality import FOLDS, NEVER_OUT
 from piezoid.identification.simulation import zero_of
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.family_ridge import Moments

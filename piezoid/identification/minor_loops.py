@@ -7,7 +7,6 @@ import numpy as np
 from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.quality import Certificate
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.numerics.robust import student_quantile
 from piezoid.operators.preisach_plays import PreisachPlays
 
 
@@ -61,13 +60,6 @@ class MinorLoops:
                 f"fits without blocks of shape {self.without_m.shape}, expected "
                 f"{self.operator.rise_m.shape} each"
             )
-
-    @property
-    def half_m(self) -> Array:
-        """Half the 95 % interval of the rises of all functions, (plays, edges - 1)."""
-        blocks = len(self.without_m)
-        spread = self.without_m.std(axis=0) * np.sqrt(blocks - 1.0)
-        return np.asarray(student_quantile(0.975, blocks - 1) * spread)
 
     def draw(self, rng: np.random.Generator, draws: int) -> tuple[PreisachPlays, ...]:
         """Draw operators from the jackknife distribution of the fit.

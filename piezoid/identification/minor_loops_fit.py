@@ -21,21 +21,18 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.optimize import least_squares
 
-from piezoid.errors import IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.rate_dependence import RateDependence
-from piezoid.identification.hysteresis.pieces import PieceStart
+from piezoid.identification.hysteresis.pieces import PieceStart, where_of
 from piezoid.identification.hysteresis.uncertainty import BLOCKS, DRAWS, SEED
 from piezoid.identification.minor_loops import FunctionOrder, MinorLoops, PlaysFit
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import OTHER_RECORDINGS, SECOND_HALF, WIDEST_HALVED
 from piezoid.identification.simulation import (
+    FittedPiece,
+    fit_start,
     fitted_pieces,
-    simulate_recording,
-    starts_of,
-    where_of,
     zero_of,
 )
 from piezoid.numerics.arrays import Array
@@ -51,10 +48,8 @@ MIN_GAIN = 1.5  # error of plays with dead zones over that of functions: less is
 MIN_SLOPE = 0.2  # of the mean slope, for a branch right behind a reversal: see coordinates.py
 RIDGE = 1e-3  # on differences of rises between neighbours; a tenth or ten times it: no difference
 MAX_ROWS = 3000  # of a recording
-MAX_EVALUATIONS = 20  # of the search for initial states
 INITIAL_WEIGHT = 0.1  # of rows that depend on the fitted initial states
 COVERED = 0.95  # of the range of a recording: the initial state is then forgotten
-MAX_SLOPE = 0.95  # of a memory at the start of the search, away from its bound of 1
 ROUNDING = 1e-13  # of the trace: cells that no drive reached depend on their neighbours alone
 MARGIN = 0.1  # of half the range, by which a held-out recording may exceed the others
 
@@ -167,15 +162,12 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
     if best is None:
         return axis
     axis = _with_functions(axis, best)
-    recording_of = {recording.name: recording for recording in recordings}
-    pieces = {recording.name: iter(fitted_pieces(recording)) for recording in recordings}
-    starts = []
-    for start in axis.starts:
-        recording = recording_of.get(start.recording)
-        if recording is not None:
-            start = _fitted_start(axis, recording, next(pieces[start.recording]), start)
-        starts.append(start)
-    return replace(axis, starts=tuple(starts))
+    refitted = {
+        id(piece.start): _fitted_start(axis, recording, piece)
+        for recording in recordings
+        for piece in fitted_pieces(axis, recording)
+    }
+    return replace(axis, starts=tuple(refitted.get(id(start), start) for start in axis.starts))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -311,53 +303,36 @@ def _with_functions(axis: AxisModel, trial: _Trial) -> AxisModel:
     )
 
 
-def _fitted_start(
-    axis: AxisModel, recording: Recording, piece: slice, start: PieceStart
-) -> PieceStart:
-    """Fit the initial states of one piece to its first swings.
-
-    z_i(0) = z_0(0) + sum_(j<=i) d_j s_j, -1 <= s_j <= 1, d_j between thresholds: admissible.
-    """
-    gap_V = axis.hysteresis.gap
-    voltage_V = recording.voltage_V(axis.axis)[piece]
-    measured_m = recording.displacement_m(axis.axis)[piece]
+def _fitted_start(axis: AxisModel, recording: Recording, piece: FittedPiece) -> PieceStart:
+    """Fit the initial states of one piece to its first swings."""
+    start, voltage_V = piece.start, piece.voltage_V
+    measured_m = recording.displacement_m(axis.axis)[piece.samples]
     zero_m = zero_of(start, len(voltage_V))
     # After the first swing a recording no longer depends on them: as much again fixes the zero.
     swing = int(np.argmax(_is_settled(voltage_V)))
-    head = slice(piece.start, min(piece.start + max(2 * swing, MAX_ROWS), piece.stop))
-
-    def memory_V(slope: Array) -> Array:
-        return np.asarray(start.memory_V[0] + np.append(0.0, np.cumsum(gap_V * slope)))
-
-    def residual_m(slope: Array, rows: slice) -> Array:
-        count, where = rows.stop - rows.start, where_of(recording, axis.axis, rows)
-        motion_m = axis.motion_m(voltage_V[:count], memory_V(slope), where)
-        return np.asarray(measured_m[:count] - axis.forward.read(zero_m[:count] + motion_m, where))
-
-    def scaled_residual(slope: Array) -> Array:
-        error_m = residual_m(slope, head)[:: max((head.stop - head.start) // MAX_ROWS, 1)]
-        return np.asarray((error_m - error_m.mean()) / axis.quality.range_m)
-
-    first = np.clip(np.diff(start.memory_V) / gap_V, -MAX_SLOPE, MAX_SLOPE)
-    slope = least_squares(
-        scaled_residual, first, bounds=(-1.0, 1.0), diff_step=1e-2, max_nfev=MAX_EVALUATIONS
-    ).x
-    zero_change_m = float(np.mean(residual_m(slope, piece)))
-    return replace(start, memory_V=memory_V(slope), zero_m=start.zero_m + zero_change_m)
+    count = min(max(2 * swing, MAX_ROWS), len(voltage_V))
+    first = piece.samples.start
+    memory_V, _ = fit_start(
+        axis,
+        voltage_V[:count],
+        measured_m[:count],
+        where_of(recording, axis.axis, slice(first, first + count)),
+        [np.diff(start.memory_V) / axis.hysteresis.gap],
+        zero_m[:count],
+    )
+    position_m = zero_m + axis.motion_m(voltage_V, memory_V, piece.where)
+    zero_change_m = float(np.mean(measured_m - axis.forward.read(position_m, piece.where)))
+    return replace(start, memory_V=memory_V, zero_m=start.zero_m + zero_change_m)
 
 
 def _rows(axis: AxisModel, recording: Recording, lattice: PreisachPlays) -> Iterator[Rows]:
     """Yield the regression rows of each piece of a recording, thinned."""
-    try:
-        simulated_m = simulate_recording(axis, recording)
-    except IdentificationError:
-        return
     forward = axis.forward
-    voltage_V = recording.voltage_V(axis.axis)
-    residual_m = recording.displacement_m(axis.axis) - simulated_m
-    for piece, start in zip(fitted_pieces(recording), starts_of(axis, recording), strict=True):
-        where = where_of(recording, axis.axis, piece)
-        driven_V = forward.driven_V(voltage_V[piece], where.rate_Hz)
+    for piece in fitted_pieces(axis, recording):
+        where, start = piece.where, piece.start
+        measured_m = recording.displacement_m(axis.axis)[piece.samples]
+        residual_m = measured_m - piece.simulate(axis)
+        driven_V = forward.driven_V(piece.voltage_V, where.rate_Hz)
         inner_V = np.ascontiguousarray(driven_V - lattice.voltage_offset_V)
         plays_m = axis.static_m(driven_V, start.memory_V, where.rate_Hz)
         sample = np.arange(0, len(inner_V), max(len(inner_V) // MAX_ROWS, 1))
@@ -370,8 +345,8 @@ def _rows(axis: AxisModel, recording: Recording, lattice: PreisachPlays) -> Iter
         yield Rows(
             recording=recording.name,
             columns=columns,
-            target=filtered_m + axis.polarity * residual_m[piece][sample],
-            plays_residual_m=residual_m[piece][sample],
+            target=filtered_m + axis.polarity * residual_m[sample],
+            plays_residual_m=residual_m[sample],
             is_settled=_is_settled(inner_V)[sample],
             drive_range_V=(float(inner_V.min()), float(inner_V.max())),
         )

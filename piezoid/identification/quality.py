@@ -45,6 +45,8 @@ SECOND_HALF = "second half"
 WIDEST_HALVED = "other recordings, second half of the widest"
 BLOCKS = "blocks of several seconds, in five folds"
 IN_SAMPLE = "none, one loop"
+FOLDS = 5  # of ``BLOCKS``
+NEVER_OUT = -1  # fold number of rows that are always used for training
 CLEAR_EXCESS = 1.1  # noise over the error of the model: third differences scatter by a few percent
 
 

@@ -4,6 +4,7 @@ No model contains the initial state and the zero of a new recording. A predictio
 nothing else, to the displacement of the recording.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from scipy.optimize import least_squares
 from piezoid.errors import IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.extension import Where
-from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, PieceStart
+from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, PieceStart, where_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, freeze, same_length
 from piezoid.records.recording import Quantity, Recording
@@ -33,8 +34,46 @@ def starts_of(axis_model: AxisModel, recording: Recording) -> tuple[PieceStart, 
     return tuple(start for start in axis_model.starts if start.recording == recording.name)
 
 
-def fitted_pieces(recording: Recording) -> list[slice]:
-    """Return the pieces of a recording that are long enough to be fitted."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FittedPiece:
+    """One uninterrupted piece of a recording of the fit.
+
+    samples    of the recording
+    voltage_V  (samples,)
+    where      location of the piece, for extensions
+    start      fitted memory and zero
+    """
+
+    samples: slice
+    voltage_V: Array
+    where: Where
+    start: PieceStart
+
+    def simulate(self, axis_model: AxisModel) -> Array:
+        """Simulate the displacement from the fitted start, (samples,) m."""
+        start, where = self.start, self.where
+        motion_m = axis_model.motion_m(self.voltage_V, start.memory_V, where, start.history_weight)
+        return axis_model.forward.read(zero_of(start, where.samples) + motion_m, where)
+
+
+def fitted_pieces(axis_model: AxisModel, recording: Recording) -> tuple[FittedPiece, ...]:
+    """Return the pieces of a recording with their starts; empty if it was not fitted."""
+    starts, pieces = starts_of(axis_model, recording), _long_pieces(recording)
+    if not starts or len(starts) != len(pieces):
+        return ()
+    voltage_V = recording.voltage_V(axis_model.axis)
+    return tuple(
+        FittedPiece(
+            samples=samples,
+            voltage_V=voltage_V[samples],
+            where=where_of(recording, axis_model.axis, samples),
+            start=start,
+        )
+        for samples, start in zip(pieces, starts, strict=True)
+    )
+
+
+def _long_pieces(recording: Recording) -> list[slice]:
     return [p for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES]
 
 
@@ -50,28 +89,19 @@ def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
 
     Raises ``IdentificationError`` if the model contains no starts for these pieces.
     """
-    starts = starts_of(axis_model, recording)
-    pieces = fitted_pieces(recording)
-    if len(starts) != len(pieces) or not starts:
+    pieces = fitted_pieces(axis_model, recording)
+    if not pieces:
+        count, starts = len(_long_pieces(recording)), len(starts_of(axis_model, recording))
         raise IdentificationError(
-            f"{recording.name}: {len(pieces)} uninterrupted pieces of at least {MINIMUM_SAMPLES} "
-            f"samples; the model of axis {axis_model.axis} contains the starts of {len(starts)}",
+            f"{recording.name}: {count} uninterrupted pieces of at least {MINIMUM_SAMPLES} "
+            f"samples; the model of axis {axis_model.axis} contains the starts of {starts}",
             needed="a recording to which the model was fitted, under the same name",
             remedy="Pass the recordings of the fit, or fit again with this recording.",
         )
     displacement_m = np.full(recording.samples, np.nan)
-    voltage_V = recording.voltage_V(axis_model.axis)
-    for piece, start in zip(pieces, starts, strict=True):
-        where = where_of(recording, axis_model.axis, piece)
-        displacement_m[piece] = _simulated_from(axis_model, voltage_V[piece], start, where)
+    for piece in pieces:
+        displacement_m[piece.samples] = piece.simulate(axis_model)
     return displacement_m
-
-
-def _simulated_from(
-    axis_model: AxisModel, voltage_V: Array, start: PieceStart, where: Where
-) -> Array:
-    motion_m = axis_model.motion_m(voltage_V, start.memory_V, where, start.history_weight)
-    return axis_model.forward.read(zero_of(start, where.samples) + motion_m, where)
 
 
 def simulate_fitted_rows(axis_model: AxisModel, recording: Recording) -> Array:
@@ -81,30 +111,12 @@ def simulate_fitted_rows(axis_model: AxisModel, recording: Recording) -> Array:
     """
     displacement_m = simulate_recording(axis_model, recording)
     is_fitted = np.zeros(recording.samples, dtype=bool)
-    pieces = [p for p in recording.pieces if np.isfinite(displacement_m[p]).all()]
-    for piece, start in zip(pieces, starts_of(axis_model, recording), strict=True):
-        is_fitted[piece.start + start.first : piece.start + start.last] = True
+    for piece in fitted_pieces(axis_model, recording):
+        first = piece.samples.start
+        is_fitted[first + piece.start.first : first + piece.start.last] = True
     is_fitted[list(recording.bridged)] = False
     displacement_m[~is_fitted] = np.nan
     return displacement_m
-
-
-def where_of(recording: Recording, axis: str, rows: slice) -> Where:
-    """Return the location of some rows for extensions, with the drives of other axes that move."""
-    other_drives = {
-        channel.axis: channel.values[rows]
-        for channel in recording.channels
-        if channel.quantity is Quantity.VOLTAGE
-        and channel.axis != axis
-        and np.ptp(channel.values) > 0.0
-    }
-    return Where(
-        recording=recording.name,
-        rate_Hz=recording.sampling_rate_Hz,
-        first=rows.start,
-        samples=rows.stop - rows.start,
-        others_V=other_drives,
-    )
 
 
 def zero_of(start: PieceStart, samples: int) -> Array:
@@ -239,7 +251,8 @@ def _predicted_piece(model: AxisModel, voltage_V: Array, measured_m: Array, wher
         depoled_V = model.virgin_memory_V
         shape_m = model.motion_m(voltage_V, depoled_V, where)
         plays_m = measured_m - (shape_m - plays_only.motion_m(voltage_V, depoled_V, where))
-    memory_V, zero_m = _fitted_start(plays_only, voltage_V, plays_m, where)
+    slopes = [np.full(len(model.hysteresis.gap), slope) for slope in START_SLOPES]
+    memory_V, zero_m = fit_start(plays_only, voltage_V, plays_m, where, slopes)
     motion_m = model.motion_m(voltage_V, memory_V, where)
     if model.loop_shape is not None:
         driven_V = model.forward.driven_V(voltage_V, where.rate_Hz)
@@ -254,22 +267,31 @@ def _predicted_piece(model: AxisModel, voltage_V: Array, measured_m: Array, wher
         motion_m = model.motion_m(voltage_V, memory_V, where, weight)
         zero_m += float(np.mean(measured_m - model.forward.read(zero_m + motion_m, where)))
     candidates = [model.forward.read(zero_m + motion_m, where)]
+    samples = slice(where.first, where.first + where.samples)
     candidates += [
-        _simulated_from(model, voltage_V, start, where)
+        FittedPiece(samples=samples, voltage_V=voltage_V, where=where, start=start).simulate(model)
         for start in model.starts
         if start.recording == where.recording and start.last <= len(voltage_V)
     ]
     return min(candidates, key=lambda candidate: float(np.sum((candidate - measured_m) ** 2)))
 
 
-def _fitted_start(
-    model: AxisModel, voltage_V: Array, measured_m: Array, where: Where
+def fit_start(
+    model: AxisModel,
+    voltage_V: Array,
+    measured_m: Array,
+    where: Where,
+    slopes: Sequence[Array],
+    zero_m: Array | float = 0.0,
 ) -> tuple[Array, float]:
-    """Return the memory and the zero that fit a piece best.
+    """Return the memory that fits a piece best, and the constant that is added to its zero.
 
         z_i(0) = v(0) + sum_(j<=i) d_j s_j,   -1 <= s_j <= 1, d_j between thresholds
 
     v is the drive behind declared amplifier and envelope; every such memory is admissible.
+
+    slopes  (plays - 1,) each: s from which the search may start
+    zero_m  (samples,) or one number
     """
     forward, gaps = model.forward, len(model.hysteresis.gap)
     driven_V = forward.driven_V(voltage_V[:1], where.rate_Hz)
@@ -278,13 +300,12 @@ def _fitted_start(
     scale_m = max(float(np.ptp(measured_m)), np.finfo(float).tiny)
 
     def response(slope: Array) -> Array:
-        return model.motion_m(voltage_V, forward.memory(first, slope), where)
+        return zero_m + model.motion_m(voltage_V, forward.memory(first, slope), where)
 
     def residual(numbers: Array) -> Array:
         predicted_m = forward.read(numbers[-1] * scale_m + response(numbers[:-1]), where)
         return np.asarray((predicted_m - measured_m)[::every] / scale_m)
 
-    slopes = [np.full(gaps, slope) for slope in START_SLOPES]
     starts = [
         np.append(slope, float(np.mean(measured_m - response(slope))) / scale_m)
         for slope in slopes

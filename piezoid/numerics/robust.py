@@ -1,5 +1,6 @@
 """Robust statistics of samples: median, spread, trend and noise, insensitive to gross errors."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,7 @@ _MEAN_TO_SIGMA = 1.2533141373155003
 # Rms of third differences of white noise of rms 1, and the median of |x| for a standard normal x.
 _THIRD = float(np.sqrt(20.0))
 _MEDIAN = 0.6744897501960817
+_TINY = 1e-300
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,6 +173,38 @@ def student_quantile(probability: ArrayLike, freedom: ArrayLike) -> Array:
     is_normal = np.isinf(freedom)
     student = stdtrit(np.where(is_normal, 1.0, freedom), probability)
     return np.asarray(np.where(is_normal, ndtri(probability), student))
+
+
+def jackknife_half(replicates: Array) -> Array:
+    """Return half the 95 % interval of a jackknife, (values,) [Tukey 1958]; infinite for one.
+
+    replicates  (replicates, values)  each estimated without one block of the data
+    """
+    count = len(replicates)
+    if count < 2:
+        return np.full(replicates.shape[1], np.inf)
+    spread = ((replicates - replicates.mean(axis=0)) ** 2).sum(axis=0)
+    quantile = float(student_quantile(0.975, count - 1))
+    return np.asarray(quantile * np.sqrt((count - 1) / count * spread))
+
+
+def sandwich_covariance(curvature: Array, scatters: Sequence[Array], factor: float = 1.0) -> Array:
+    """Return the covariance of a fit: inverse curvature, widened by sandwiches [White 1982].
+
+        factor C^-1,   C^-1 M C^-1
+
+    Each variance is the largest of these. Directions without curvature have no variance.
+
+    C  curvature  (numbers, numbers)
+    M  scatters   (numbers, numbers) each: sums of outer products of independent scores
+    """
+    scale = np.sqrt(np.maximum(np.diag(curvature), _TINY))
+    inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-14, hermitian=True)
+    inverse /= np.outer(scale, scale)
+    expected = factor * inverse
+    variance = np.max([np.diag(inverse @ scatter @ inverse) for scatter in scatters], axis=0)
+    stretch = np.sqrt(np.maximum(variance / np.maximum(np.diag(expected), _TINY), 1.0))
+    return np.asarray(expected * np.outer(stretch, stretch))
 
 
 def white_noise_rms(signal: Array, spacing: int = 1) -> float:

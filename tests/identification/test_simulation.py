@@ -7,12 +7,11 @@ import pytest
 
 from piezoid.errors import IdentificationError
 from piezoid.identification.hysteresis.estimate import estimate_axis
-from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.hysteresis.pieces import Rig, where_of
 from piezoid.identification.simulation import (
     simulate_fitted_rows,
     simulate_recording,
     starts_of,
-    where_of,
     zero_of,
 )
 from piezoid.records.recording import Quantity

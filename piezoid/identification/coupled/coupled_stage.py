@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from piezoid.errors import IdentificationError
 from piezoid.numerics.arrays import Array, ComplexArray, expect_shapes, freeze, frozen
-from piezoid.numerics.robust import student_quantile
+from piezoid.numerics.robust import jackknife_half
 
 # Levels that differ by less than this factor count as equal: the rms of realisations of one level
 # differs by 0.3 % on the steering mirror.
@@ -294,7 +294,7 @@ class CoupledStage:
         (1, 3)
         """
         change = 2.0 * self.log_frequency[1]
-        half = 2.0 * _jackknife_half(self.replicate_frequency[:, 1])
+        half = 2.0 * jackknife_half(self.replicate_frequency[:, 1])
         return np.asarray(np.expm1(np.stack([change, change - half, change + half], axis=1)))
 
     def mode_frequency_interval_Hz(self, level_V: float) -> Array:
@@ -305,22 +305,9 @@ class CoupledStage:
         """
         coordinate = self.coordinate(level_V)
         first, change = self.replicate_frequency[:, 0], self.replicate_frequency[:, 1]
-        half = _jackknife_half(first + coordinate * change)
+        half = jackknife_half(first + coordinate * change)
         middle = self.log_frequency[0] + coordinate * self.log_frequency[1]
         return np.asarray(np.exp(np.stack([middle - half, middle + half], axis=1)))
 
     def _without_delay(self, frequency_Hz: Array, coordinate: float) -> ComplexArray:
         return self.shape.response(frequency_Hz, self.lag_Hz, coordinate, self.residue_m_per_V)
-
-
-def _jackknife_half(replicates: Array) -> Array:
-    """Return half the 95 % interval of a jackknife over realisations, (modes,) [Tukey 1958].
-
-    replicates  (replicates, modes)  each estimated without one realisation
-    """
-    count = len(replicates)
-    if count < 2:
-        return np.full(replicates.shape[1], np.inf)
-    spread = ((replicates - replicates.mean(axis=0)) ** 2).sum(axis=0)
-    quantile = float(student_quantile(0.975, count - 1))
-    return np.asarray(quantile * np.sqrt((count - 1) / count * spread))

@@ -22,6 +22,7 @@ from piezoid.identification.dynamics.vector_fitting import (
 )
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, eliminate, minimise
+from piezoid.numerics.robust import sandwich_covariance
 
 # Half of ``enough`` is the gain in log likelihood: a tenth of a standard deviation.
 RULE = Rule(tolerance=0.0, enough=1e-2, evaluations=40)
@@ -31,7 +32,6 @@ OUT_OF_BAND = 4.0  # largest damping, and largest ratio of a pole to the edge of
 MIN_DAMPING = 1e-5
 START_LINES = 500  # on which trial delays are compared
 START_ROUNDS, FINAL_ROUNDS = 6, 12
-TINY = float(np.finfo(float).tiny)
 
 
 def fit_dynamics(
@@ -233,14 +233,7 @@ def _linear_dynamics(measured: FrequencyResponse, fit: _Point) -> tuple[LinearDy
     lines = int((fit.weight > 0).sum())
     spare = max(lines - (basis.shapes + structure.columns) / 2, 1.0)
     excess = max(1.0, fit.cost / spare)
-    scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
-    inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-14, hermitian=True)
-    inverse /= np.outer(scale, scale)
-    expected = 0.5 * excess * inverse
-    meat = scores.T @ scores * lines / spare
-    ratio = np.diag(inverse @ meat @ inverse) / np.maximum(np.diag(expected), TINY)
-    wider = np.sqrt(np.maximum(ratio, 1.0))
-    covariance = np.asarray(expected * np.outer(wider, wider))
+    covariance = sandwich_covariance(curvature, [scores.T @ scores * lines / spare], 0.5 * excess)
     by_shape = gain_slope.sum(axis=0)
     static_variance = 0.5 * excess * float(np.sum(fit.path.root.sum(axis=0) ** 2))
     static_variance += float(by_shape @ covariance @ by_shape)

@@ -25,11 +25,12 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from piezoid.identification.dynamics.fit_dynamics import STEP, sorted_terms
 from piezoid.identification.dynamics.modal import JointFit, LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
-from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, behind_pole
+from piezoid.identification.hysteresis.pieces import behind_pole
 from piezoid.identification.model import AxisModel
+from piezoid.identification.simulation import fitted_pieces
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
-from piezoid.numerics.robust import NORMAL_95
+from piezoid.numerics.robust import NORMAL_95, sandwich_covariance
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
@@ -100,13 +101,11 @@ def segments_of(
     lags_s = 1.0 / (2.0 * np.pi * dynamics.lag_frequency_Hz)
     longest_s = float(max([*modes_s, *lags_s], default=0.0))
     ring = int(np.ceil((RINGING * longest_s + dynamics.delay_s) * rate_Hz)) + 1
-    starts = [start for start in axis.starts if start.recording == recording.name]
-    pieces = [p for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES]
     segments = []
-    for piece, start in zip(pieces, starts, strict=False):
-        rows = slice(piece.start, min(piece.stop, piece.start + MAX_SAMPLES))
+    for piece in fitted_pieces(axis, recording):
+        measured_m = recording.displacement_m(axis.axis)[piece.samples]
         drive_V = _drive_at_operator(
-            recording.voltage_V(axis.axis)[rows],
+            piece.voltage_V[:MAX_SAMPLES],
             axis.rig.amplifier_bandwidth_Hz,
             rate_Hz,
             dynamics.sampling_rate_Hz,
@@ -114,7 +113,7 @@ def segments_of(
         inside_V = operator.envelope.run(drive_V - operator.voltage_offset_V)
         # The memory is a curve of slope at most one over the threshold: interpolation is
         # admissible.
-        memory_V = np.interp(threshold_V, operator.plays.threshold, start.memory_V)
+        memory_V = np.interp(threshold_V, operator.plays.threshold, piece.start.memory_V)
         states_V, _ = play_columns(inside_V, threshold_V, memory_V)
         padded = next_fast_len(len(drive_V) + min(len(drive_V), ring), real=True)
         frequency_Hz = np.asarray(rfftfreq(padded, 1.0 / rate_Hz))
@@ -124,7 +123,7 @@ def segments_of(
             Segment(
                 recording=recording.name,
                 states_V=np.ascontiguousarray(states_V.T),
-                measured_m=axis.polarity * recording.displacement_m(axis.axis)[rows],
+                measured_m=axis.polarity * measured_m[:MAX_SAMPLES],
                 basis=ModalBasis(
                     structure=structure,
                     frequency_Hz=frequency_Hz,
@@ -181,8 +180,7 @@ def fit_jointly(
     not depend on frequency would be fitted as a delay. Half of the change without these plays
     counts as uncertainty of the structure.
     """
-    start_names = {start.recording for start in axis.starts}
-    if exciting.name not in start_names:
+    if not fitted_pieces(axis, exciting):
         return None
     structure = Structure(
         modes=len(dynamics.mode_frequency_Hz), lags=len(dynamics.lag_frequency_Hz)
@@ -196,7 +194,6 @@ def fit_jointly(
     segments = [
         segment
         for recording in recordings
-        if recording.name in start_names
         for segment in segments_of(axis, recording, threshold_V, dynamics, structure)
     ]
     layout = Layout(
@@ -412,8 +409,6 @@ def _covariance(
 ) -> Array:
     """Return the largest, for each parameter, of inverse curvature and two sandwiches.
 
-        C^-1 M C^-1,   M the sum of outer products of sums of dependent scores     [White 1982]
-
     Scores are whitened derivatives times the whitened residual. Sums over neighbouring samples
     allow for noise that changes in time [Newey & West 1987]; sums over parts of a segment allow
     for the error of the operator, which repeats from cycle to cycle and changes during a sweep.
@@ -438,9 +433,4 @@ def _covariance(
         starts = np.linspace(0, scores.shape[1], PARTS + 1).astype(np.int64)[:-1]
         sums = np.add.reduceat(scores, starts, axis=1)
         by_part += sums @ sums.T * PARTS / (PARTS - 1) * (PARTS_QUANTILE / NORMAL_95) ** 2
-    scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
-    inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-12, hermitian=True)
-    inverse = inverse / np.outer(scale, scale)
-    spread = np.maximum(*(np.diag(inverse @ sums @ inverse) for sums in (by_sample, by_part)))
-    stretch = np.sqrt(np.maximum(spread / np.maximum(np.diag(inverse), TINY), 1.0))
-    return np.asarray(inverse * np.outer(stretch, stretch))
+    return sandwich_covariance(curvature, (by_sample, by_part))

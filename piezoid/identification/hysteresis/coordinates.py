@@ -16,11 +16,12 @@ Kuhnen's; with them it is the generalised Prandtl-Ishlinskii model with equal en
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
-from piezoid.identification.hysteresis.pieces import Piece, PieceStart, Scales
-from piezoid.numerics.arrays import Array
+from piezoid.identification.hysteresis.pieces import Scales
+from piezoid.numerics.arrays import Array, Samples
 from piezoid.numerics.executor import Once
 from piezoid.operators.dead_zone import LINEAR, DeadZones, from_slopes
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
@@ -65,13 +66,15 @@ class Coordinates:
     """Layout of the parameter vector for a shape and a number of pieces.
 
     The first ``shared`` parameters are those of the operator and the lag; behind them each piece
-    has offsets and memory slopes.
+    has offsets and memory slopes; the last are the numbers of the extensions.
 
     offsets  (pieces,)  knots of each piece's zero: 1 is a constant, more knots follow slow motion
+    numbers  (extensions,)  count of the numbers of each extension
     """
 
     shape: Shape
     offsets: tuple[int, ...]
+    numbers: tuple[int, ...] = ()
 
     @cached_property
     def slices(self) -> dict[str, slice]:
@@ -102,7 +105,19 @@ class Coordinates:
     @property
     def total(self) -> int:
         """Length of the vector."""
-        return self.shared + sum(self.offsets) + len(self.offsets) * self.shape.plays
+        of_pieces = sum(self.offsets) + len(self.offsets) * self.shape.plays
+        return self.shared + of_pieces + sum(self.numbers)
+
+    @cached_property
+    def extension_slices(self) -> tuple[slice, ...]:
+        """Slice of the numbers of each extension."""
+        edges = self.total - sum(self.numbers) + np.cumsum([0, *self.numbers])
+        return tuple(slice(int(a), int(b)) for a, b in pairwise(edges))
+
+    @cached_property
+    def common(self) -> Samples:
+        """Indices of the parameters of all pieces: operator, lag and numbers of extensions."""
+        return np.asarray(np.r_[0 : self.shared, self.total - sum(self.numbers) : self.total])
 
     def offset_slice(self, piece: int) -> slice:
         """Return the slice of the zero knots of a piece."""
@@ -115,7 +130,7 @@ class Coordinates:
         return slice(first, first + self.shape.plays)
 
     def bounds(self, longest_lag_s: float) -> tuple[Array, Array]:
-        """Return lower and upper bounds of every parameter, (total,) each."""
+        """Return lower and upper bounds, (total,) each; numbers of extensions have none here."""
         lower, upper = np.full(self.total, -np.inf), np.full(self.total, np.inf)
         for name, group in self.slices.items():
             lower[group], upper[group] = {
@@ -267,27 +282,23 @@ def to_si_units(
     )
 
 
-def piece_start(
-    piece: Piece, index: int, theta: Array, coordinates: Coordinates, scales: Scales, first: float
-) -> PieceStart:
-    """Return the initial state of a piece: its memory before the first sample, and its zero.
-
-    index  of the piece in the parameter vector
-    first  scaled drive behind the amplifier at the first sample
-    """
-    operator = operator_of(theta, coordinates)
-    inner = np.array([first])
-    if operator.envelope is not LINEAR:
-        inner = operator.envelope.run(inner)
-    slope = theta[coordinates.memory_slice(index)]
-    memory = np.concatenate([inner, inner + np.cumsum(operator.gap * slope)])
-    zero = theta[coordinates.offset_slice(index)]
-    return PieceStart(
-        recording=piece.name,
-        memory_V=memory * (envelope_stretch(operator) * scales.voltage_V),
-        zero_m=piece.centre_m + scales.displacement_m * zero,
-        first=piece.first,
-        last=piece.last,
+def to_scaled_units(model: ModifiedPrandtlIshlinskii, scales: Scales, lag_s: float) -> Scaled:
+    """Return the scaled operator of a model in SI units: the inverse of ``to_si_units``."""
+    envelope, zones, stroke_m = model.envelope, model.dead_zones, abs(scales.displacement_m)
+    stretch = float(envelope.slope[envelope.zero])
+    centre = float(zones.slope[zones.zero])
+    threshold = model.plays.threshold / (stretch * scales.voltage_V)
+    return Scaled(
+        gap=np.diff(threshold),
+        threshold=threshold[1:],
+        weight=model.plays.weight * (centre * stretch * scales.voltage_V / stroke_m),
+        knot=zones.threshold * (centre / stroke_m),
+        slope=zones.slope / centre,
+        zero=zones.zero,
+        lag_s=lag_s,
+        envelope=from_slopes(envelope.threshold / scales.voltage_V, envelope.slope / stretch)
+        if envelope.zero > 0
+        else LINEAR,
     )
 
 

@@ -13,7 +13,7 @@ from piezoid.identification.hysteresis.applicability import (
     reason_of_lag,
     reason_of_no_response,
 )
-from piezoid.identification.hysteresis.coordinates import Shape, piece_start, to_si_units
+from piezoid.identification.hysteresis.coordinates import Shape, to_si_units
 from piezoid.identification.hysteresis.cycles import (
     cycles_of,
     limits_of_cycles,
@@ -31,6 +31,7 @@ from piezoid.identification.hysteresis.pieces import (
     Piece,
     Rig,
     Scales,
+    longest_lag_s,
     pieces_of,
     response_range,
     scales_of,
@@ -41,7 +42,6 @@ from piezoid.identification.hysteresis.search import (
     prune,
     search,
     search_from,
-    simulate_piece,
 )
 from piezoid.identification.hysteresis.sensor_noise import sensor_noise
 from piezoid.identification.hysteresis.uncertainty import certify, jackknife, summarise
@@ -56,7 +56,6 @@ from piezoid.identification.quality import (
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import forgetting_sample
 from piezoid.records.recording import Recording
-from piezoid.records.reversals import noise_of, reversals_of
 
 FIRST_SHAPE = Shape(plays=8, below=2, above=2)
 CHOOSING_ROWS = 4000
@@ -145,17 +144,6 @@ def estimate_axis(
     return replace(model, starts=starts)
 
 
-def longest_lag_s(pieces: Sequence[Piece]) -> float:
-    """Return the upper bound of the lag: a quarter of the duration of the slower branches."""
-    branches = []
-    for piece in pieces:
-        reversals = reversals_of(piece.drive, max(noise_of(piece.drive), 0.02))
-        edges = np.array([piece.first, *reversals, piece.last])
-        branches.extend((np.diff(edges) / piece.sampling_rate_Hz).tolist())
-    ten_samples_s = 10.0 / min(piece.sampling_rate_Hz for piece in pieces)
-    return max(ten_samples_s, 0.25 * float(np.quantile(branches, 0.9)))
-
-
 def _final_fit(pieces: Sequence[Piece], choice: Choice, settings: Settings) -> HysteresisFit:
     """Fit the chosen shape to all rows.
 
@@ -171,9 +159,9 @@ def _final_fit(pieces: Sequence[Piece], choice: Choice, settings: Settings) -> H
         closest = min((fit, *repeated), key=lambda candidate: candidate.rms)
         fit = replace(closest, kkt_gap=fit.kkt_gap)
     fit = prune(fit, iterations=settings.iterations)
-    if fit.task.stride == 1:
+    all_rows = replace(fit.task, samples=[piece.fitted_samples() for piece in pieces])
+    if all_rows.rows == fit.task.rows:
         return fit
-    all_rows = replace(fit.task, stride=1)
     polished = minimise(fit.theta, all_rows, iterations=POLISHING_ITERATIONS)
     return replace(polished, task=fit.task, kkt_gap=fit.kkt_gap)
 
@@ -194,10 +182,7 @@ def _axis_model(
     """
     theta, coordinates = fit.theta, fit.task.coordinates
     refits = jackknife(theta, fit.task)
-    starts = tuple(
-        piece_start(piece, index, theta, coordinates, scales, float(piece.drive[0]))
-        for index, piece in enumerate(fit.task.pieces)
-    )
+    starts = fit.starts(scales)
     drives = [recording.voltage_V(axis) for recording in recordings]
     fitted_V = [
         drives[piece.recording][piece.begin + piece.first : piece.begin + piece.last]
@@ -274,9 +259,7 @@ def remarks_on(fit: HysteresisFit, held_out_kind: str, rig: Rig) -> tuple[str, .
 def _quality(
     fit: HysteresisFit, choice: Choice, pieces: Sequence[Piece], stroke_m: float
 ) -> FitQuality:
-    residuals = [
-        simulate_piece(fit, index, piece) - piece.response for index, piece in enumerate(pieces)
-    ]
+    residuals = [fit.simulate(index, piece) - piece.response for index, piece in enumerate(pieces)]
     noise, is_bound = zip(*map(sensor_noise, pieces, residuals), strict=True)
     rows = [piece.rows for piece in pieces]
     return FitQuality(

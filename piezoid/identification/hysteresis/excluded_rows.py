@@ -22,7 +22,6 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from piezoid.identification.hysteresis.gauss_newton import HysteresisFit
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Piece
-from piezoid.identification.hysteresis.search import simulate_piece
 from piezoid.numerics.arrays import Array, Samples
 from piezoid.operators.play import forgetting_sample
 from piezoid.records.reversals import noise_of, reversals_of
@@ -45,7 +44,7 @@ def without_outliers(fit: HysteresisFit) -> tuple[tuple[Piece, ...], tuple[str, 
     """Return the pieces of a fit without single outliers, and a remark for each changed piece."""
     pieces, remarks = [], []
     for index, piece in enumerate(fit.task.pieces):
-        error = simulate_piece(fit, index, piece) - piece.response
+        error = fit.simulate(index, piece) - piece.response
         outliers = outlying_samples(error, piece.drive, piece.response)
         outliers = outliers[(outliers >= piece.first) & (outliers < piece.last)]
         invalid = np.union1d(piece.invalid, outliers)
@@ -75,7 +74,7 @@ def without_transients(fit: HysteresisFit) -> tuple[Piece, ...]:
     for index, piece in enumerate(fit.task.pieces):
         rows = int(forgetting_sample(piece.fitted_drive, thresholds).max(initial=0))
         if rows >= 2 and piece.rows - rows >= max(MINIMUM_SAMPLES, piece.rows // 3):
-            error = simulate_piece(fit, index, piece) - piece.response
+            error = fit.simulate(index, piece) - piece.response
             error[piece.invalid] = 0.0
             error = error[piece.first : piece.last]
             early, later = (float(np.sqrt(np.mean(e**2))) for e in (error[:rows], error[rows:]))

@@ -4,7 +4,8 @@
     min  mean e^2 + ridge |kinks|^2,   within the bounds
 
 kinks are the changes of slope at every threshold (coordinates.py). The ridge removes kinks that
-the data do not determine, such as a play that never moves or a slope beyond the readings.
+the data do not determine, such as a play that never moves or a slope beyond the readings. The
+joint fit adds extensions with numbers and priors of their own.
 
 The states are computed at the full rate; rows may be thinned. Each linear model is the triangular
 factor of [J | e], gathered chunk by chunk.
@@ -17,26 +18,25 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.forward import Forward
+from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.forward import UNSCALED, Forward, Run
 from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
     Scaled,
     Shape,
+    envelope_stretch,
     operator_of,
 )
-from piezoid.identification.hysteresis.pieces import Piece, widest_swing
+from piezoid.identification.hysteresis.pieces import Piece, PieceStart, Scales
 from piezoid.numerics import levenberg_marquardt
 from piezoid.numerics.arrays import Array, Samples
 from piezoid.numerics.levenberg_marquardt import Rows, Rule
 from piezoid.numerics.quadratic_program import empty_triangle, gather
-from piezoid.operators.chain import Following
-from piezoid.operators.play import thinned_drive
 
-CHUNK = 1024  # rows written together: about the size of the L2 cache
-SPARSE = 3  # samples per row, above which computing from row to row is faster
 FAST_POLE = 0.5  # samples: a declared pole with a shorter time constant acts as a delay
 # Thresholds at kinks take endless small steps, each of which gains a ten-thousandth of the cost.
 MIN_PROGRESS = 1e-3
+QUASI_STATIC = Rule(crawl=MIN_PROGRESS, easier=5.0, harder=6.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,31 +46,55 @@ class Task:
     pieces         the data
     coordinates    layout of the parameter vector
     sensor_pole_Hz declared pole behind the operator, or None
-    stride         rows are thinned by this factor
+    samples        fitted samples of each piece
     longest_lag_s  upper bound of the lag
-    fixed          names of shared parameters that stay fixed, such as ``gap``
+    fixed          slices of parameters that stay fixed
+    swing          range of the drive that limits the thresholds; None: no limit
     ridge          weight of the squared kinks relative to the mean square of the residual
+    extensions     in the order in which they act
+    scales         of drive and displacement, for extensions
     """
 
     pieces: Sequence[Piece]
     coordinates: Coordinates
     sensor_pole_Hz: float | None
-    stride: int
+    samples: Sequence[Samples]
     longest_lag_s: float
-    fixed: tuple[str, ...] = ()
+    fixed: tuple[slice, ...] = ()
+    swing: tuple[float, float] | None = None
     ridge: float = 0.0
+    extensions: tuple[Extension, ...] = ()
+    scales: Scales = UNSCALED
 
-    @cached_property
+    @property
     def rows(self) -> int:
         """Number of fitted rows."""
-        return sum(len(piece.fitted_samples(self.stride)) for piece in self.pieces)
+        return sum(map(len, self.samples))
+
+    def extensions_at(self, theta: Array) -> tuple[Extension, ...]:
+        """Return the extensions with the numbers of a vector."""
+        pairs = zip(self.extensions, self.coordinates.extension_slices, strict=True)
+        return tuple(extension.moved_to(theta[numbers]) for extension, numbers in pairs)
+
+    def bounds(self, theta: Array) -> tuple[Array, Array]:
+        """Return lower and upper bounds, (total,) each; fixed parameters stay as in ``theta``."""
+        lower, upper = self.coordinates.bounds(self.longest_lag_s)
+        for extension, numbers in zip(
+            self.extensions, self.coordinates.extension_slices, strict=True
+        ):
+            free = extension.free()
+            lower[numbers], upper[numbers] = free.lower, free.upper
+        for group in self.fixed:
+            lower[group] = upper[group] = theta[group]
+        return lower, upper
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
-        """M and c of the prior rows M theta + c, the weighted change of slope at every kink.
+        """M and c of the prior rows M theta + c: kinks and relations of the extensions.
 
-        For the loading curve these are the play weights; for Psi and gamma the differences of
-        neighbouring slopes, outwards from the two middle ones, which are 1.
+        The kinks are the weighted changes of slope. For the loading curve these are the play
+        weights; for Psi and gamma the differences of neighbouring slopes, outwards from the two
+        middle ones, which are 1. A relation of an extension has the weight of one row.
         """
         kinks, constant = [], []
         for name, group in self.coordinates.slices.items():
@@ -86,8 +110,17 @@ class Task:
                 kinks.append(row)
                 constant.append(-1.0 if is_middle_neighbour else 0.0)
         share = np.sqrt(self.ridge * self.rows)
-        matrix = np.reshape(kinks, (-1, self.coordinates.total))
-        return share * matrix, share * np.array(constant)
+        matrices = [share * np.reshape(kinks, (-1, self.coordinates.total))]
+        for extension, numbers in zip(
+            self.extensions, self.coordinates.extension_slices, strict=True
+        ):
+            relations = extension.prior()
+            if len(relations):
+                unit = abs(self.scales.displacement_m) if extension.is_prior_in_metres else 1.0
+                matrices.append(np.zeros((len(relations), self.coordinates.total)))
+                matrices[-1][:, numbers] = relations / unit
+        matrix = np.concatenate(matrices)
+        return matrix, np.pad(share * np.array(constant), (0, len(matrix) - len(constant)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,25 +147,46 @@ class HysteresisFit:
         """The fitted operator in scaled units."""
         return operator_of(self.theta, self.task.coordinates)
 
+    def simulate(self, index: int, piece: Piece) -> Array:
+        """Simulate a piece with the fitted parameters, memory and zero of one piece of the fit."""
+        return simulate(self.theta, self.task, index, piece)
+
+    def starts(self, scales: Scales) -> tuple[PieceStart, ...]:
+        """Return the initial states and zeros of all pieces in SI units."""
+        stretch_V = envelope_stretch(self.operator) * scales.voltage_V
+        starts = []
+        for index, piece in enumerate(self.task.pieces):
+            run, _ = run_of(self.theta, self.task, index, piece)
+            memory = run.forward.memory(float(run.drive[0]), run.memory_slope)
+            zero = self.theta[self.task.coordinates.offset_slice(index)]
+            start = PieceStart(
+                recording=piece.name,
+                memory_V=memory * stretch_V,
+                zero_m=piece.centre_m + scales.displacement_m * zero,
+                first=piece.first,
+                last=piece.last,
+            )
+            starts.append(start)
+        return tuple(starts)
+
     @property
     def shape(self) -> Shape:
         """Shape of the fit; after pruning smaller than requested."""
         return self.task.coordinates.shape
 
 
-def minimise(theta: Array, task: Task, *, iterations: int) -> HysteresisFit:
+def minimise(
+    theta: Array, task: Task, *, iterations: int, rule: Rule = QUASI_STATIC
+) -> HysteresisFit:
     """Minimise the forward output error within the bounds, starting from ``theta``."""
-    lower, upper = task.coordinates.bounds(task.longest_lag_s)
-    for name in task.fixed:
-        group = task.coordinates.slices[name]
-        lower[group] = upper[group] = theta[group]
-    swing = widest_swing(task.pieces)
+    lower, upper = task.bounds(theta)
+    swing = task.swing
     minimum = levenberg_marquardt.minimise(
-        lambda x: _Point(task, x, upper > lower, rms_of(x, task)),
+        lambda x: _Point(task=task, theta=x, is_free=upper > lower),
         theta,
         (lower, upper),
-        rule=Rule(crawl=MIN_PROGRESS, iterations=iterations, easier=5.0, harder=6.0),
-        within=lambda x: x if "gap" in task.fixed else task.coordinates.within_reach(x, swing),
+        rule=replace(rule, iterations=iterations),
+        within=lambda x: x if swing is None else task.coordinates.within_reach(x, swing),
     )
     return HysteresisFit(
         task=task,
@@ -143,17 +197,20 @@ def minimise(theta: Array, task: Task, *, iterations: int) -> HysteresisFit:
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Point:
     task: Task
     theta: Array
     is_free: NDArray[np.bool_]
-    rms: float
+
+    @cached_property
+    def rms(self) -> float:
+        return rms_of(self.theta, self.task)
 
     @property
     def cost(self) -> float:
-        kinks, constant = self.task.prior
-        roughness = float(np.sum((kinks @ self.theta + constant) ** 2)) / self.task.rows
+        matrix, constant = self.task.prior
+        roughness = float(np.sum((matrix @ self.theta + constant) ** 2)) / self.task.rows
         return self.task.rows * (self.rms**2 + roughness)
 
     def linearised(self) -> Rows:
@@ -164,7 +221,8 @@ class _Point:
         initial memory any more, and only the other columns are gathered.
         """
         task, is_free = self.task, self.is_free
-        shared = np.flatnonzero(is_free[: task.coordinates.shared])
+        shared = task.coordinates.common
+        shared = shared[is_free[shared]]
         common = empty_triangle(len(shared) + 1)
         local_rows, indices = [], []
         for index in range(len(task.pieces)):
@@ -186,8 +244,8 @@ class _Point:
             local_rows.append(early[:count])
             indices.append(of_piece[is_used[:-1]][:count])
             common = gather(common, early[count:, count:])
-        kinks, constant = task.prior
-        prior = np.column_stack([kinks[:, shared], kinks @ self.theta + constant])
+        matrix, constant = task.prior
+        prior = np.column_stack([matrix[:, shared], matrix @ self.theta + constant])
         common = gather(common, prior, spend=True)
         # The rows of the pieces come first, then those of the shared parameters.
         local = sum(map(len, local_rows))
@@ -205,13 +263,14 @@ class _Point:
 
 def rms_of(theta: Array, task: Task) -> float:
     """Return the rms of the residual over the fitted rows."""
-    total, count = 0.0, 0
-    for index, piece in enumerate(task.pieces):
-        rows = piece.fitted_samples(task.stride)
-        error = simulate(theta, task, index, piece, rows) - piece.response[rows]
-        total += float(error @ error)
-        count += len(error)
-    return float(np.sqrt(total / count))
+    errors = residuals(theta, task)
+    return float(np.sqrt(sum(float(error @ error) for error in errors) / task.rows))
+
+
+def residuals(theta: Array, task: Task) -> Iterator[Array]:
+    """Yield model minus measurement at the fitted rows of each piece, (rows,)."""
+    for index, (piece, sample) in enumerate(zip(task.pieces, task.samples, strict=True)):
+        yield simulate(theta, task, index, piece, sample) - piece.response[sample]
 
 
 def simulate(
@@ -222,25 +281,10 @@ def simulate(
     index    of the piece of the task whose memory and zero are used
     samples  (rows,)  samples to return, increasing; None: all
     """
-    coordinates, rate_Hz = task.coordinates, piece.sampling_rate_Hz
-    forward = forward_of(theta, task, rate_Hz)
-    memory = forward.memory(piece.drive[0], theta[coordinates.memory_slice(index)])
     sample = np.arange(len(piece.drive)) if samples is None else samples
-    is_sparse = SPARSE * len(sample) < len(piece.drive)
-    if forward.lag == "delay" and forward.sensor_Hz is None and is_sparse:
-        whole_samples = int(np.floor(forward.lag_s * rate_Hz))
-        fraction = forward.lag_s * rate_Hz - whole_samples
-        source = np.maximum(sample - whole_samples, 0)
-        drive, nearest = thinned_drive(piece.drive, source, with_previous=True, turns=piece.turns)
-        output, _ = forward.static(drive, memory, rate_Hz)
-        previous = output[np.maximum(nearest - 1, 0)]
-        output = (1.0 - fraction) * output[nearest] + fraction * previous
-    else:
-        output, _ = forward.static(piece.drive, memory, rate_Hz)
-        output = forward.filtered(output, rate_Hz)[sample]
-    zero = theta[coordinates.offset_slice(index)]
+    run, zero = run_of(theta, task, index, piece)
     position = _knot_position(sample, piece, len(zero))
-    return np.asarray(output + np.interp(position, range(len(zero)), zero))
+    return np.asarray(run.reading_at(sample) + np.interp(position, range(len(zero)), zero))
 
 
 def rows_of(theta: Array, task: Task, index: int) -> Iterator[tuple[Samples, Array]]:
@@ -250,56 +294,62 @@ def rows_of(theta: Array, task: Task, index: int) -> Iterator[tuple[Samples, Arr
     ``column_indices``, then the residual, model minus measurement. The static columns pass lag and
     sensor like the output.
     """
-    coordinates, piece = task.coordinates, task.pieces[index]
-    rate_Hz, memory_slope = piece.sampling_rate_Hz, theta[coordinates.memory_slice(index)]
-    chain, delay = forward_of(theta, task, rate_Hz).filtered_chain(memory_slope, rate_Hz)
-    tangents = Following(chain, float(piece.drive[0]))
-    sample = piece.fitted_samples(task.stride)
-    drive, source = piece.drive, np.maximum(sample - delay, 0)
-    if chain.lag is None and chain.sensor is None and SPARSE * len(sample) < len(drive):
-        drive, source = thinned_drive(drive, source, with_previous=True, turns=piece.turns)
-    zero = theta[coordinates.offset_slice(index)]
+    piece, plays = task.pieces[index], task.coordinates.shape.plays
+    run, zero = run_of(theta, task, index, piece)
     knots = np.arange(len(zero))
-    zero_columns = slice(chain.plays, chain.plays + len(knots))
-    residual = zero_columns.stop + coordinates.shared
-    first = start = 0
-    while start < len(sample):
-        last_source = source[min(start + CHUNK, len(sample)) - 1]
-        end = int(np.searchsorted(source, last_source, side="right"))
-        rows = sample[start:end]
-        block = np.empty((len(rows), zero_columns.stop + chain.columns), order="F")
-        tangents.rows(drive[first : last_source + 1], source[start:end] - first, block)
-        position = _knot_position(rows, piece, len(knots))
-        block[:, residual] = block[:, -1] + np.interp(position, knots, zero) - piece.response[rows]
-        block[:, zero_columns] = np.maximum(1.0 - np.abs(position[:, None] - knots), 0.0)
-        yield rows, block[:, : residual + 1]
-        first, start = int(last_source) + 1, end
+    for sample, block in run.rows(task.samples[index], len(knots)):
+        position = _knot_position(sample, piece, len(knots))
+        block[:, -1] += np.interp(position, knots, zero)
+        block[:, -1] -= piece.response[sample]
+        hats = np.maximum(1.0 - np.abs(position[:, None] - knots), 0.0)
+        block[:, plays : plays + len(knots)] = hats
+        yield sample, block
 
 
 def column_indices(coordinates: Coordinates, index: int) -> Samples:
     """Return the parameter indices of the columns of a piece.
 
-    First its memory slopes, which only the first rows depend on, then its zero, then the shared
-    parameters.
+    First its memory slopes, which only the first rows depend on, then its zero, then the
+    parameters that all pieces share.
     """
     memory, offsets = coordinates.memory_slice(index), coordinates.offset_slice(index)
-    return np.asarray(np.r_[memory, offsets, 0 : coordinates.shared])
+    return np.asarray(np.r_[memory, offsets, coordinates.common])
 
 
-def forward_of(theta: Array, task: Task, rate_Hz: float) -> Forward:
-    """Return the forward model of a parameter vector at a sampling rate.
+def run_of(theta: Array, task: Task, index: int, piece: Piece) -> tuple[Run, Array]:
+    """Return the simulation of a piece, and the knots of the zero that is added to its reading.
 
-    A declared pole far above the sampling rate is added to a delay.
+    The reading with extensions may depend on the position: then the constant zero is part of the
+    simulation. A declared pole far above the sampling rate is added to a delay.
+
+    index  of the piece of the task whose memory and zero are used
     """
-    operator, lag = operator_of(theta, task.coordinates), task.coordinates.shape.lag
-    sensor_Hz = task.sensor_pole_Hz
-    forward = Forward(operator=operator, lag=lag, lag_s=operator.lag_s, sensor_Hz=sensor_Hz)
-    if sensor_Hz is None or lag != "delay":
-        return forward
-    time_s = 1.0 / (2 * np.pi * sensor_Hz)
-    if time_s * rate_Hz < FAST_POLE:
-        return replace(forward, lag_s=operator.lag_s + time_s, sensor_Hz=None)
-    return forward
+    coordinates, rate_Hz = task.coordinates, piece.sampling_rate_Hz
+    operator, lag = operator_of(theta, coordinates), coordinates.shape.lag
+    lag_s, sensor_Hz = operator.lag_s, task.sensor_pole_Hz
+    if sensor_Hz is not None and lag == "delay":
+        time_s = 1.0 / (2 * np.pi * sensor_Hz)
+        if time_s * rate_Hz < FAST_POLE:
+            lag_s, sensor_Hz = lag_s + time_s, None
+    zero = theta[coordinates.offset_slice(index)]
+    constant = float(zero[0]) if task.extensions else 0.0
+    run = Run(
+        forward=Forward(
+            operator=operator,
+            lag=lag,
+            lag_s=lag_s,
+            sensor_Hz=sensor_Hz,
+            extensions=task.extensions_at(theta),
+            scales=task.scales,
+        ),
+        command=piece.drive,
+        memory_slope=theta[coordinates.memory_slice(index)],
+        zero_m=piece.centre_m + task.scales.displacement_m * constant,
+        centre_m=piece.centre_m,
+        where=piece.where,
+        turns=piece.turns,
+    )
+    return run, zero - constant
 
 
 def _knot_position(sample: Samples, piece: Piece, knots: int) -> Array:

@@ -19,7 +19,6 @@ from piezoid.identification.hysteresis.search import (
     Settings,
     refit_initial_state,
     search,
-    simulate_piece,
 )
 from piezoid.identification.quality import (
     IN_SAMPLE,
@@ -209,9 +208,9 @@ def fit_trial(
         errors = []
         for number, piece in enumerate(fold.testing):
             if number < fold.halved:  # keep the zero of the training half
-                output = simulate_piece(fit, number, fold.training[number])
+                output = fit.simulate(number, fold.training[number])
             else:
-                output = simulate_piece(refitted, number - fold.halved, piece)
+                output = refitted.simulate(number - fold.halved, piece)
             error = (output - piece.response)[fold.held_out_samples(number)]
             is_offset_free = number < fold.halved and not is_only_recording
             errors.append(error - error.mean() if is_offset_free else error)

@@ -1,18 +1,20 @@
 """Uninterrupted pieces of recordings: scaled drive and displacement, and their fitted starts."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError
+from piezoid.identification.extensions.extension import Where
 from piezoid.numerics.arrays import Array, Samples, freeze
 from piezoid.numerics.executor import Once
 from piezoid.operators.filters import relaxed
 from piezoid.operators.play import turns_of
 from piezoid.records.constant_drive import is_at_rest
-from piezoid.records.recording import Recording
+from piezoid.records.recording import Quantity, Recording
+from piezoid.records.reversals import noise_of, reversals_of
 
 MINIMUM_SAMPLES = 20
 MIN_DRIFT = 5e-4  # of the range: a smaller drift of the zero does not matter to a controller
@@ -60,6 +62,7 @@ class Piece:
     first, last       range of the fitted rows; states are computed from sample 0 in any case
     invalid           (count,)  samples without a valid measurement, which are not fitted
     begin             sample of the recording at which the piece begins
+    others_V          drives of other axes by axis, (samples,)
     """
 
     name: str
@@ -72,6 +75,7 @@ class Piece:
     last: int
     invalid: Samples = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     begin: int = 0
+    others_V: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self, "drive", "response")
@@ -80,6 +84,17 @@ class Piece:
     def turns(self) -> NDArray[np.bool_]:
         """Whether a sample of the drive is the first or a reversal, (samples,)."""
         return turns_of(self.drive)
+
+    @property
+    def where(self) -> Where:
+        """Location of the piece, for extensions."""
+        return Where(
+            recording=self.name,
+            rate_Hz=self.sampling_rate_Hz,
+            first=self.begin,
+            samples=len(self.drive),
+            others_V=self.others_V,
+        )
 
     @property
     def rows(self) -> int:
@@ -109,11 +124,37 @@ def response_range(pieces: Sequence[Piece]) -> float:
     return max(float(np.ptp(piece.fitted_response)) for piece in pieces)
 
 
+def cycle_edges(drive: Array, blocks: int) -> Samples:
+    """Return the edges of blocks of whole cycles, from one rise through the middle to another.
+
+    drive     (samples,)
+    returned  (edges,)  0 to samples; with fewer cycles than blocks, blocks of equal length
+    """
+    edges = np.linspace(0, len(drive), blocks + 1).astype(int)
+    is_above = drive >= 0.5 * (drive.max() + drive.min())
+    rises = 1 + np.flatnonzero(~is_above[:-1] & is_above[1:])
+    if len(rises) < blocks:
+        return edges
+    nearest = rises[np.abs(rises[:, None] - edges[1:-1]).argmin(axis=0)]
+    return np.unique(np.concatenate([edges[:1], nearest, edges[-1:]]))
+
+
 def widest_swing(pieces: Sequence[Piece]) -> tuple[float, float]:
     """Return minimum and maximum of the drive in the piece with the largest range."""
     drives = [piece.drive[: piece.last] for piece in pieces]
     widest = max(drives, key=lambda drive: float(np.ptp(drive)))
     return float(widest.min()), float(widest.max())
+
+
+def longest_lag_s(pieces: Sequence[Piece]) -> float:
+    """Return the upper bound of the lag: a quarter of the duration of the slower branches."""
+    branches = []
+    for piece in pieces:
+        reversals = reversals_of(piece.drive, max(noise_of(piece.drive), 0.02))
+        edges = np.array([piece.first, *reversals, piece.last])
+        branches.extend((np.diff(edges) / piece.sampling_rate_Hz).tolist())
+    ten_samples_s = 10.0 / min(piece.sampling_rate_Hz for piece in pieces)
+    return max(ten_samples_s, 0.25 * float(np.quantile(branches, 0.9)))
 
 
 def scales_of(recordings: Sequence[Recording], axis: str) -> Scales:
@@ -174,6 +215,7 @@ def pieces_of(
                 last=len(measured_m),
                 invalid=bridged[is_inside] - rows.start,
                 begin=rows.start,
+                others_V=where_of(recording, axis, rows).others_V,
             )
             pieces.append(piece)
     if not pieces:
@@ -184,6 +226,24 @@ def pieces_of(
             remedy="Record again without losing samples.",
         )
     return tuple(pieces)
+
+
+def where_of(recording: Recording, axis: str, rows: slice) -> Where:
+    """Return the location of some rows for extensions, with the drives of other axes that move."""
+    other_drives = {
+        channel.axis: channel.values[rows]
+        for channel in recording.channels
+        if channel.quantity is Quantity.VOLTAGE
+        and channel.axis != axis
+        and np.ptp(channel.values) > 0.0
+    }
+    return Where(
+        recording=recording.name,
+        rate_Hz=recording.sampling_rate_Hz,
+        first=rows.start,
+        samples=rows.stop - rows.start,
+        others_V=other_drives,
+    )
 
 
 def behind_pole(signal: Array, bandwidth_Hz: float | None, sampling_rate_Hz: float) -> Array:

@@ -18,9 +18,8 @@ from piezoid.identification.hysteresis.coordinates import (
     vector_of,
     with_flat_envelope,
 )
-from piezoid.identification.hysteresis.gauss_newton import HysteresisFit, Task, minimise, simulate
-from piezoid.identification.hysteresis.pieces import Piece
-from piezoid.numerics.arrays import Array
+from piezoid.identification.hysteresis.gauss_newton import HysteresisFit, Task, minimise
+from piezoid.identification.hysteresis.pieces import Piece, widest_swing
 
 MANY_PLAYS = 6  # with more plays the better of two starts is enough
 # Scaled: kinks of 0.1 cost 1e-11, a thousandth of the square of the lowest noise (1e-4).
@@ -111,14 +110,16 @@ def _fit_with_fixed(
 ) -> HysteresisFit:
     """Fit all parameters except some shared groups, in a third of the iterations.
 
-    fixed   names of the groups that keep the values of the operator
+    fixed   names of the groups that keep the values of the operator, thresholds among them
     offset  start of the zeros of the pieces, scaled displacement
     """
     task = task_for(pieces, operator, lag, settings)
     theta = vector_of(operator, task.coordinates)
     for index in range(len(pieces)):
         theta[task.coordinates.offset_slice(index)] = offset
-    fit = minimise(theta, replace(task, fixed=fixed), iterations=settings.iterations // 3)
+    slices = tuple(task.coordinates.slices[name] for name in fixed)
+    fixed_task = replace(task, fixed=slices, swing=None)
+    fit = minimise(theta, fixed_task, iterations=settings.iterations // 3)
     return replace(fit, task=task, kkt_gap=kkt_gap)
 
 
@@ -129,19 +130,16 @@ def task_for(pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Sett
         levels = [np.signbit(p.fitted_drive - np.median(p.fitted_drive)) for p in pieces]
         crossings = [int(np.count_nonzero(np.diff(is_low))) for is_low in levels]
         offsets = [1 + min(count // 8, 12) for count in crossings]
+    stride = max(1, sum(piece.rows for piece in pieces) // settings.rows)
     return Task(
         pieces=tuple(pieces),
         coordinates=Coordinates(shape=operator.shape(lag), offsets=tuple(offsets)),
         sensor_pole_Hz=settings.sensor_pole_Hz,
-        stride=max(1, sum(piece.rows for piece in pieces) // settings.rows),
+        samples=[piece.fitted_samples(stride) for piece in pieces],
         longest_lag_s=settings.longest_lag_s,
+        swing=widest_swing(pieces),
         ridge=RIDGE,
     )
-
-
-def simulate_piece(fit: HysteresisFit, index: int, piece: Piece) -> Array:
-    """Simulate a piece with the fitted parameters, memory and zero of one piece of the fit."""
-    return simulate(fit.theta, fit.task, index, piece)
 
 
 def refit_initial_state(fit: HysteresisFit, pieces: Sequence[Piece]) -> HysteresisFit:

@@ -18,7 +18,7 @@ the 99.9 % quantile of the held-out residual. Every term is finite, so the error
 with it that of the compensation by its inverse, is bounded for all bounded drives.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,10 +33,10 @@ from piezoid.identification.hysteresis.coordinates import (
     to_si_units,
 )
 from piezoid.identification.hysteresis.gauss_newton import Task, column_indices, rows_of
-from piezoid.identification.hysteresis.pieces import Piece, Scales
+from piezoid.identification.hysteresis.pieces import Scales, cycle_edges
 from piezoid.identification.quality import Certificate, Uncertainty
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.robust import student_quantile
+from piezoid.numerics.robust import jackknife_half
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import worst_case
@@ -85,8 +85,7 @@ class Jackknife:
 
     def half_width(self, functional: Callable[[Array], Array]) -> Array:
         """Return half the width of the 95 % interval of each value of a function of theta."""
-        quantile = float(student_quantile(0.975, self.blocks - 1))
-        return np.asarray(quantile * np.sqrt(np.diag(self.spread(functional))))
+        return jackknife_half(np.array([functional(replicate) for replicate in self.replicates]))
 
     def upper_limit(self, index: int) -> float:
         """Return the one-sided 95 % limit of a parameter on its lower bound.
@@ -108,7 +107,11 @@ class Jackknife:
 def jackknife(theta: Array, task: Task) -> Jackknife:
     """Return refits without each block of whole cycles in turn."""
     coordinates = task.coordinates
-    edges = block_edges(task.pieces)
+    share = BLOCKS / sum(piece.rows for piece in task.pieces)
+    edges = [
+        piece.first + cycle_edges(piece.fitted_drive, max(2, round(share * piece.rows)))
+        for piece in task.pieces
+    ]
     blocks = sum(len(edge) - 1 for edge in edges)
     normals = np.zeros((blocks, coordinates.total, coordinates.total))  # J_c'J_c
     gradients = np.zeros((blocks, coordinates.total))  # J_c'e_c
@@ -123,27 +126,12 @@ def jackknife(theta: Array, task: Task) -> Jackknife:
                 gradients[c][columns] += tangent.T @ residual
         first += len(edges[index]) - 1
     kinks, _ = task.prior
-    bounds = coordinates.bounds(task.longest_lag_s)
-    return leave_blocks_out(theta, bounds, normals, gradients, kinks.T @ kinks)
-
-
-def leave_blocks_out(
-    theta: Array,
-    bounds: tuple[Array, Array],
-    normals: Array,
-    gradients: Array,
-    prior: Array | float = 0.0,
-) -> Jackknife:
-    """Return refits without each block, from J_c'J_c and J_c'e_c of every block.
-
-    prior  added to J'J in A for every block that is left out
-    """
-    data = normals.sum(axis=0)
-    lower, upper = bounds
+    data, prior = normals.sum(axis=0), kinks.T @ kinks
+    lower, upper = task.bounds(theta)
     is_free = (theta > lower + 1e-9) & (theta < upper - 1e-9) & (np.diag(data) > 0)
-    replicates = np.repeat(theta[None], len(normals), axis=0)
+    replicates = np.repeat(theta[None], blocks, axis=0)
     scale = np.sqrt(np.diag(data)[is_free])
-    for block, (normal, gradient) in enumerate(zip(normals, gradients, strict=True)):
+    for number, (normal, gradient) in enumerate(zip(normals, gradients, strict=True)):
         remaining, regularised = (
             (matrix - normal)[np.ix_(is_free, is_free)] / np.outer(scale, scale)
             for matrix in (data, data + prior)
@@ -151,7 +139,7 @@ def leave_blocks_out(
         eigenvalue, direction = np.linalg.eigh(remaining)
         axes = direction[:, eigenvalue > MIN_EIGENVALUE * eigenvalue[-1]]
         step = np.linalg.solve(axes.T @ regularised @ axes, axes.T @ (gradient[is_free] / scale))
-        replicates[block, is_free] += axes @ step / scale
+        replicates[number, is_free] += axes @ step / scale
     return Jackknife(
         theta=theta,
         replicates=np.clip(replicates, lower, upper),
@@ -159,29 +147,6 @@ def leave_blocks_out(
         normal=data + prior,
         gradient=gradients,
     )
-
-
-def block_edges(pieces: Sequence[Piece]) -> list[NDArray[np.int_]]:
-    """Return the edges of blocks of each piece, where the drive rises through its median.
-
-    returned  for each piece the edges, from its first row to its last; about 24 blocks in all
-    """
-    total = sum(piece.rows for piece in pieces)
-    edges = []
-    for piece in pieces:
-        blocks = max(2, round(BLOCKS * piece.rows / total))
-        edges_of_piece = np.linspace(piece.first, piece.last, blocks + 1).astype(int)
-        drive = piece.fitted_drive
-        is_above = drive > np.median(drive)
-        rises = piece.first + 1 + np.flatnonzero(~is_above[:-1] & is_above[1:])
-        if len(rises) >= blocks:
-            inner = edges_of_piece[1:-1]
-            nearest = rises[np.abs(rises[:, None] - inner).argmin(axis=0)]
-            edges_of_piece = np.unique(
-                np.concatenate([edges_of_piece[:1], nearest, edges_of_piece[-1:]])
-            )
-        edges.append(edges_of_piece)
-    return edges
 
 
 def summarise(refits: Jackknife, coordinates: Coordinates, scales: Scales) -> Uncertainty:

@@ -2,6 +2,6 @@
 
     fit_extended(model, recordings, extensions, ...) -> Extended
 
-Start at fit_extended.py; vector.py defines the parameter vector. May import hysteresis and
-extensions.
+Start at fit_extended.py; vector.py selects rows and blocks, and defines the start. The search is
+that of the hysteresis fit. May import hysteresis and extensions.
 """

@@ -32,7 +32,6 @@ from piezoid.identification.tunnelling.loop_spectra import (
     naive_gain,
     spectra_of_dither,
 )
-from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
@@ -142,7 +141,12 @@ def identify_closed_loop(
     naive, share = naive_gain(
         record, highest_Hz=_HIGHEST_SHARE * rate_Hz, flat_Hz=_FLAT_SHARE * rate_Hz
     )
-    low, high = _intervals(fit, spectra.blocks, declared=is_declared)
+    half = float(student_quantile(0.975, spectra.blocks - 1)) * np.sqrt(np.diag(fit.covariance))
+    low, high = fit.logs - half, fit.logs + half
+    if not is_declared and high[1] >= bounds_of_logs(rate_Hz)[1][1]:
+        # A pole without an upper end may be a delay: its time constant is added to the delay.
+        time_constant = rate_Hz / (2.0 * math.pi * fit.plant.sensor_pole_Hz)
+        high[2] = max(float(high[2]), float(fit.logs[2]) + time_constant)
     gain, half_gain = fit.plant.gain_nepers_per_V, float(high[0] - fit.logs[0])
     barrier_eV, barrier_interval_eV = barrier_of_gain(gain, half_gain, rig)
     confidence, reasons = _confidence(fit, half_gain, declared=is_declared)
@@ -196,20 +200,6 @@ def _reject_falling_current(spectra: LoopSpectra, record: LoopRecord) -> None:
             needed="a drive counted positive where it extends the tip",
             remedy="Change the sign of the drive's column.",
         )
-
-
-def _intervals(fit: InstrumentFit, blocks: int, *, declared: bool) -> tuple[Array, Array]:
-    """Return the ends of the 95 % intervals of the logs.
-
-    A pole without an upper end may be a delay: its time constant is added to that of the delay.
-    """
-    half = float(student_quantile(0.975, blocks - 1)) * np.sqrt(np.diag(fit.covariance))
-    low, high = fit.logs - half, fit.logs + half
-    rate_Hz = fit.plant.sampling_rate_Hz
-    if not declared and high[1] >= bounds_of_logs(rate_Hz)[1][1]:
-        time_constant = rate_Hz / (2.0 * math.pi * fit.plant.sensor_pole_Hz)
-        high[2] = max(float(high[2]), float(fit.logs[2]) + time_constant)
-    return low, high
 
 
 def pole_interval(

@@ -22,7 +22,8 @@ from piezoid.identification.extensions import (
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.joint.fit_extended import fit_extended
-from piezoid.identification.joint.vector import NEVER_OUT, Structure, parts_of
+from piezoid.identification.joint.vector import Structure, parts_of
+from piezoid.identification.quality import NEVER_OUT
 from piezoid.identification.simulation import simulate_recording
 from tests.identification.joint.stage import (
     MEMORY_V,
@@ -33,7 +34,7 @@ from tests.identification.joint.stage import (
 )
 
 TIMES_s = (0.3, 3.0)
-PIECES = [part.where for part in parts_of(known_model(), recordings_of())]
+PIECES = [part.piece.where for part in parts_of(known_model(), recordings_of())]
 ANSWER = CrossAxis(axis="y", centre_V=5.0, gain_m_per_V=2e-8, curvature_m_per_V_per_V=1e-9)
 HUM = MainsLines.of(PIECES, 50.0, harmonics=(1,))
 DRIFT = ThermalDrift.of(PIECES)
