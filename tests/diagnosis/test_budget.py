@@ -35,7 +35,7 @@ def power(diagnosis: Diagnosis) -> float:
 
 
 @pytest.mark.slow
-def test_loops_of_another_class_are_named_loop_shape_and_neither_drift_nor_creep() -> None:
+def test_loops_of_another_class_are_named_loop_shape_and_neither_drift_nor_creep():
     _, bouc_wen = of_bouc_wen()
     assert bouc_wen.names == ("loop_shape",)
     part = next(part for part in bouc_wen.budget if part.part == "loop_shape")
@@ -43,7 +43,7 @@ def test_loops_of_another_class_are_named_loop_shape_and_neither_drift_nor_creep
 
 
 @pytest.mark.slow
-def test_the_final_error_is_that_of_the_model_and_the_parts_add_up() -> None:
+def test_the_final_error_is_that_of_the_model_and_the_parts_add_up():
     loops, bouc_wen = of_bouc_wen()
     assert bouc_wen.model is not None
     assert bouc_wen.final.rms_m == bouc_wen.model.quality.held_out_rms_m
@@ -62,7 +62,7 @@ def budget_of(known: Diagnosis, explained_m: float, wide_m: float) -> dict[str, 
     return {part.part: part.rms_m for part in found.budget}
 
 
-def test_each_error_is_split_by_the_next_smaller_one() -> None:
+def test_each_error_is_split_by_the_next_smaller_one():
     parts = budget_of(diagnosed(finding("creep", 0.4)), explained_m=2e-8, wide_m=1e-8)
     assert parts["creep"] == pytest.approx(4e-8)
     assert parts["extrapolation"] == pytest.approx(np.sqrt(5.0) * 1e-8)
@@ -71,7 +71,7 @@ def test_each_error_is_split_by_the_next_smaller_one() -> None:
     assert parts["noise"] == pytest.approx(5e-9)
 
 
-def test_a_residual_that_dominates_is_something_else_with_its_coordinate() -> None:
+def test_a_residual_that_dominates_is_something_else_with_its_coordinate():
     errors = RemainingErrors(explained_m=3e-8, wide_m=3e-8, scatter=0.01)
     found = with_budget(diagnosed(finding("creep", 0.4)), errors)
     named = next(one for one in found.findings if one.effect == "something_else")
@@ -79,7 +79,7 @@ def test_a_residual_that_dominates_is_something_else_with_its_coordinate() -> No
     assert found.largest_remaining.part in ("something_else", "unexplained")
 
 
-def test_structure_that_the_model_lacks_is_part_of_the_final_error() -> None:
+def test_structure_that_the_model_lacks_is_part_of_the_final_error():
     errors = RemainingErrors(explained_m=2.5e-8, wide_m=1e-8, scatter=0.01, structure_m=2e-8)
     found = with_budget(diagnosed(finding("creep", 0.4), finding("something_else", 0.4)), errors)
     parts = {part.part: part for part in found.budget}
@@ -91,7 +91,7 @@ def test_structure_that_the_model_lacks_is_part_of_the_final_error() -> None:
 
 
 @pytest.mark.slow
-def test_the_error_of_coarse_readings_is_part_of_the_budget_and_nothing_else() -> None:
+def test_the_error_of_coarse_readings_is_part_of_the_budget_and_nothing_else():
     loops, _ = of_bouc_wen()
     step_m = 60e-6 * NOISE_um
     coarse = from_arrays(

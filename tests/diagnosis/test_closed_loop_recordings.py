@@ -47,7 +47,7 @@ def diagnosed(folder: Path, law: str, moved: Array) -> Diagnosis:
 
 
 @pytest.mark.parametrize("law", ["dahl", "preisach"])
-def test_creep_in_a_hold_is_named_with_its_size(tmp_path: Path, law: str) -> None:
+def test_creep_in_a_hold_is_named_with_its_size(tmp_path, law):
     step = 1.8
     crept = -SHARE * step * np.log10(1.0 + HOLD_s / 0.02) * 0.5
     found = diagnosed(tmp_path, law, crept)
@@ -58,11 +58,11 @@ def test_creep_in_a_hold_is_named_with_its_size(tmp_path: Path, law: str) -> Non
     assert "b.csv a feedback holds the sensor" in finding.explanation
 
 
-def test_what_goes_on_evenly_in_a_hold_is_no_creep(tmp_path: Path) -> None:
+def test_what_goes_on_evenly_in_a_hold_is_no_creep(tmp_path):
     found = diagnosed(tmp_path, "preisach", -0.05 * HOLD_s / HOLD_s[-1])
     assert "creep" not in found.names
 
 
-def test_what_goes_against_the_move_before_is_no_creep(tmp_path: Path) -> None:
+def test_what_goes_against_the_move_before_is_no_creep(tmp_path):
     back = 0.02 * np.log10(1.0 + HOLD_s / 0.02)
     assert "creep" not in diagnosed(tmp_path, "preisach", back).names

@@ -66,7 +66,7 @@ def staircase() -> tuple[Array, Array]:
     [[], [(repeating(0.3), saw(repeating(0.3)))], [staircase()]],
     ids=["alone", "beside a drive that repeats", "beside a staircase of few values"],
 )
-def test_steps_of_a_coarse_drive_are_found_where_the_file_has_a_smooth_one(beside) -> None:
+def test_steps_of_a_coarse_drive_are_found_where_the_file_has_a_smooth_one(beside):
     fault = fault_of((smooth(), saw(smooth())), *beside)
     assert fault.value == pytest.approx(1e4 * STEP, rel=0.1)
     left = fault.tracks[0].drive - STEP * np.round(smooth() / STEP)
@@ -89,5 +89,5 @@ def in_one_part() -> Array:
     ],
     ids=["off on a lattice", "too few values between steps", "one part of a recording"],
 )
-def test_what_is_no_converters_step_is_not_taken_for_one(drive: Array, left: Array) -> None:
+def test_what_is_no_converters_step_is_not_taken_for_one(drive, left):
     assert fault_of((drive, left)) is None

@@ -12,7 +12,7 @@ from piezoid.identification.quality import Verdict
 from tests.identification.joint.stage import NOISE_m, known_model, recordings_of
 
 
-def test_a_model_that_still_holds_is_said_to_hold() -> None:
+def test_a_model_that_still_holds_is_said_to_hold():
     found = compare(known_model(), recordings_of())
     assert "still holds" in found.statement.text
     assert found.unchanged_error_m < 1.3 * NOISE_m
@@ -22,7 +22,7 @@ def test_a_model_that_still_holds_is_said_to_hold() -> None:
 
 
 @pytest.mark.parametrize(("ratio", "said"), [(1.03, "more than"), (0.88, "less than")])
-def test_another_sensitivity_is_measured_and_explains_the_error(ratio: float, said: str) -> None:
+def test_another_sensitivity_is_measured_and_explains_the_error(ratio, said):
     change = GainChange(recording="slow.csv", instant_s=0.0, ratio=ratio, later=("fast.csv",))
     found = compare(known_model(), recordings_of(change))
     assert found.gain_ratio[0] == pytest.approx(ratio, abs=2e-3)
@@ -31,14 +31,14 @@ def test_another_sensitivity_is_measured_and_explains_the_error(ratio: float, sa
     assert found.rescaled_error_m < 1.3 * NOISE_m
 
 
-def test_more_than_a_sensitivity_is_not_given_to_it() -> None:
+def test_more_than_a_sensitivity_is_not_given_to_it():
     found = compare(known_model(), recordings_of(FirstOrderLag(lag_s=0.01)))
     assert "more than the sensitivity changed" in found.statement.text
     assert found.refitted_error_m < 0.9 * found.rescaled_error_m
 
 
 @pytest.mark.parametrize("is_random", [False, True], ids=["another stage", "wandering"])
-def test_a_model_of_another_stage_does_not_hold_and_the_figure_says_so(is_random: bool) -> None:
+def test_a_model_of_another_stage_does_not_hold_and_the_figure_says_so(is_random):
     """Where a sensor wanders, the search for a sensitivity runs into its end."""
     strange = []
     for recording in recordings_of():
@@ -54,7 +54,7 @@ def test_a_model_of_another_stage_does_not_hold_and_the_figure_says_so(is_random
     assert not is_random or not ("90.00" in text or "e+" in text)
 
 
-def test_a_sensitivity_is_told_beside_sparks_as_in_a_clean_file() -> None:
+def test_a_sensitivity_is_told_beside_sparks_as_in_a_clean_file():
     more = GainChange(recording="slow.csv", instant_s=0.0, ratio=1.12, later=("fast.csv",))
     sparked = []
     for recording in recordings_of(more):
@@ -68,7 +68,7 @@ def test_a_sensitivity_is_told_beside_sparks_as_in_a_clean_file() -> None:
     assert not found.holds
 
 
-def test_a_noisier_sensor_is_no_other_stage() -> None:
+def test_a_noisier_sensor_is_no_other_stage():
     rng = np.random.default_rng(5)
     noisy = [
         with_displacement(
@@ -82,7 +82,7 @@ def test_a_noisier_sensor_is_no_other_stage() -> None:
     assert "sensor noise rose" in found.statement.text
 
 
-def test_a_model_that_never_applied_holds_nowhere() -> None:
+def test_a_model_that_never_applied_holds_nowhere():
     never = replace(known_model(), verdict=Verdict(applies=False, reason="loops turn back"))
     found = compare(never, recordings_of())
     assert not found.holds
@@ -90,7 +90,7 @@ def test_a_model_that_never_applied_holds_nowhere() -> None:
     assert "loops turn back" in found.statement.text
 
 
-def test_what_belonged_to_the_recordings_of_then_is_left_behind() -> None:
+def test_what_belonged_to_the_recordings_of_then_is_left_behind():
     drift = ThermalDrift.of([])
     old = replace(known_model(), extensions=(drift,))
     assert (

@@ -43,7 +43,7 @@ def at_rest(moved_m: Array, *, seed: int = 6) -> Diagnosis:
     ],
     ids=["nothing", "drift", "coupling", "all"],
 )
-def test_what_moves_a_stage_at_rest_is_named_and_sized(parts: dict[str, Array]) -> None:
+def test_what_moves_a_stage_at_rest_is_named_and_sized(parts):
     found = at_rest(sum(parts.values(), np.zeros(SAMPLES)))
     assert set(found.names) == set(parts)
     assert found.noise_floor_rms_m == pytest.approx(NOISE_m, rel=0.1)
@@ -54,24 +54,24 @@ def test_what_moves_a_stage_at_rest_is_named_and_sized(parts: dict[str, Array]) 
     assert {*found.names, *absent} == {effect.name for effect in EFFECTS}
 
 
-def test_drift_that_slows_down_is_not_told_from_creep() -> None:
+def test_drift_that_slows_down_is_not_told_from_creep():
     (finding,) = at_rest(2e-8 * np.log1p(TIME_s)).findings
     assert (finding.effect, finding.not_separable_from) == ("thermal_drift", ("creep",))
 
 
-def test_hum_at_any_frequency_of_the_grid_is_one_line() -> None:
+def test_hum_at_any_frequency_of_the_grid_is_one_line():
     found = at_rest(5e-8 * np.sin(2.0 * np.pi * 50.2156 * TIME_s))
     assert found.names == (MAINS,)
     assert found.noise_floor_rms_m == pytest.approx(NOISE_m, rel=0.1)
 
 
-def test_noise_at_rest_is_told_with_its_slow_part() -> None:
+def test_noise_at_rest_is_told_with_its_slow_part():
     slow_m = 2.0 * NOISE_m * coloured_noise(SAMPLES, RATE_Hz, 1e4, 0.4, np.random.default_rng(8))
     assert at_rest(slow_m).noise_floor_rms_m == pytest.approx(5**0.5 * NOISE_m, rel=0.1)
 
 
 @pytest.mark.parametrize(("jump_m", "is_named"), [(4e-10, False), (6e-9, True), (3e-8, True)])
-def test_a_jump_is_no_drift_and_told_with_its_instant(jump_m: float, is_named: bool) -> None:
+def test_a_jump_is_no_drift_and_told_with_its_instant(jump_m, is_named):
     found = at_rest(DRIFT_m + jump_m * (TIME_s > 23.0))
     jumps = [one for one in found.findings if "jump_m" in one.parameters]
     assert bool(jumps) is is_named
@@ -84,7 +84,7 @@ def test_a_jump_is_no_drift_and_told_with_its_instant(jump_m: float, is_named: b
         assert one.seen.fitted_m[-1] - one.seen.fitted_m[0] == pytest.approx(jump_m, rel=0.1)
 
 
-def test_a_finding_says_what_the_error_was_and_is_and_how_large_that_is_of_all() -> None:
+def test_a_finding_says_what_the_error_was_and_is_and_how_large_that_is_of_all():
     found = at_rest(4e-9 * np.sin(2.0 * np.pi * 50.0 * TIME_s))
     (finding,) = found.findings
     assert finding.held_out_rms_before_m == pytest.approx(np.hypot(4e-9 / 2**0.5, 3e-9), rel=0.03)
@@ -104,7 +104,7 @@ def test_a_finding_says_what_the_error_was_and_is_and_how_large_that_is_of_all()
     assert finding.p_value < 1e-6
 
 
-def test_weak_evidence_is_not_called_certain() -> None:
+def test_weak_evidence_is_not_called_certain():
     """Of twelve hums that can just be seen most are named, and few of these are beyond doubt."""
     weak_m = 1e-9 * np.sin(2.0 * np.pi * 50.0 * TIME_s[:2000])
     p_values = [
@@ -118,7 +118,7 @@ def test_weak_evidence_is_not_called_certain() -> None:
     assert max(p_values) < 0.01
 
 
-def test_a_line_that_is_not_the_grids_is_told_and_a_second_one_is_left_with_its_share() -> None:
+def test_a_line_that_is_not_the_grids_is_told_and_a_second_one_is_left_with_its_share():
     lines_m = 4e-9 * np.sin(2.0 * np.pi * 12.63 * TIME_s)
     lines_m += 2.5e-9 * np.sin(2.0 * np.pi * 77.7 * TIME_s)
     found = at_rest(lines_m)
@@ -134,7 +134,7 @@ def test_a_line_that_is_not_the_grids_is_told_and_a_second_one_is_left_with_its_
     assert left.share == pytest.approx((left.rms_m / found.final.rms_m) ** 2, rel=1e-6)
 
 
-def test_what_would_have_shown_would_have() -> None:
+def test_what_would_have_shown_would_have():
     silent = {one.effect: one.detection_limit_m for one in at_rest(np.zeros(SAMPLES)).not_detected}
     assert silent["slew_limit"] is None
     limit_m = silent[MAINS]

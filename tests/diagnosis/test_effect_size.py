@@ -49,7 +49,7 @@ def clipped(seed: int) -> tuple[Campaign, ScoreTest, Candidate]:
 
 
 @pytest.mark.parametrize("seed", [2, 3], ids=["above", "on both sides"])
-def test_the_size_of_a_clip_is_the_part_of_the_drives_range_that_is_cut_off(seed) -> None:
+def test_the_size_of_a_clip_is_the_part_of_the_drives_range_that_is_cut_off(seed):
     campaign, _, cause = clipped(seed)
     size, true = size_of(cause), cut_off_percent(campaign)
     assert cause.is_significant
@@ -91,7 +91,7 @@ def staircase(rng: np.random.Generator, hold_s: float) -> np.ndarray:
     return np.concatenate(steps)
 
 
-def test_the_size_of_creep_is_what_a_step_adds_in_the_decade_about_ten_seconds() -> None:
+def test_the_size_of_creep_is_what_a_step_adds_in_the_decade_about_ten_seconds():
     """Taken for even, this spectrum is stated 14 % too low."""
     hold_s = 3.0
     rng = np.random.default_rng(int(hold_s))
@@ -116,7 +116,7 @@ def test_the_size_of_creep_is_what_a_step_adds_in_the_decade_about_ten_seconds()
     assert high - low >= 2 * 2.0 * 0.15 * found.size.value
 
 
-def test_the_size_of_a_coupling_is_what_was_added_and_no_rest_of_it() -> None:
+def test_the_size_of_a_coupling_is_what_was_added_and_no_rest_of_it():
     """A free hysteresis takes up two fifths of a coupling, and none of the size that is told."""
     share, coupling = 0.005, cross_coupling.EFFECT
     stage = thinned([with_another_axis(recording(kind)) for kind in ("sweep", "walk")], EVERY)
@@ -126,7 +126,7 @@ def test_the_size_of_a_coupling_is_what_was_added_and_no_rest_of_it() -> None:
     assert size.ci95[0] < 100.0 * share < size.ci95[1]
 
 
-def test_a_periodic_error_is_stated_over_where_the_stage_stood_and_leaves_nothing() -> None:
+def test_a_periodic_error_is_stated_over_where_the_stage_stood_and_leaves_nothing():
     """Over the reading a sine of an eighth of its period is none: a third is in higher orders."""
     period_nm, amplitude_nm = 1500.0, 180.0
     stage = []
@@ -141,7 +141,7 @@ def test_a_periodic_error_is_stated_over_where_the_stage_stood_and_leaves_nothin
     assert found.size.ci95[0] < amplitude_nm < found.size.ci95[1]
 
 
-def test_a_parameter_that_moves_nothing_leaves_a_size_its_interval() -> None:
+def test_a_parameter_that_moves_nothing_leaves_a_size_its_interval():
     """A rate dependence that had one ended in an interval that is no number."""
     _, seen, cause = clipped(2)
     one = cause.selected

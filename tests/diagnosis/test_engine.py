@@ -84,7 +84,7 @@ def test_a_reading_that_is_late_in_one_recording_is_no_delay_of_the_stage():
     assert is_consistent(*refine(start, late_view(), []))
 
 
-def test_a_limit_and_the_lag_behind_it_are_found_together_and_not_one_after_the_other() -> None:
+def test_a_limit_and_the_lag_behind_it_are_found_together_and_not_one_after_the_other():
     sizes = {"slew_limit": 0.5, "lag": 0.3}
     campaign = draw_campaign(12, truth="preisach", plans=("sweep", "rates"), effects=sizes)
     numbers = {effect.name: effect.numbers for effect in campaign.answer.effects}
@@ -108,7 +108,7 @@ DRIFT_m = 1e-8  # at the end, of 46 um
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_drift_beside_a_single_sweep_is_bounded_as_it_is_and_not_as_it_shows() -> None:
+def test_a_drift_beside_a_single_sweep_is_bounded_as_it_is_and_not_as_it_shows():
     (recording,), lab = recorded(draw_campaign(21, truth="preisach", plans=("sweep",)))
     slow_m = DRIFT_m * np.linspace(-1.0, 1.0, recording.samples)
     drifting = with_displacement(recording, recording.displacement_m() + slow_m)

@@ -8,7 +8,6 @@ code that promised it.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 from zlib import crc32
 
 import numpy as np
@@ -20,7 +19,6 @@ from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size
 from piezoid.diagnosis.experiment import Plan, plan
 from piezoid.diagnosis.planning.candidate_drives import (
     EXPERIMENTS,
-    Experiment,
     drive_of,
     multisine_period,
     odd_lines,
@@ -239,14 +237,14 @@ def _planned() -> Plan:
     return plan(model_of(case), diagnosis, recordings=before, clock_Hz=CLOCK_Hz)
 
 
-def test_creep_and_drift_after_one_hold_are_sent_to_levels_of_random_sign() -> None:
+def test_creep_and_drift_after_one_hold_are_sent_to_levels_of_random_sign():
     planned = _planned()
     assert planned.question.kind == "separate"
     assert planned.question.effects == SLOW
     assert planned.drive.name in ("held_levels", "held_levels_mirrored")
 
 
-def test_the_laboratory_plays_the_plan_and_separates_creep_from_drift_as_promised() -> None:
+def test_the_laboratory_plays_the_plan_and_separates_creep_from_drift_as_promised():
     case, _ = _slow()
     planned, axis = _planned(), model_of(case).axes["x"]
     before = really_separable(case, axis, SLOW, None, drifting=True)
@@ -258,7 +256,7 @@ def test_the_laboratory_plays_the_plan_and_separates_creep_from_drift_as_promise
     assert planned.planned.separability / 2 < after < 2.5 * planned.planned.separability
 
 
-def test_the_laboratory_separates_delay_from_lag_once_small_motion_is_fast() -> None:
+def test_the_laboratory_separates_delay_from_lag_once_small_motion_is_fast():
     case = hidden(4, {"delay": 0.5, "lag": 0.4}, ("sweep", "rates"), "bouc_wen")
     model = model_of(case)
     late = found("delay", share_percent=change_percent(case, "delay"), confounded=LATE[1:])
@@ -275,7 +273,7 @@ def test_the_laboratory_separates_delay_from_lag_once_small_motion_is_fast() -> 
     assert promised / 4 < kept < promised * 4
 
 
-def test_a_wide_interval_is_tightened_and_a_narrow_one_left_alone() -> None:
+def test_a_wide_interval_is_tightened_and_a_narrow_one_left_alone():
     case, _ = _slow()
     model = model_of(case)
     wide = diagnosis_of(case, [found("creep", share_percent=0.3, half=0.6)])
@@ -285,7 +283,7 @@ def test_a_wide_interval_is_tightened_and_a_narrow_one_left_alone() -> None:
     assert plan(model, narrow, clock_Hz=CLOCK_Hz).question.kind == "detect"
 
 
-def test_an_effect_the_recordings_could_not_show_is_planned_for() -> None:
+def test_an_effect_the_recordings_could_not_show_is_planned_for():
     case, _ = _slow()
     diagnosis = diagnosis_of(case, [])
     absent = tuple(
@@ -299,9 +297,7 @@ def test_an_effect_the_recordings_could_not_show_is_planned_for() -> None:
 
 @pytest.mark.parametrize("slew_V_per_s", [60.0, 30_000.0])
 @pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda one: one.name)
-def test_every_drive_of_the_menu_stays_inside_range_and_slew(
-    experiment: Experiment, slew_V_per_s: float
-) -> None:
+def test_every_drive_of_the_menu_stays_inside_range_and_slew(experiment, slew_V_per_s):
     limits = DriveLimits(voltage_min_V=1.0, voltage_max_V=8.0, slew_V_per_s=slew_V_per_s)
     bench = Bench(axis="x", limits=limits, clock_Hz=CLOCK_Hz, other_limits={"y": limits})
     drive = drive_of(experiment, bench, 0)
@@ -312,14 +308,14 @@ def test_every_drive_of_the_menu_stays_inside_range_and_slew(
     assert (drive.voltage_V[[0, -1]] == 1.0).all()
 
 
-def test_other_axes_are_asked_for_where_none_is_known() -> None:
+def test_other_axes_are_asked_for_where_none_is_known():
     limits = DriveLimits(voltage_min_V=0.0, voltage_max_V=10.0, slew_V_per_s=1e3)
     bench = Bench(axis="x", limits=limits, clock_Hz=CLOCK_Hz)
     with pytest.raises(ExcitationError, match="no other axis"):
         drive_of(next(one for one in EXPERIMENTS if one.name == "other_axis"), bench, 0)
 
 
-def test_a_multisine_has_its_lines_at_rms_one_and_no_others(rng: np.random.Generator) -> None:
+def test_a_multisine_has_its_lines_at_rms_one_and_no_others(rng):
     lines = odd_lines(20, 800, 10.0, left_out_of=4, rng=rng)
     period = multisine_period(lines, 1000, rng)
     spectrum = np.abs(np.fft.rfft(period))
@@ -331,7 +327,7 @@ def test_a_multisine_has_its_lines_at_rms_one_and_no_others(rng: np.random.Gener
     assert period.std() == pytest.approx(1.0, rel=1e-9)
 
 
-def test_limits_are_those_of_lab_toml_inside_what_was_driven() -> None:
+def test_limits_are_those_of_lab_toml_inside_what_was_driven():
     case, diagnosis = _slow()
     amplifier = Amplifier(
         gain_V_per_V=15.0, output_min_V=-30.0, output_max_V=120.0, slew_V_per_s=900.0
@@ -341,7 +337,7 @@ def test_limits_are_those_of_lab_toml_inside_what_was_driven() -> None:
     assert (limits.voltage_min_V, limits.voltage_max_V, limits.slew_V_per_s) == (0.0, 8.0, 60.0)
 
 
-def test_the_files_of_a_plan_are_read_back(tmp_path: Path) -> None:
+def test_the_files_of_a_plan_are_read_back(tmp_path):
     planned = _planned()
     files = plan_files(planned, model_digest="sha256:a", diagnosis_digest="sha256:b")
     content = unseal(files["plan.json"], SCHEMA, "plan.json")
@@ -356,7 +352,7 @@ def test_the_files_of_a_plan_are_read_back(tmp_path: Path) -> None:
     assert again == files
 
 
-def test_no_drive_is_planned_for_a_fault_of_the_data_or_an_unknown_name() -> None:
+def test_no_drive_is_planned_for_a_fault_of_the_data_or_an_unknown_name():
     case, diagnosis = _slow()
     with pytest.raises(ExcitationError, match="No drive helps"):
         plan(model_of(case), diagnosis, effect="outliers", clock_Hz=CLOCK_Hz)
@@ -364,7 +360,7 @@ def test_no_drive_is_planned_for_a_fault_of_the_data_or_an_unknown_name() -> Non
         plan(model_of(case), diagnosis, effect="gremlins", clock_Hz=CLOCK_Hz)
 
 
-def test_without_any_rate_the_line_for_lab_toml_is_asked_for() -> None:
+def test_without_any_rate_the_line_for_lab_toml_is_asked_for():
     case, diagnosis = _slow()
     with pytest.raises(LabFileError, match="sampling_rate_Hz"):
         plan(model_of(case), diagnosis)

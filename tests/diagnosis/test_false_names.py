@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,7 +48,7 @@ def held_levels() -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.slow
-def test_levels_that_are_held_have_neither_invalid_readings_nor_outliers() -> None:
+def test_levels_that_are_held_have_neither_invalid_readings_nor_outliers():
     """Equal readings at the end of a hold are measurements."""
     drive_V, reading_um = held_levels()
     assert find_invalid_readings(reading_um, drive_V) == ()
@@ -62,7 +61,7 @@ def test_levels_that_are_held_have_neither_invalid_readings_nor_outliers() -> No
     assert not any("single readings" in remark for remark in levels.model.verdict.remarks)
 
 
-def test_hum_beside_a_harmonic_of_the_drive_is_a_line_and_states_the_clock(tmp_path: Path) -> None:
+def test_hum_beside_a_harmonic_of_the_drive_is_a_line_and_states_the_clock(tmp_path):
     time_s = np.arange(12000) / 2000.0
     drive_V = 50.0 * (1.0 - np.cos(2.0 * np.pi * time_s))
     hum_um = 0.02 * np.sin(2.0 * np.pi * 50.18 * time_s + 0.4)
@@ -126,7 +125,7 @@ def resonance_of(view: View, ratio: float, peak_Hz: float = 130.0) -> Finding | 
 
 
 @pytest.mark.parametrize("law", [dahl, plays], ids=["dahl", "plays"])
-def test_a_gain_that_rises_to_the_end_of_the_band_is_a_resonance_beyond_it(law) -> None:
+def test_a_gain_that_rises_to_the_end_of_the_band_is_a_resonance_beyond_it(law):
     view, ratio = driven_by_tones(law, rings=True), 1.0 / (1.0 - (130.0 / 160.0) ** 2)
     finding = resonance_of(view, ratio)
     assert finding is not None
@@ -139,12 +138,12 @@ def test_a_gain_that_rises_to_the_end_of_the_band_is_a_resonance_beyond_it(law) 
 
 
 @pytest.mark.parametrize("law", [dahl, plays], ids=["dahl", "plays"])
-def test_a_gain_that_rises_by_hysteresis_is_no_resonance(law) -> None:
+def test_a_gain_that_rises_by_hysteresis_is_no_resonance(law):
     """Behind the model's hysteresis it rises; a wider class of hysteresis follows the tones."""
     assert resonance_of(driven_by_tones(law, rings=False), 2.0) is None
 
 
-def test_a_gain_at_a_frequency_that_was_not_driven_is_no_resonance() -> None:
+def test_a_gain_at_a_frequency_that_was_not_driven_is_no_resonance():
     """All motion there is noise, which no hysteresis follows."""
     view = driven_by_tones(dahl, rings=True)
     for peak_Hz in (171.0, 184.0, 250.0, 310.0):

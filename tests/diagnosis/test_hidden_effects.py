@@ -189,7 +189,7 @@ def part_of(name: str) -> Any:
 
 
 @pytest.mark.parametrize("name", STAGES)
-def test_a_hidden_effect_is_named_alone_with_its_interval_and_its_gain(name: str) -> None:
+def test_a_hidden_effect_is_named_alone_with_its_interval_and_its_gain(name):
     diagnosis, extended = known(name)
     assert causes(diagnosis) == (name,)
     finding = next(finding for finding in diagnosis.findings if finding.effect == name)
@@ -203,9 +203,7 @@ def test_a_hidden_effect_is_named_alone_with_its_interval_and_its_gain(name: str
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
 @pytest.mark.parametrize(("law", "drives"), [("dahl", WITH_SLOW), ("duhem", ONE_SPEED)])
-def test_a_healthy_stage_is_accused_of_nothing_and_has_a_bound_on_everything(
-    law: str, drives: Mapping[str, Array]
-) -> None:
+def test_a_healthy_stage_is_accused_of_nothing_and_has_a_bound_on_everything(law, drives):
     """A Bouc-Wen ceramic, with loop shape: test_budget.py."""
     diagnosis = diagnose(recorded(drives, law=law))
     assert causes(diagnosis) == ()
@@ -220,7 +218,7 @@ def test_a_healthy_stage_is_accused_of_nothing_and_has_a_bound_on_everything(
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_diagnosis_is_the_same_whatever_the_number_of_threads_and_survives_its_file() -> None:
+def test_a_diagnosis_is_the_same_whatever_the_number_of_threads_and_survives_its_file():
     messages: set[str] = set()
     alone = known("cross_coupling")[0]
     together = diagnose(STAGES["cross_coupling"](), threads=3, progress=messages.add)
@@ -232,32 +230,32 @@ def test_a_diagnosis_is_the_same_whatever_the_number_of_threads_and_survives_its
     assert {"testing lag", "comparing cross coupling with confounded effects"} <= messages
 
 
-def test_a_supply_that_ends_is_a_limit_at_its_voltage_and_none_where_no_drive_came() -> None:
+def test_a_supply_that_ends_is_a_limit_at_its_voltage_and_none_where_no_drive_came():
     part = part_of("amplifier_saturation")
     assert part.high_V == pytest.approx(9.0, abs=0.03)
     assert part.low_V is None
 
 
-def test_creep_has_its_share_of_a_step_for_each_decade_of_time() -> None:
+def test_creep_has_its_share_of_a_step_for_each_decade_of_time():
     part = part_of("creep")
     decade = np.log10(part.time_s[1] / part.time_s[0])
     assert np.mean(part.share) / decade == pytest.approx(0.01 * 11.0 / np.log10(3000.0), rel=0.1)
 
 
-def test_what_another_axis_adds_is_told_for_each_of_its_volts() -> None:
+def test_what_another_axis_adds_is_told_for_each_of_its_volts():
     part = part_of("cross_coupling")
     assert part.axis == "y"
     assert part.gain_m_per_V == pytest.approx(0.02 * HALF_STROKE_m / 40.0, rel=0.15)
 
 
 @pytest.mark.parametrize(("name", "late_s"), [("delay", 1.3e-3), ("lag", held_back_s(3e-3))])
-def test_what_comes_late_has_its_time(name: str, late_s: float) -> None:
+def test_what_comes_late_has_its_time(name, late_s):
     _, extended = known(name)
     assert not extended.extensions  # the lag of the model takes it over
     assert extended.lag.time_s == pytest.approx(late_s, rel=0.1)
 
 
-def test_a_gain_changes_when_and_by_as_much_as_it_did() -> None:
+def test_a_gain_changes_when_and_by_as_much_as_it_did():
     part = part_of("gain_change")
     assert (part.recording, part.later) == ("loops", ("waves",))
     assert part.instant_s == pytest.approx(2.5, abs=2.0 / RATE_Hz)
@@ -265,14 +263,14 @@ def test_a_gain_changes_when_and_by_as_much_as_it_did() -> None:
     assert part.std[0] < 2e-3
 
 
-def test_a_mode_has_its_frequency_and_is_as_sharp_as_it_is() -> None:
+def test_a_mode_has_its_frequency_and_is_as_sharp_as_it_is():
     part = part_of("resonance")
     assert part.frequency_Hz == pytest.approx(40.0, rel=1e-3)
     assert part.quality == pytest.approx(15.0, rel=0.01)
     assert part.participation == pytest.approx(1.0, abs=0.01)
 
 
-def test_hum_is_as_large_and_as_late_in_every_recording_as_it_was() -> None:
+def test_hum_is_as_large_and_as_late_in_every_recording_as_it_was():
     part = part_of("mains_interference")
     assert part.frequency_Hz == pytest.approx(50.0, rel=1e-4)
     assert {hum.recording for hum in part.hums} == set(ONE_SPEED)
@@ -282,20 +280,20 @@ def test_hum_is_as_large_and_as_late_in_every_recording_as_it_was() -> None:
         assert abs(said - was) < 0.05 * abs(was)
 
 
-def test_a_periodic_error_has_its_wavelength_and_amplitude_however_steep() -> None:
+def test_a_periodic_error_has_its_wavelength_and_amplitude_however_steep():
     part = part_of("sensor_periodic_error")
     assert part.wavelength_m == pytest.approx(0.06 * HALF_STROKE_m, rel=3e-3)
     assert part.amplitude_m[0] == pytest.approx(4e-3 * HALF_STROKE_m, rel=0.03)
     assert part.amplitude_m[1] < 0.02 * part.amplitude_m[0]
 
 
-def test_a_slew_limit_is_told_in_volts_for_each_second() -> None:
+def test_a_slew_limit_is_told_in_volts_for_each_second():
     part = part_of("slew_limit")
     assert part.limit_V_per_s == pytest.approx(0.03 * 5.0 * RATE_Hz, rel=0.02)
 
 
 @pytest.mark.usefixtures("plays_alone")
-def test_a_supply_that_ends_far_below_the_command_is_found_with_its_past() -> None:
+def test_a_supply_that_ends_far_below_the_command_is_found_with_its_past():
     """Half of the command never comes, nor did it before: all turns are at the end."""
     recordings = ended_at(0.0, law="sum of plays")
     found = diagnose(recordings)
@@ -308,7 +306,7 @@ def test_a_supply_that_ends_far_below_the_command_is_found_with_its_past() -> No
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_an_amplifier_many_times_too_slow_is_found_and_is_no_butterfly() -> None:
+def test_an_amplifier_many_times_too_slow_is_found_and_is_no_butterfly():
     """The fastest recording goes against its drive; slow ones say that the ceramic does not."""
     limit_V_per_s = 12.5
     step = limit_V_per_s / (5.0 * RATE_Hz)
@@ -321,7 +319,7 @@ def test_an_amplifier_many_times_too_slow_is_found_and_is_no_butterfly() -> None
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_without_what_is_known_of_its_past_a_stage_was_cycled_over_its_range() -> None:
+def test_without_what_is_known_of_its_past_a_stage_was_cycled_over_its_range():
     recordings = recorded(ONE_SPEED, sensitive, law="sum of plays")
     without, recording = fit(recordings).axes["x"], recordings[0]
     cycled = effect_named("initial_state").without(without, recording)

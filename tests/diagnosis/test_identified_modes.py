@@ -50,7 +50,7 @@ def found() -> tuple[Diagnosis, float]:
     return diagnose(recordings, model=fit(recordings)), added_m
 
 
-def test_the_model_of_the_other_recordings_rings_with_the_mode() -> None:
+def test_the_model_of_the_other_recordings_rings_with_the_mode():
     """The fast triangle rings too little to tell the mode, and more than its noise."""
     fast = 0.8 * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * 8.0 * np.arange(5000) / 5000.0))
     made = {**drives(), ("fast", 5000.0): fast}
@@ -64,7 +64,7 @@ def test_the_model_of_the_other_recordings_rings_with_the_mode() -> None:
     assert errors.final_m < 4.0 * NOISE * HALF_STROKE_m
 
 
-def test_the_mode_is_named_once_with_its_numbers_and_the_error_that_it_adds() -> None:
+def test_the_mode_is_named_once_with_its_numbers_and_the_error_that_it_adds():
     diagnosis, added_m = found()
     assert causes(diagnosis) == ("resonance",)
     finding = diagnosis.findings[0]

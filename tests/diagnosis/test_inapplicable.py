@@ -1,7 +1,5 @@
 """Where the class of model does not apply, no cause is named: it would stand for the class."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 
 @pytest.mark.parametrize("law", ["preisach", "dahl"])
-def test_a_butterfly_has_a_reason_and_no_causes(tmp_path: Path, law: str) -> None:
+def test_a_butterfly_has_a_reason_and_no_causes(tmp_path, law):
     field = triangles(6, 250)
     noise_um = 0.01 * np.random.default_rng(2).standard_normal(len(field))
     strain = LAWS[law](field)
@@ -25,7 +23,7 @@ def test_a_butterfly_has_a_reason_and_no_causes(tmp_path: Path, law: str) -> Non
     assert all("butterfly" in one.reason for one in found.not_detected)
 
 
-def test_faults_of_the_data_are_named_all_the_same(tmp_path: Path) -> None:
+def test_faults_of_the_data_are_named_all_the_same(tmp_path):
     field = triangles(6, 250)
     reading_um = 8.0 * field**2 + 0.01 * np.random.default_rng(2).standard_normal(len(field))
     reading_um[40::97] = 99.0

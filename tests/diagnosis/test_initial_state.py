@@ -77,7 +77,7 @@ def structure_of(view: View) -> Candidate:
     ],
     ids=["cycled", "at rest", "the other way", "one after another", "from rest on"],
 )
-def test_what_a_laboratory_always_does_before_it_records_is_no_unknown_memory(before) -> None:
+def test_what_a_laboratory_always_does_before_it_records_is_no_unknown_memory(before):
     view = view_after(*before)
     assert not structure_of(view).is_significant
     if before[0] is not cycled:
@@ -88,13 +88,13 @@ def test_what_a_laboratory_always_does_before_it_records_is_no_unknown_memory(be
         )
 
 
-def test_one_recording_that_came_from_elsewhere_has_a_memory_that_nobody_recorded() -> None:
+def test_one_recording_that_came_from_elsewhere_has_a_memory_that_nobody_recorded():
     structure = structure_of(view_after(cycled, forgotten, cycled))
     assert structure.is_significant
     assert structure.cv.gain > 2.0 * initial_state.EFFECT.minimum_gain
 
 
-def test_a_ceramic_that_was_never_driven_so_far_is_poled_once_and_was_not_demagnetised() -> None:
+def test_a_ceramic_that_was_never_driven_so_far_is_poled_once_and_was_not_demagnetised():
     campaign = draw_campaign(104133, truth="preisach", effects={"initial_state": 2.5})
     view = view_of_recordings(*recorded(campaign))
     shared = with_shared_initial_state(view)
@@ -105,7 +105,7 @@ def test_a_ceramic_that_was_never_driven_so_far_is_poled_once_and_was_not_demagn
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_order")
-def test_an_initial_state_that_decays_is_no_step_of_the_zero() -> None:
+def test_an_initial_state_that_decays_is_no_step_of_the_zero():
     """A step at the first maximum of the drive left 6.8 times the noise."""
     recordings, lab, noise_rms_m = recorded_zoo_stage("preisach", "quarter", 48522301)
     sweep = [recording for recording in recordings if recording.name == "sweep.csv"]
@@ -141,9 +141,7 @@ def after_turns(kind: str, turns: Sequence[float], part: float) -> Recording:
 @pytest.mark.parametrize(
     ("last", "near"), [((-1.0, 1.0), 1.15), ((0.0,), 1.8)], ids=["cycled", "switched on"]
 )
-def test_what_a_stage_with_friction_remembers_is_found_though_drives_hardly_tell(
-    last, near
-) -> None:
+def test_what_a_stage_with_friction_remembers_is_found_though_drives_hardly_tell(last, near):
     """They go over three fifths of the range, and each began after other turns."""
     turns = ((-1.0, 1.0), (1.0, -1.0), last)
     kinds = {"sweep": 1.0, "walk": 0.6, "waves": 0.6}
@@ -158,7 +156,7 @@ def test_what_a_stage_with_friction_remembers_is_found_though_drives_hardly_tell
 
 
 @pytest.mark.parametrize("phase", [0.1, 3.0, 6.0])
-def test_a_drive_that_goes_round_and_round_may_have_run_before_its_recording(phase) -> None:
+def test_a_drive_that_goes_round_and_round_may_have_run_before_its_recording(phase):
     turn = np.linspace(0.0, 8 * np.pi, 900)
     sweep, running = np.linspace(-1.0, 1.0, 100), 0.6 * np.sin(turn + phase) - 0.1
     long_before = 0.6 * np.sin(np.linspace(-80.0, 0.0, 9000) + phase) - 0.1
@@ -182,7 +180,7 @@ def test_a_drive_that_goes_round_and_round_may_have_run_before_its_recording(pha
     ],
     ids=["at rest", "the other way", "one forgotten", "all forgotten", "cycled"],
 )
-def test_faults_are_looked_for_beside_the_memory_that_leaves_least(before, is_shared) -> None:
+def test_faults_are_looked_for_beside_the_memory_that_leaves_least(before, is_shared):
     """Nothing is wrong with the data; only a shared initial state that is evident stays."""
     view = view_after(*before)
     clean, faults, known = repair_faults(view, SERIAL)
@@ -193,7 +191,7 @@ def test_faults_are_looked_for_beside_the_memory_that_leaves_least(before, is_sh
     assert not clean.nuisance.free
 
 
-def test_a_shared_initial_state_is_not_evident_where_it_leaves_most_of_the_error() -> None:
+def test_a_shared_initial_state_is_not_evident_where_it_leaves_most_of_the_error():
     """Six times the noise hides how much better it does than drives that were cycled."""
     chance, noisy = np.random.default_rng(5), []
     for one in recordings_after(*(cycled_the_other_way,) * 3):
@@ -234,7 +232,7 @@ def track(drive: np.ndarray) -> Track:
     )
 
 
-def test_a_recording_too_long_to_keep_its_states_has_the_same_static_response() -> None:
+def test_a_recording_too_long_to_keep_its_states_has_the_same_static_response():
     """Made chunk by chunk: the ends of two of them are compared, where memory is handed on."""
     weight = np.random.default_rng(5).normal(size=SHARED)
     drive = np.resize(drive_with_holds(), MAX_KEPT + 1)

@@ -1,7 +1,6 @@
 """Noise that is not the same everywhere is said to be, with its place and its levels."""
 
 from collections.abc import Callable, Iterable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,7 +48,7 @@ def noisy_stage(level: Level) -> tuple[tuple[Recording, ...], Lab, float]:
 
 
 @pytest.mark.slow
-def test_noise_that_grows_with_position_is_a_finding_with_its_place() -> None:
+def test_noise_that_grows_with_position_is_a_finding_with_its_place():
     noisy, lab, more_m = noisy_stage(by_place)
     diagnosis = diagnose(thinned(noisy, 3), lab=lab)
     assert causes(diagnosis) == ("something_else",)
@@ -66,7 +65,7 @@ def level_in(recordings: Iterable[Recording], lab: Lab) -> NoiseLevel | None:
     return noise_level(view_on(recordings, axis="x", lab=lab), 0.02)
 
 
-def test_noise_that_grows_with_speed_is_told_by_the_speed() -> None:
+def test_noise_that_grows_with_speed_is_told_by_the_speed():
     noisy, lab, _ = noisy_stage(by_speed)
     level = level_in(noisy, lab)
     assert level is not None
@@ -74,7 +73,7 @@ def test_noise_that_grows_with_speed_is_told_by_the_speed() -> None:
     assert level.range[1] > 3.0 * level.range[0]
 
 
-def test_noise_that_is_the_same_everywhere_has_no_place(tmp_path: Path) -> None:
+def test_noise_that_is_the_same_everywhere_has_no_place(tmp_path):
     """Chance signs alone would accuse the second stage; the third has few samples."""
     noisy, lab, _ = noisy_stage(lambda one: np.full(len(one.voltage_V()), 0.3))
     assert level_in(noisy, lab) is None
@@ -85,7 +84,7 @@ def test_noise_that_is_the_same_everywhere_has_no_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("wave_m", "is_told"), [(0.0, True), (20 * LOUD_m, False)])
-def test_noise_is_told_where_most_of_what_is_left_is_noise(wave_m: float, is_told: bool) -> None:
+def test_noise_is_told_where_most_of_what_is_left_is_noise(wave_m, is_told):
     recordings, lab, _ = noisy_stage(by_place)
     waved = []
     for one in recordings:
@@ -94,7 +93,7 @@ def test_noise_is_told_where_most_of_what_is_left_is_noise(wave_m: float, is_tol
     assert (level_in(waved, lab) is not None) is is_told
 
 
-def test_a_hum_at_every_other_sample_is_no_more_noise_than_it_leaves() -> None:
+def test_a_hum_at_every_other_sample_is_no_more_noise_than_it_leaves():
     reading_m, hum_m = clean("walk")[2], 4.0 * NOISE_m
     view = view_with(walk=reading_m + hum_m * (-1.0) ** np.arange(len(reading_m)))
     truth_m = np.sqrt(NOISE_m**2 + hum_m**2 / len(view.tracks))

@@ -21,7 +21,7 @@ def table(kind: str) -> dict[str, list[float]]:
 
 
 @pytest.mark.parametrize("draw", ["exponential", "lognormal", "standard_cauchy"])
-def test_the_chance_of_one_more_healthy_stage_is_uniform_whatever_scores_are(draw) -> None:
+def test_the_chance_of_one_more_healthy_stage_is_uniform_whatever_scores_are(draw):
     rng = np.random.default_rng(7)
     chances = []
     for _ in range(400):
@@ -30,14 +30,14 @@ def test_the_chance_of_one_more_healthy_stage_is_uniform_whatever_scores_are(dra
     assert kstest(chances, "uniform").pvalue > 0.01
 
 
-def test_the_more_is_left_the_smaller_the_chance_and_it_is_never_none() -> None:
+def test_the_more_is_left_the_smaller_the_chance_and_it_is_never_none():
     chances = [structure_p_value(gain, 1.0, 1.0) for gain in (0.0, 0.01, 0.1, 0.5, 1.0)]
     assert chances == sorted(chances, reverse=True)
     assert chances[0] == 1.0
     assert 0.0 < chances[-1] <= 0.05
 
 
-def test_healthy_stages_of_a_law_are_not_accused_by_the_other_laws_table() -> None:
+def test_healthy_stages_of_a_law_are_not_accused_by_the_other_laws_table():
     """Of n stages at most 5 % and two standard deviations have a probability of 0.05 or less."""
     strengths = table("strengths")
     chances = []
@@ -50,7 +50,7 @@ def test_healthy_stages_of_a_law_are_not_accused_by_the_other_laws_table() -> No
     )
 
 
-def test_a_cause_is_as_sure_as_the_table_is_large_and_no_surer() -> None:
+def test_a_cause_is_as_sure_as_the_table_is_large_and_no_surer():
     healthy = sum(len(of_law) for of_law in table("strengths").values())
     assert evidence_p_value(1e9) == pytest.approx(1.0 / (1.0 + healthy))
     assert evidence_p_value(0.0) == 1.0

@@ -34,7 +34,7 @@ def late(folder: Path, cycles: int, samples: int, gain: float, drift_um: float) 
 
 
 @pytest.mark.slow
-def test_a_lag_is_no_cause_where_speeds_hardly_differ(tmp_path: Path) -> None:
+def test_a_lag_is_no_cause_where_speeds_hardly_differ(tmp_path):
     first = late(tmp_path, 16, 250, 1.0, DRIFT_um)
     grown = late(tmp_path, 10, 180, 1.0 + GREW_percent / 100.0, 0.0)
     found = search(view_on([first, grown], axis="x", lab=Lab()))
@@ -51,7 +51,7 @@ def test_a_lag_is_no_cause_where_speeds_hardly_differ(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_order")
-def test_loop_shape_of_a_single_loop_is_not_told_from_a_lag(tmp_path: Path) -> None:
+def test_loop_shape_of_a_single_loop_is_not_told_from_a_lag(tmp_path):
     ramp = np.linspace(-1.0, 1.0, 1000)
     field = np.concatenate([ramp, ramp[-2::-1]])
     cycled = np.concatenate([field, field])
@@ -78,7 +78,7 @@ def lagged(moved_m: Array) -> Array:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_order")
-def test_a_loss_of_sensitivity_is_named_beside_dropouts_and_a_lag() -> None:
+def test_a_loss_of_sensitivity_is_named_beside_dropouts_and_a_lag():
     rng, field = np.random.default_rng(3), triangles(CYCLES + 3, SAMPLES)
     moved_m = 2e-5 * LAWS["bouc_wen"](field)[3 * SAMPLES :]
     moved_m = moved_m * (1.0 - LOSS * np.linspace(0.0, 1.0, len(moved_m)))

@@ -43,7 +43,7 @@ def causes_in(recordings: Sequence[Recording]) -> tuple[Candidate, ...]:
     return search(view_of_recordings(thinned(recordings, EVERY), Lab())).causes
 
 
-def test_a_lag_in_front_of_the_walls_is_named_alone_and_sized() -> None:
+def test_a_lag_in_front_of_the_walls_is_named_alone_and_sized():
     """A lag behind them: test_hidden_effects.py."""
     recordings = []
     for kind in KINDS:
@@ -70,11 +70,11 @@ def with_gains(*gains: float) -> list[str]:
     ]
 
 
-def test_a_gain_that_changed_between_two_recordings_is_named_and_sized() -> None:
+def test_a_gain_that_changed_between_two_recordings_is_named_and_sized():
     assert with_gains(1.0, 1.02, 1.02) == ["gain_change 2.0"]
 
 
-def test_the_instant_of_a_gain_change_is_found_in_its_recording() -> None:
+def test_the_instant_of_a_gain_change_is_found_in_its_recording():
     """Instants tried at larger distances missed changes beside other effects."""
     instant, recordings = 0.607, []
     for kind in KINDS:
@@ -91,5 +91,5 @@ def test_the_instant_of_a_gain_change_is_found_in_its_recording() -> None:
         assert 0.05 < with_step(guess, "place", steps).parameters["place"] < 0.95
 
 
-def test_a_gain_of_one_recording_alone_is_no_change_at_an_instant() -> None:
+def test_a_gain_of_one_recording_alone_is_no_change_at_an_instant():
     assert not any(name.startswith("gain_change") for name in with_gains(1.0, 1.0, 1.02))

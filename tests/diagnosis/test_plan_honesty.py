@@ -67,7 +67,7 @@ def _table() -> CandidateTable:
 @pytest.mark.parametrize(
     "effect", [one.name for one in EFFECTS if isinstance(one.tangent, Tangent)]
 )
-def test_nothing_is_promised_to_show_below_what_the_diagnosis_names(effect: str) -> None:
+def test_nothing_is_promised_to_show_below_what_the_diagnosis_names(effect):
     diagnosis = _open(**{effect: HIGH_m})
     (asked,) = questions_of(diagnosis, effect)
     best = _table().choice(asked).best
@@ -75,7 +75,7 @@ def test_nothing_is_promised_to_show_below_what_the_diagnosis_names(effect: str)
         assert expected_limit_m(asked, None, best.estimate) >= MINIMUM_SHARE * diagnosis.stroke_m
 
 
-def test_a_coupling_that_no_recording_excites_has_a_size_along_the_drive_that_would() -> None:
+def test_a_coupling_that_no_recording_excites_has_a_size_along_the_drive_that_would():
     found = diagnosed()
     absent = tuple(
         replace(one, detection_limit_m=None, upper_bound_m=None)
@@ -90,7 +90,7 @@ def test_a_coupling_that_no_recording_excites_has_a_size_along_the_drive_that_wo
     assert 1e-6 < best.estimate.errors[0] < 1.0
 
 
-def test_other_axes_that_reach_their_loops_late_are_waited_for() -> None:
+def test_other_axes_that_reach_their_loops_late_are_waited_for():
     slow = DriveLimits(voltage_min_V=0.0, voltage_max_V=10.0, slew_V_per_s=1.0)
     fast = replace(slow, slew_V_per_s=50.0)
     bench = Bench(axis="x", limits=fast, clock_Hz=CLOCK_Hz, other_limits={"y": slow, "z": fast})
@@ -102,7 +102,7 @@ def test_other_axes_that_reach_their_loops_late_are_waited_for() -> None:
         assert still_V[1:][loops].mean() > 0.7
 
 
-def test_where_speed_is_what_is_missing_the_plan_says_so_and_is_right() -> None:
+def test_where_speed_is_what_is_missing_the_plan_says_so_and_is_right():
     slow = _too_slow()
     assert not slow.answers
     assert "No drive answers this within these limits" in sentences(slow)[1]
@@ -117,7 +117,7 @@ def test_where_speed_is_what_is_missing_the_plan_says_so_and_is_right() -> None:
     assert left < slow.remaining_share
 
 
-def test_a_question_that_no_drive_answers_gives_way_to_one_that_is_answered() -> None:
+def test_a_question_that_no_drive_answers_gives_way_to_one_that_is_answered():
     both = _open(delay=HIGH_m, thermal_drift=1e-8)
     planned = _planned(both, 2.0)
     assert planned.answers
@@ -127,29 +127,29 @@ def test_a_question_that_no_drive_answers_gives_way_to_one_that_is_answered() ->
     assert "whether there is delay" in sentences(planned)[-1]
 
 
-def test_a_stage_of_one_axis_is_not_asked_for_coupling() -> None:
+def test_a_stage_of_one_axis_is_not_asked_for_coupling():
     found = _open(cross_coupling=HIGH_m, thermal_drift=1e-8)
     alone = plan(stage_model(axis_model("x")), found, clock_Hz=CLOCK_Hz)
     assert (alone.question.effects, alone.set_aside) == (("thermal_drift",), ())
     assert _planned(found).question.effects == ("cross_coupling",)
 
 
-def test_what_shows_already_from_the_least_that_is_named_needs_no_recording() -> None:
+def test_what_shows_already_from_the_least_that_is_named_needs_no_recording():
     planned = _planned(_open(), effect="delay")
     assert not planned.answers
     assert not planned.forbids
     assert "no recording is needed" in sentences(planned)[0]
 
 
-def test_a_diagnosis_that_leaves_nothing_open_asks_for_nothing() -> None:
+def test_a_diagnosis_that_leaves_nothing_open_asks_for_nothing():
     with pytest.raises(ExcitationError, match="no open question"):
         _planned(_open())
 
 
 @pytest.mark.parametrize(("errors", "is_answered"), [((2.0, 0.1), False), ((0.1, 0.1), True)])
 def test_two_that_stay_lost_in_their_errors_are_not_told_apart_however_unlike_they_are(
-    errors: tuple[float, float], is_answered: bool
-) -> None:
+    errors, is_answered
+):
     asked = questions_of(diagnosed(finding("creep", rivals=("thermal_drift",))), "creep")[0]
     unlike = SeparationEstimate(separability=0.9, errors=errors)
     best = Alternative(name="drive", why="", estimate=unlike, score=1.0)

@@ -40,7 +40,7 @@ def _errors_with_all_effects() -> ModelErrors:
     return _refitted(recordings_of(*TRUE), FOUND)
 
 
-def test_every_effect_but_faults_of_the_data_has_its_place_in_the_model() -> None:
+def test_every_effect_but_faults_of_the_data_has_its_place_in_the_model():
     homeless = {
         effect.name
         for effect in effects.EFFECTS
@@ -49,7 +49,7 @@ def test_every_effect_but_faults_of_the_data_has_its_place_in_the_model() -> Non
     assert homeless == {"asymmetry", "loop_shape"}, "which belong to the class of hysteresis"
 
 
-def test_each_finding_is_worth_what_the_error_rises_by_without_it() -> None:
+def test_each_finding_is_worth_what_the_error_rises_by_without_it():
     numbers = _errors_with_all_effects()
     assert numbers.final_m < 1.5 * NOISE_m
     for error_m in numbers.without_m.values():
@@ -58,7 +58,7 @@ def test_each_finding_is_worth_what_the_error_rises_by_without_it() -> None:
     assert slew.limit_V_per_s == pytest.approx(80.0, rel=0.02)
 
 
-def test_the_one_lag_ships_where_the_runtime_looks_for_it() -> None:
+def test_the_one_lag_ships_where_the_runtime_looks_for_it():
     model = _errors_with_all_effects().model
     assert model.lag.kind == "delay"
     assert model.lag.time_s == pytest.approx(5e-4, rel=0.05)
@@ -69,7 +69,7 @@ def test_the_one_lag_ships_where_the_runtime_looks_for_it() -> None:
 
 
 @pytest.mark.parametrize("is_later", [False, True])
-def test_the_gain_of_a_recording_shows_whether_it_was_made_after_a_change(is_later: bool) -> None:
+def test_the_gain_of_a_recording_shows_whether_it_was_made_after_a_change(is_later):
     """Files may be given in the order of their names."""
     first, second = (recording.name for recording in recordings_of())
     later = (second,) if is_later else ()
@@ -89,7 +89,7 @@ def test_the_gain_of_a_recording_shows_whether_it_was_made_after_a_change(is_lat
     assert fitted.ratio == pytest.approx(0.97, abs=2e-3)
 
 
-def test_a_repaired_fault_is_worth_what_it_did_to_the_raw_recordings() -> None:
+def test_a_repaired_fault_is_worth_what_it_did_to_the_raw_recordings():
     recordings = recordings_of()
     broken = (disturbed(recordings[0], slice(3000, 3200), 2e-7), recordings[1])
     numbers = _refitted(recordings, (), raw=broken, faults=("outliers",))
@@ -98,7 +98,7 @@ def test_a_repaired_fault_is_worth_what_it_did_to_the_raw_recordings() -> None:
 
 
 @pytest.mark.parametrize("delay_s", [1e-3, 0.0], ids=["held by the clock", "not held"])
-def test_the_clock_that_the_laboratory_declares_is_no_finding(delay_s: float) -> None:
+def test_the_clock_that_the_laboratory_declares_is_no_finding(delay_s):
     """Nor does it make a stage late whose drive moves between samples, as of a generator."""
     declared = Lab(acquisition=Acquisition(sampling_rate_Hz=500.0))
     if delay_s:
@@ -109,7 +109,7 @@ def test_the_clock_that_the_laboratory_declares_is_no_finding(delay_s: float) ->
     assert numbers.baseline_m < 1.3 * NOISE_m
 
 
-def test_a_finding_alone_and_the_baseline_have_the_same_error_without_it() -> None:
+def test_a_finding_alone_and_the_baseline_have_the_same_error_without_it():
     """An initial state that is a finding is none of the baseline."""
     found = (EffectEstimate(effect="initial_state"),)
     numbers = _refitted(recordings_of(), found)
@@ -117,7 +117,7 @@ def test_a_finding_alone_and_the_baseline_have_the_same_error_without_it() -> No
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_model_in_which_nothing_is_wrong_states_its_own_error() -> None:
+def test_a_model_in_which_nothing_is_wrong_states_its_own_error():
     model = known_model()
     found = diagnose(recordings_of(), axis="x", model=model)
     assert found.findings == ()
@@ -127,7 +127,7 @@ def test_a_model_in_which_nothing_is_wrong_states_its_own_error() -> None:
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_repair_changes_the_recording_where_it_was_and_nothing_else() -> None:
+def test_a_repair_changes_the_recording_where_it_was_and_nothing_else():
     recordings = recordings_of()
     spiked = (disturbed(recordings[0], slice(700, 701), 4e-7), recordings[1])
     view = view_on(spiked, axis="x", lab=Lab())

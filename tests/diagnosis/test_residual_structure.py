@@ -125,7 +125,7 @@ def test_an_end_of_the_range_is_told_where_the_class_does_not_foretell_the_rest(
     assert structure_in(found).coordinate == "reading"
 
 
-def test_coarse_steps_of_the_readings_are_found_beside_other_structure() -> None:
+def test_coarse_steps_of_the_readings_are_found_beside_other_structure():
     """Steps of 443 nm: readings minus a curve are no multiples, and a curve may be the steps."""
     recordings, lab, _ = recorded_zoo_stage("wall_pinning", "triple", 25808154)
     two = [recording for recording in recordings if recording.name in ("sweep.csv", "check.csv")]

@@ -40,7 +40,7 @@ def ringing_view() -> View:
     return view_of_recordings(ringing(drives, rung, np.random.default_rng(1)), Lab())
 
 
-def test_a_sharp_mode_on_a_harmonic_of_the_drive_is_found_at_its_frequency_and_as_sharp() -> None:
+def test_a_sharp_mode_on_a_harmonic_of_the_drive_is_found_at_its_frequency_and_as_sharp():
     view = ringing_view()
     seen = score_test(resonance.EFFECT, view)
     # nearer than two of the grid are to each other
@@ -62,7 +62,7 @@ def noisy_drive(chance: np.random.Generator, rms: float) -> Array:
     return np.asarray(rms * noisy / np.std(noisy))
 
 
-def test_ringing_behind_steps_that_no_sample_resolves_is_no_residual_of_a_mode() -> None:
+def test_ringing_behind_steps_that_no_sample_resolves_is_no_residual_of_a_mode():
     """The instants of steps recorded at 700 Hz are unknown; the noise shows the mode."""
     chance, finer, rate_Hz = np.random.default_rng(3), 20, 700.0
     levels = chance.uniform(-1.0, 1.0, 16)
@@ -86,7 +86,7 @@ def test_ringing_behind_steps_that_no_sample_resolves_is_no_residual_of_a_mode()
     assert outcome.final.rms < 2.0 * NOISE
 
 
-def test_a_mode_is_refitted_where_a_few_loops_say_nothing_of_a_noisy_drive() -> None:
+def test_a_mode_is_refitted_where_a_few_loops_say_nothing_of_a_noisy_drive():
     """The class that follows three loops is wild along the noise: it stood for the hysteresis."""
     count, chance = np.arange(12_000), np.random.default_rng(3)
     drives = {

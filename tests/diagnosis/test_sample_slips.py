@@ -115,7 +115,7 @@ def test_what_the_stamps_tell_is_a_timestamp_fault_of_so_many_samples():
 
 
 @pytest.mark.parametrize("is_driven", [True, False], ids=["driven so", "at rest"])
-def test_what_the_drive_of_another_axis_explains_as_well_is_no_slip(is_driven) -> None:
+def test_what_the_drive_of_another_axis_explains_as_well_is_no_slip(is_driven):
     reading_m = clean("walk")[2]
     late_m = slipped(reading_m, 4000, 10)
     other = Channel(
@@ -132,7 +132,7 @@ def test_what_the_drive_of_another_axis_explains_as_well_is_no_slip(is_driven) -
 
 
 @pytest.mark.parametrize("seed", [2, 9])
-def test_a_recording_that_hardly_moves_promises_no_slip_longer_than_may_be(seed) -> None:
+def test_a_recording_that_hardly_moves_promises_no_slip_longer_than_may_be(seed):
     chance = np.random.default_rng(seed)
     field = 0.3 + 0.01 * np.sin(2 * np.pi * 1.3 * np.arange(9000) / 9000)
     wandered = 0.05 * np.cumsum(chance.normal(size=9000)) / np.sqrt(9000)
@@ -147,7 +147,7 @@ def test_a_recording_that_hardly_moves_promises_no_slip_longer_than_may_be(seed)
 
 
 @pytest.mark.slow
-def test_what_a_law_leaves_of_a_healthy_stage_is_no_slip_of_its_clock() -> None:
+def test_what_a_law_leaves_of_a_healthy_stage_is_no_slip_of_its_clock():
     """Undoing the slip that readings seem to show in other_axis.csv raises the held-out error."""
     recordings, lab = recorded(drawn(stage("preisach_lorentzian", "healthy", 0, 990_000)))
     some = [one for one in recordings if one.name in ("sweep.csv", "check.csv", "other_axis.csv")]
@@ -157,7 +157,7 @@ def test_what_a_law_leaves_of_a_healthy_stage_is_no_slip_of_its_clock() -> None:
 
 
 @pytest.mark.slow
-def test_a_clock_that_slips_in_a_fast_stretch_has_no_delay_beside_it() -> None:
+def test_a_clock_that_slips_in_a_fast_stretch_has_no_delay_beside_it():
     """Slow stretches tell nothing of it: to all others the fast half of a sweep comes late."""
     recordings, lab = recorded(drawn(stage("duhem", "single", 0, 2_100_000)))
     some = [one for one in recordings if one.name in ("sweep.csv", "chirp.csv")]
@@ -166,7 +166,7 @@ def test_a_clock_that_slips_in_a_fast_stretch_has_no_delay_beside_it() -> None:
 
 
 @pytest.mark.slow
-def test_slips_that_other_effects_hide_are_found_beside_them() -> None:
+def test_slips_that_other_effects_hide_are_found_beside_them():
     """The first search for slips sees a gain change and a mode; the chirp has no equal speeds."""
     recordings, lab = recorded(drawn(stage("coleman_hodgdon", "triple", 0, 7_400_000)))
     some = [one for one in recordings if one.name != "check.csv"]

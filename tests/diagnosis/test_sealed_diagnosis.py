@@ -37,7 +37,7 @@ def kind(value: Any) -> str:
     return "number" if isinstance(value, int | float) else type(value).__name__
 
 
-def test_an_entry_of_another_kind_is_refused() -> None:
+def test_an_entry_of_another_kind_is_refused():
     tried = 0
     for way in entries(WRITTEN):
         for wrong in WRONG:
@@ -61,11 +61,11 @@ def test_an_entry_of_another_kind_is_refused() -> None:
     assert tried > 100
 
 
-def test_what_was_written_is_read_back_the_same_for_every_axis() -> None:
+def test_what_was_written_is_read_back_the_same_for_every_axis():
     assert read_diagnoses(write_diagnosis(KNOWN, further_axes=(KNOWN,))) == (KNOWN, KNOWN)
 
 
-def test_an_effect_that_nobody_knows_is_refused() -> None:
+def test_an_effect_that_nobody_knows_is_refused():
     strange = replace(KNOWN.not_detected[0], effect="gremlins")
     content = write_diagnosis(replace(KNOWN, not_detected=(strange,)))
     with pytest.raises(ParameterFileError, match="gremlins"):

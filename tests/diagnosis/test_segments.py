@@ -18,7 +18,7 @@ RATE_Hz = 20e3
 
 
 @pytest.mark.parametrize("pole_Hz", [POLE_Hz, None])
-def test_no_row_is_where_a_declared_pole_still_thinks_that_the_drive_rested(pole_Hz) -> None:
+def test_no_row_is_where_a_declared_pole_still_thinks_that_the_drive_rested(pole_Hz):
     """The recording begins in the midst of waves."""
     rate_Hz, field = drive("waves")
     shown = behind_pole(field, POLE_Hz, rate_Hz)[CUT:]
@@ -39,9 +39,7 @@ def test_no_row_is_where_a_declared_pole_still_thinks_that_the_drive_rested(pole
 @pytest.mark.parametrize(
     ("poles_Hz", "error"), [((4e3,), 1e-12), ((8.5e3, 300.0), 1e-12), ((2e3, 2e3), 1e-3)]
 )
-def test_a_held_command_comes_out_as_a_state_space_of_the_same_poles_has_it(
-    poles_Hz, error
-) -> None:
+def test_a_held_command_comes_out_as_a_state_space_of_the_same_poles_has_it(poles_Hz, error):
     command = np.random.default_rng(3).uniform(-1.0, 1.0, 400)
     denominator = np.array([1.0])
     for pole_Hz in poles_Hz:
@@ -53,7 +51,7 @@ def test_a_held_command_comes_out_as_a_state_space_of_the_same_poles_has_it(
     np.testing.assert_array_equal(held[1:], command[:-1])  # the hold of one sample
 
 
-def test_a_fast_chirp_of_a_healthy_stage_leaves_the_noise() -> None:
+def test_a_fast_chirp_of_a_healthy_stage_leaves_the_noise():
     view = view_of_recordings(*recorded(draw_campaign(70055, plans=("sweep", "chirp"))))
     chirp = view.null.residual[slice(*view.nuisance.edges[1:3])]
     assert np.std(chirp) < 1.25 * view.noise

@@ -56,7 +56,7 @@ def drift_alone() -> Diagnosis:
 
 
 @pytest.mark.slow
-def test_structure_is_no_name_where_much_else_is_left_and_may_be_what_causes_are() -> None:
+def test_structure_is_no_name_where_much_else_is_left_and_may_be_what_causes_are():
     """A gain that wobbles leaves more than this memory, and the class that leaves it is none."""
     stage = recordings_after(cycled, nearly_cycled, cycled)
     wrong = map(with_another_axis, creeping(wobbling(stage, 0.006), 0.01))
@@ -71,7 +71,7 @@ def test_structure_is_no_name_where_much_else_is_left_and_may_be_what_causes_are
 
 
 @pytest.mark.slow
-def test_a_cause_that_may_be_another_cause_keeps_its_size_and_its_experiment() -> None:
+def test_a_cause_that_may_be_another_cause_keeps_its_size_and_its_experiment():
     drift = finding_of(drift_alone(), "thermal_drift")
     assert drift.not_separable_from == ("creep",)
     assert drift.size.ci95[0] > 0.5 * drift.size.value
@@ -80,7 +80,7 @@ def test_a_cause_that_may_be_another_cause_keeps_its_size_and_its_experiment() -
 
 
 @pytest.mark.slow
-def test_a_doubtful_cause_beside_structure_that_was_found_may_be_a_part_of_it() -> None:
+def test_a_doubtful_cause_beside_structure_that_was_found_may_be_a_part_of_it():
     found = creep_and_an_unknown_memory(0.004)
     assert causes(found) == ("initial_state", "creep")
     doubtful = finding_of(found, "creep")
@@ -94,7 +94,7 @@ def test_a_doubtful_cause_beside_structure_that_was_found_may_be_a_part_of_it() 
 
 
 @pytest.mark.slow
-def test_a_sure_cause_beside_structure_that_was_found_is_no_part_of_it() -> None:
+def test_a_sure_cause_beside_structure_that_was_found_is_no_part_of_it():
     found = creep_and_an_unknown_memory(0.02)
     assert set(causes(found)) == {"initial_state", "creep"}
     sure, memory = finding_of(found, "creep"), finding_of(found, "initial_state")

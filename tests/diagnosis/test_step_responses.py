@@ -1,7 +1,6 @@
 """A mode that one jump of the drive has struck is found, however short it rings."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -69,7 +68,7 @@ def static() -> Array:
     return moved(jumping())
 
 
-def test_a_mode_that_one_jump_struck_is_named_with_its_frequency() -> None:
+def test_a_mode_that_one_jump_struck_is_named_with_its_frequency():
     late = moved(jumping(0.4))  # the stage feels a jump that lies between two samples
     ringing = 0.5 * late + 0.5 * rung(late, 61.0, 15.0)
     (cause,) = searched(ringing).causes
@@ -94,23 +93,21 @@ def humming(followed: Array) -> Array:
     ],
     ids=["at once", "late", "creeping", "humming", "ringing below the noise"],
 )
-def test_what_only_follows_a_jump_late_or_hums_as_before_does_not_ring(made) -> None:
+def test_what_only_follows_a_jump_late_or_hums_as_before_does_not_ring(made):
     noise_m = np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
     reading_m = STROKE_m * made() + noise_m
     recordings = [recording("sweep"), recording("walk", reading_m, jumping())]
     assert modes_after_steps(view_on(recordings, axis="x", lab=Lab())) == ()
 
 
-def test_a_jump_behind_which_the_drive_goes_on_as_fast_tells_nothing() -> None:
+def test_a_jump_behind_which_the_drive_goes_on_as_fast_tells_nothing():
     place = np.arange(9000 - JUMP_AT)
     fast = np.concatenate([np.full(JUMP_AT, 0.6), -0.3 + 0.5 * np.sin(2 * np.pi * place / 180)])
     recordings = [recording("sweep"), recording("walk", STROKE_m * moved(fast), fast)]
     assert step_response_view(view_on(recordings, axis="x", lab=Lab())) is None
 
 
-def test_a_recorded_actuator_that_a_step_struck_rings_near_970_hertz(
-    realdata: Path, tmp_path: Path
-) -> None:
+def test_a_recorded_actuator_that_a_step_struck_rings_near_970_hertz(realdata, tmp_path):
     (tmp_path / "lab.toml").write_text(
         '[[recording]]\nfile = "hysteresis_v_150_1hz.csv"\naxis = "x"\n'
         "columns = { time = 2, displacement = 3, voltage = 4 }\n"
@@ -123,7 +120,7 @@ def test_a_recorded_actuator_that_a_step_struck_rings_near_970_hertz(
     assert found.parameters["frequency_Hz"] == pytest.approx(968.0, rel=0.01)
 
 
-def test_a_model_keeps_a_struck_mode_as_the_jump_has_shown_it() -> None:
+def test_a_model_keeps_a_struck_mode_as_the_jump_has_shown_it():
     numbers = {"frequency_Hz": 961.0, "quality": 12.0}
     found = EffectEstimate(
         effect="resonance", parameters=numbers, coefficient=np.array([0.1, 0.4]), from_jumps=True

@@ -24,7 +24,7 @@ def sound_stage(truth: str, seed: int) -> View:
     return view_of_recordings(*recorded(campaign))
 
 
-def test_walls_drawn_to_a_curved_rest_are_followed_to_the_noise_and_open_by_nothing() -> None:
+def test_walls_drawn_to_a_curved_rest_are_followed_to_the_noise_and_open_by_nothing():
     view = sound_stage("wall_pinning", 3)
     straight = np.delete(view.null.all_columns, range(SHARED - CURVED_COUNT, SHARED), axis=1)
     assert view.rms < 1.1 * view.noise
@@ -32,7 +32,7 @@ def test_walls_drawn_to_a_curved_rest_are_followed_to_the_noise_and_open_by_noth
     assert abs(float(score_test(non_congruence.EFFECT, view).cv.coefficient[0])) < 0.05
 
 
-def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named() -> None:
+def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named():
     view = sound_stage("bouc_wen", 17)
     found = score_test(non_congruence.EFFECT, view)
     assert found.cv.gain > non_congruence.EFFECT.minimum_gain
@@ -40,7 +40,7 @@ def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named(
     assert not search(view).causes
 
 
-def test_a_bent_bouc_wen_state_does_what_a_product_seemed_to_do() -> None:
+def test_a_bent_bouc_wen_state_does_what_a_product_seemed_to_do():
     view = sound_stage("bouc_wen", 20)
     never = replace(non_congruence.EFFECT.structural, may_be_bouc_wen=False)
     _, alone = structural_candidate(replace(non_congruence.EFFECT, structural=never), view)
@@ -50,7 +50,7 @@ def test_a_bent_bouc_wen_state_does_what_a_product_seemed_to_do() -> None:
     assert abs(beside.cv.gain) < 0.1 * alone.cv.gain
 
 
-def test_a_bouc_wen_ceramic_behind_a_bent_scale_is_followed_by_a_bent_state_only() -> None:
+def test_a_bouc_wen_ceramic_behind_a_bent_scale_is_followed_by_a_bent_state_only():
     bent = with_best_bouc_wen(sound_stage("bouc_wen", 5))
     *law, bend = bent.nuisance.bouc_wen
     assert abs(bend) > 0.1
@@ -58,7 +58,7 @@ def test_a_bouc_wen_ceramic_behind_a_bent_scale_is_followed_by_a_bent_state_only
     assert with_bouc_wen(bent, (*law, 0.0)).rms > 1.2 * bent.noise
 
 
-def test_a_part_that_no_bouc_wen_state_does_as_well_is_judged_without_one() -> None:
+def test_a_part_that_no_bouc_wen_state_does_as_well_is_judged_without_one():
     """Loops that open with bias by 3 % of the stroke; beside a state that leaves more, nothing."""
     campaign = draw_campaign(
         1, truth="jiles_atherton", effects={"non_congruence": 3.0}, plans=("sweep", "check")

@@ -59,12 +59,8 @@ def changed_gain():
     ],
 )
 def test_a_doubtful_cause_is_named_only_if_the_model_needs_it(
-    is_weak: bool,
-    max_ratio: float,
-    error_without_m: float,
-    is_named: bool,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    is_weak, max_ratio, error_without_m, is_named, monkeypatch
+):
     recordings, model, selection = changed_gain()
     errors_m = Errors(explained=error_without_m, held_out=error_without_m)
     monkeypatch.setattr(diagnose_module, "is_weak_evidence", lambda _: is_weak)
@@ -78,9 +74,7 @@ def test_a_doubtful_cause_is_named_only_if_the_model_needs_it(
     assert all("the model predicts left-out data about as well" in reason for reason in reasons)
 
 
-def test_an_end_of_the_range_that_the_model_does_not_miss_is_not_stated(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_end_of_the_range_that_the_model_does_not_miss_is_not_stated(monkeypatch):
     """The class of the search misses readings that the model follows."""
     find_structure = residual_structure._sensor_range_structure
 

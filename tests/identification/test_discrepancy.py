@@ -91,7 +91,7 @@ def test_however_much_is_missed_the_response_still_rises(law):
     assert both.min() > 0.0
 
 
-def test_readings_that_are_followed_to_the_last_bit_have_a_finite_slope() -> None:
+def test_readings_that_are_followed_to_the_last_bit_have_a_finite_slope():
     """A recording without noise, as a simulator writes it, was a division by zero."""
     exact = replace(axis_model(), quality=replace(QUALITY, rms_m=0.0, held_out_rms_m=0.0))
     shape = with_discrepancy(exact, [recording(noise_m=0.0)]).discrepancy

@@ -29,7 +29,7 @@ def by_name(lab: Lab | None = None) -> dict[str, tuple[str, float]]:
     return {one.name: (one.kind, one.standard) for one in found.budget.contributions}
 
 
-def test_declared_sources_are_type_b_and_have_their_closed_forms() -> None:
+def test_declared_sources_are_type_b_and_have_their_closed_forms():
     held = by_name(EVERYTHING)
     at_m = 0.5 * 2.4e-5
     for name, standard_m in (
@@ -43,19 +43,19 @@ def test_declared_sources_are_type_b_and_have_their_closed_forms() -> None:
     assert not displacement_budget(axis_model(), EVERYTHING).unknown
 
 
-def test_noise_is_new_at_each_position_and_what_was_calibrated_once_is_not() -> None:
+def test_noise_is_new_at_each_position_and_what_was_calibrated_once_is_not():
     parts = displacement_budget(axis_model(), EVERYTHING).budget.contributions
     new = {one.name for one in parts if not one.is_shared}
     assert new == {"residual on held-out data, sensor noise included", "step of the converter"}
 
 
-def test_the_residual_enters_whole_and_sources_from_data_are_type_a() -> None:
+def test_the_residual_enters_whole_and_sources_from_data_are_type_a():
     held = by_name()
     assert held["residual on held-out data, sensor noise included"] == ("A", 3e-8)
     assert {kind for kind, _ in held.values()} == {"A"}
 
 
-def test_the_parameters_count_where_the_loading_curve_is_known_worst() -> None:
+def test_the_parameters_count_where_the_loading_curve_is_known_worst():
     axis = axis_model()
     half_m = np.linspace(1e-9, 5e-9, len(axis.uncertainty.loading_half_m))
     axis = replace(axis, uncertainty=replace(axis.uncertainty, blocks=5, loading_half_m=half_m))
@@ -65,7 +65,7 @@ def test_the_parameters_count_where_the_loading_curve_is_known_worst() -> None:
     assert found.standard == pytest.approx(5e-9 / 2.7764, rel=1e-4)  # Student's t at 4
 
 
-def test_what_nobody_declared_is_named() -> None:
+def test_what_nobody_declared_is_named():
     assert displacement_budget(axis_model()).unknown == (
         "sensor_gain_relative",
         "sensor_linearity_m",
@@ -76,7 +76,7 @@ def test_what_nobody_declared_is_named() -> None:
     assert "expansion_m_per_K" in displacement_budget(axis_model(), half).unknown
 
 
-def test_the_zero_from_run_to_run_is_told_and_not_counted() -> None:
+def test_the_zero_from_run_to_run_is_told_and_not_counted():
     axis = axis_model()
     alone = replace(axis, starts=axis.starts[:1])
     assert displacement_budget(alone).zero_between_m is None
@@ -85,7 +85,7 @@ def test_the_zero_from_run_to_run_is_told_and_not_counted() -> None:
     assert found.budget.combined < found.zero_between_m
 
 
-def test_the_lag_counts_at_the_fastest_drive_of_the_data() -> None:
+def test_the_lag_counts_at_the_fastest_drive_of_the_data():
     axis = replace(axis_model(), lag=Lag(kind="delay", time_s=1e-5))
     covariance = np.array(axis.uncertainty.covariance)
     covariance[-1, -1] = 1e-6**2
@@ -97,7 +97,7 @@ def test_the_lag_counts_at_the_fastest_drive_of_the_data() -> None:
     assert lag.standard == pytest.approx(1e-6 * speed_m_per_s)
 
 
-def test_a_heavier_remainder_makes_the_largest_error_larger_and_not_the_usual_one() -> None:
+def test_a_heavier_remainder_makes_the_largest_error_larger_and_not_the_usual_one():
     axis = axis_model()
     calm = replace(axis, certificate=replace(axis.certificate, remainder_m=9e-8))
     wild = replace(axis, certificate=replace(axis.certificate, remainder_m=2e-7))

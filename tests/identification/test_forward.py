@@ -94,7 +94,7 @@ def bent(values: Array, knot: Array, slope: Array) -> Array:
 
 
 @pytest.mark.parametrize("filters", FILTERS)
-def test_a_reading_is_what_the_parts_make_one_after_the_other(filters: str) -> None:
+def test_a_reading_is_what_the_parts_make_one_after_the_other(filters):
     limits, walls = AmplifierLimits(high_V=9.5, low_V=0.9), RateDependence(time_s=6e-3)
     answer = CrossAxis(axis="y", centre_V=5.0, gain_m_per_V=2e-8, curvature_m_per_V_per_V=0.0)
     cyclic = PeriodicError(wavelength_m=6e-7, cosine_m=(3e-9,), sine_m=(2e-9,))
@@ -123,7 +123,7 @@ def test_a_reading_is_what_the_parts_make_one_after_the_other(filters: str) -> N
     np.testing.assert_allclose(run.reading, (read_m - CENTRE_m) / -1.2e-5, atol=1e-9)
 
 
-def test_an_amplifier_stands_in_front_of_all_extensions() -> None:
+def test_an_amplifier_stands_in_front_of_all_extensions():
     limits = AmplifierLimits(high_V=6.0)
     forward = replace(forward_of(limits), amplifier_Hz=30.0)
     drive_V = 5.2 + 5.0 * drive()
@@ -138,7 +138,7 @@ def differences(run: Run, changed: Forward, other: Forward, step: float) -> Arra
 
 
 @pytest.mark.parametrize("extension", one_of_each(), ids=lambda one: one.kind)
-def test_the_columns_of_an_extension_are_its_derivatives(extension: Extension) -> None:
+def test_the_columns_of_an_extension_are_its_derivatives(extension):
     run = run_of(forward_of(extension, Delay(delay_samples=0.3), filters="sensor"))
     free, found = extension.free(), run.by_extension(0, PLACE)
     assert found.shape == (len(PLACE), len(free.value))
@@ -155,7 +155,7 @@ def test_the_columns_of_an_extension_are_its_derivatives(extension: Extension) -
 
 
 @pytest.mark.parametrize("filters", ["delay", "first order", "sensor"])
-def test_the_column_of_the_lag_is_its_derivative(filters: str) -> None:
+def test_the_column_of_the_lag_is_its_derivative(filters):
     run = run_of(forward_of(filters=filters))
     step_s = 1e-7
     ahead, back = (
@@ -189,9 +189,7 @@ def moved(operator: Scaled, name: str, place: int, step: float) -> Scaled:
         ((CreepLadder(time_s=(1.0,), share=(0.01,)), Delay(delay_samples=0.4)), "none", 0.05),
     ],
 )
-def test_the_columns_of_the_hysteresis_are_its_derivatives(
-    extensions: tuple[Extension, ...], filters: str, within: float
-) -> None:
+def test_the_columns_of_the_hysteresis_are_its_derivatives(extensions, filters, within):
     run, step = run_of(forward_of(*extensions, filters=filters)), 1e-6
     found = run.by_hysteresis(PLACE)
     pairs: list[tuple[Run, Run]] = []
@@ -217,9 +215,7 @@ def test_the_columns_of_the_hysteresis_are_its_derivatives(
         assert apart <= within * np.linalg.norm(numeric), column
 
 
-def test_too_many_numbers_for_one_array_are_taken_for_delayed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_too_many_numbers_for_one_array_are_taken_for_delayed(monkeypatch):
     monkeypatch.setattr("piezoid.identification.forward.MAX_ENTRIES", 12 * SAMPLES)
     lag, late = (
         run_of(forward_of(extension)).by_hysteresis(PLACE)

@@ -44,7 +44,7 @@ def shape_of(model: AxisModel, probe_V: Array = PROBE_V) -> Array:
     return np.asarray(response - response[0])
 
 
-def test_powers_of_two_as_units_change_no_bit() -> None:
+def test_powers_of_two_as_units_change_no_bit():
     drive, response = measured()
     other = fit([recording(drive * 2.0**10, response * 2.0**-20)])["x"]
     plays = fitted().hysteresis.plays
@@ -54,7 +54,7 @@ def test_powers_of_two_as_units_change_no_bit() -> None:
     assert other.lag == fitted().lag
 
 
-def test_kilovolts_picometres_signs_and_zeros_change_no_more_than_rounding() -> None:
+def test_kilovolts_picometres_signs_and_zeros_change_no_more_than_rounding():
     drive, response = measured()
     kilovolt, picometre, bias = 1e-3, 1e12, 64.0
     other = fit([recording(bias - drive * kilovolt, response * -picometre - 3e5)])["x"]
@@ -83,13 +83,13 @@ def fitted_to_both() -> AxisModel:
     return estimate_axis(two_recordings(), "x", Rig())
 
 
-def test_a_fit_is_no_worse_on_its_own_rows_than_on_rows_left_out() -> None:
+def test_a_fit_is_no_worse_on_its_own_rows_than_on_rows_left_out():
     """From its convex start it ended at 26 nm for a held-out 3.4; the folds knew better."""
     quality = fitted_to_both().quality
     assert quality.rms_m < quality.held_out_rms_m < 4e-9
 
 
-def test_the_order_of_the_recordings_does_not_matter() -> None:
+def test_the_order_of_the_recordings_does_not_matter():
     first = fitted_to_both()
     second = estimate_axis(two_recordings()[::-1], "x", Rig())
     assert [start.recording for start in second.starts] == ["1.csv", "0.csv"]
@@ -101,7 +101,7 @@ def test_the_order_of_the_recordings_does_not_matter() -> None:
     )
 
 
-def test_half_the_samples_give_the_same_stage_within_what_either_is_sure_of() -> None:
+def test_half_the_samples_give_the_same_stage_within_what_either_is_sure_of():
     drive, response = measured()
     thinned = fit([recording(drive[::2], response[::2], rate_Hz=RATE_Hz / 2)])["x"]
     coarse = thinned.simulate(PROBE_V[::2], RATE_Hz / 2, thinned.virgin_memory_V)
@@ -119,7 +119,7 @@ sys.stdout.buffer.write(write_model(stage_model()))
 """
 
 
-def test_another_process_gives_the_same_bytes() -> None:
+def test_another_process_gives_the_same_bytes():
     # Other numbers of threads: benchmarks/same_bytes.py, as waiting threads cost a busy machine.
     done = subprocess.run(
         [sys.executable, "-c", PROGRAMME],

@@ -94,9 +94,7 @@ def fitted(law: str, polarity: float) -> tuple[tuple[Recording, ...], AxisModel,
 
 
 @pytest.mark.parametrize(("law", "polarity"), [("dahl", 1.0), ("bouc_wen", -1.0)])
-def test_a_law_that_is_no_sum_of_plays_is_explained_to_the_noise(
-    law: str, polarity: float
-) -> None:
+def test_a_law_that_is_no_sum_of_plays_is_explained_to_the_noise(law, polarity):
     recordings, plain, axis = fitted(law, polarity)
     assert plain.quality.rms_m > 3.0 * NOISE_M
     assert axis.quality.explained_rms_m < 1.2 * NOISE_M
@@ -111,7 +109,7 @@ def test_a_law_that_is_no_sum_of_plays_is_explained_to_the_noise(
     assert abs(axis.loop_shape.plays_weight) < 0.2  # without the kinks of plays
 
 
-def test_a_recording_that_was_not_fitted_is_predicted_better() -> None:
+def test_a_recording_that_was_not_fitted_is_predicted_better():
     _, plain, axis = fitted("dahl", 1.0)
     unseen = recorded("dahl", walk(4), "unseen")
     plain_m, wide_m = (
@@ -121,9 +119,7 @@ def test_a_recording_that_was_not_fitted_is_predicted_better() -> None:
 
 
 @pytest.mark.parametrize(("law", "polarity"), [("dahl", 1.0), ("bouc_wen", -1.0)])
-def test_the_inverse_leads_the_law_along_a_reference_that_was_never_recorded(
-    law: str, polarity: float
-) -> None:
+def test_the_inverse_leads_the_law_along_a_reference_that_was_never_recorded(law, polarity):
     _, plain, axis = fitted(law, polarity)
     turn = np.linspace(0.0, 1.0, 2000)
     begin_m = axis.zero_m - polarity * np.linspace(1e-5, 0.0, 200)
@@ -141,7 +137,7 @@ def test_the_inverse_leads_the_law_along_a_reference_that_was_never_recorded(
     assert errors_m[1] < 5.0 * NOISE_M
 
 
-def test_the_inverse_stays_near_that_of_plays_beyond_the_recorded_range() -> None:
+def test_the_inverse_stays_near_that_of_plays_beyond_the_recorded_range():
     _, plain, axis = fitted("bouc_wen", -1.0)
     reach_m = 1.05e-5  # of a range of 10 um about the zero
     reference_m = axis.zero_m + reach_m * np.sin(np.linspace(-0.5, 7.5, 1000) * np.pi)
@@ -150,7 +146,7 @@ def test_the_inverse_stays_near_that_of_plays_beyond_the_recorded_range() -> Non
     assert 5.0 < np.abs(voltage_V).max() < 1.05 * np.abs(plain_V).max()
 
 
-def test_loops_of_three_sizes_predict_a_fourth() -> None:
+def test_loops_of_three_sizes_predict_a_fourth():
     def loops(size: float) -> Array:
         return path_through(np.tile([-1.0, 2.0 * size - 1.0], 4))
 
@@ -162,7 +158,7 @@ def test_loops_of_three_sizes_predict_a_fourth() -> None:
     assert compare(axis, between).rms_m < 1.5 * compare(plays, between).rms_m
 
 
-def test_recordings_with_other_initial_states_are_simulated_from_their_beginning() -> None:
+def test_recordings_with_other_initial_states_are_simulated_from_their_beginning():
     """Solves that ignored the initial states in the columns left 2.2 times the noise there."""
     decay = np.linspace(1.0, 0.1, 20) * (-1.0) ** np.arange(20)
     turns = np.random.default_rng(4).uniform(-1.0, 1.0, 24)
@@ -184,7 +180,7 @@ def test_recordings_with_other_initial_states_are_simulated_from_their_beginning
         assert np.sqrt(np.mean(error_m[: len(error_m) // 5] ** 2)) < 1.5 * NOISE_M
 
 
-def test_a_zero_that_wanders_within_a_left_out_block_is_no_error_of_the_class() -> None:
+def test_a_zero_that_wanders_within_a_left_out_block_is_no_error_of_the_class():
     """Of 25 knots of the zero, each lies in one block: the others say nothing of it."""
     recordings, plain, _ = fitted("dahl", 1.0)
     starts = [replace(start, zero_m=np.full(25, start.zero_m.mean())) for start in plain.starts]
@@ -193,7 +189,7 @@ def test_a_zero_that_wanders_within_a_left_out_block_is_no_error_of_the_class() 
     assert shaped.quality.held_out_rms_m < 2.0 * NOISE_M
 
 
-def test_many_recordings_are_simulated_with_fewer_histories_each() -> None:
+def test_many_recordings_are_simulated_with_fewer_histories_each():
     """Beyond ten pieces not all histories of the drive are weighed."""
     levels = np.array([-1.0, 1.0, -1.0, 0.6, -0.7])
     recordings = [
@@ -207,13 +203,13 @@ def test_many_recordings_are_simulated_with_fewer_histories_each() -> None:
     assert np.std(error_m) < plain.quality.rms_m
 
 
-def test_a_sum_of_plays_is_predicted_no_worse() -> None:
+def test_a_sum_of_plays_is_predicted_no_worse():
     _, plain, axis = fitted("plays", 1.0)
     assert axis.quality.held_out_rms_m <= plain.quality.held_out_rms_m
     assert axis.quality.explained_rms_m < 1.5 * NOISE_M
 
 
-def test_a_periodic_error_is_fitted_beside_loop_shape() -> None:
+def test_a_periodic_error_is_fitted_beside_loop_shape():
     """Beside plays its numbers stand for loop shape as well, and stayed as they were.
 
     The zero of one recording was set anew: the same error at another place of the reading.
@@ -231,7 +227,7 @@ def test_a_periodic_error_is_fitted_beside_loop_shape() -> None:
     assert axis.quality.explained_rms_m < 1.3 * NOISE_M
 
 
-def test_a_steep_periodic_error_and_unknown_histories_are_fitted_together() -> None:
+def test_a_steep_periodic_error_and_unknown_histories_are_fitted_together():
     """Solves of the linearised reading overshot: 75 times the noise were left."""
     count = np.arange(2000)
     fields = {
@@ -254,7 +250,7 @@ def test_a_steep_periodic_error_and_unknown_histories_are_fitted_together() -> N
     assert shaped.quality.explained_rms_m < 2.0 * NOISE_M
 
 
-def test_loop_shape_is_fitted_behind_a_mode_that_is_not_only_a_delay() -> None:
+def test_loop_shape_is_fitted_behind_a_mode_that_is_not_only_a_delay():
     """A delay in its place misses 1 % of the quick motion: less than its hysteresis, not noise."""
     mode = LinearMode(frequency_Hz=60.0, quality=20.0)
     quick = 0.6 * np.sin(np.arange(3000) / 15.0)
@@ -267,9 +263,7 @@ def test_loop_shape_is_fitted_behind_a_mode_that_is_not_only_a_delay() -> None:
     assert shaped.quality.explained_rms_m < 1.5 * NOISE_M
 
 
-def test_a_hum_with_harmonics_is_fitted_to_more_rows_than_are_used(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_hum_with_harmonics_is_fitted_to_more_rows_than_are_used(monkeypatch):
     monkeypatch.setattr("piezoid.identification.loop_shape_columns.MAX_ROWS", 3000)
     field = np.interp(np.linspace(0.0, len(SWEEP) - 1.0, 4000), np.arange(len(SWEEP)), SWEEP)
     quiet = recorded("dahl", field, "sweep")
@@ -286,7 +280,7 @@ def test_a_hum_with_harmonics_is_fitted_to_more_rows_than_are_used(
     assert np.sqrt(np.nanmean(error_m**2)) < 1.2 * NOISE_M
 
 
-def test_a_step_of_the_zero_is_not_taken_for_hysteresis() -> None:
+def test_a_step_of_the_zero_is_not_taken_for_hysteresis():
     step_m = 5e-7
     cycles = np.concatenate([np.ones(4), np.linspace(1.0, 0.3, 8)])
     field = path_through(np.append(np.repeat(cycles, 2) * np.tile([-1.0, 1.0], 12), -1.0))
@@ -304,7 +298,7 @@ def test_a_step_of_the_zero_is_not_taken_for_hysteresis() -> None:
     assert jump_m == pytest.approx(step_m, rel=0.2)
 
 
-def test_of_a_single_loop_the_error_in_sample_decides() -> None:
+def test_of_a_single_loop_the_error_in_sample_decides():
     ramp = np.linspace(-1.0, 1.0, 900)
     loop = recorded("coleman_hodgdon", np.concatenate([ramp, ramp[-2::-1]]), "loop")
     plain = estimate_axis([loop], "x", Rig(), orders=((8, 2),))
@@ -314,7 +308,7 @@ def test_of_a_single_loop_the_error_in_sample_decides() -> None:
     assert not axis.quality.is_tested
 
 
-def test_loop_shape_comes_back_from_a_file_to_the_last_bit() -> None:
+def test_loop_shape_comes_back_from_a_file_to_the_last_bit():
     recordings, _, axis = fitted("dahl", 1.0)
     stage = ActuatorModel(stage="s", axes={"x": axis}, sources={}, lab=None, tunnelling=None)
     read = read_model(write_model(stage)).axes["x"]
@@ -324,7 +318,7 @@ def test_loop_shape_comes_back_from_a_file_to_the_last_bit() -> None:
     assert read.quality == axis.quality
 
 
-def test_loop_shape_is_fitted_once_and_without_it_the_axis_is_what_it_was() -> None:
+def test_loop_shape_is_fitted_once_and_without_it_the_axis_is_what_it_was():
     recordings, plain, axis = fitted("dahl", 1.0)
     before = axis.without_loop_shape()
     assert before.loop_shape is None
@@ -336,7 +330,7 @@ def test_loop_shape_is_fitted_once_and_without_it_the_axis_is_what_it_was() -> N
         with_loop_shape(axis, recordings)
 
 
-def test_a_model_with_coefficients_of_another_class_is_refused() -> None:
+def test_a_model_with_coefficients_of_another_class_is_refused():
     _, _, axis = fitted("dahl", 1.0)
     stage = ActuatorModel(stage="s", axes={"x": axis}, sources={}, lab=None, tunnelling=None)
     record = json.loads(write_model(stage))

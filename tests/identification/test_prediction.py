@@ -11,7 +11,7 @@ from tests.api.stage import NOISE_m, RATE_Hz, fitted, recorded, truth, unseen_dr
 RANGE_m = 2.2e-5
 
 
-def test_an_unseen_recording_is_predicted_near_the_truth() -> None:
+def test_an_unseen_recording_is_predicted_near_the_truth():
     _, model = fitted()
     drive_V = unseen_drive()
     unseen = recorded(drive_V, 2, "unseen", before_V=3.0, zero_m=4e-6)
@@ -23,7 +23,7 @@ def test_an_unseen_recording_is_predicted_near_the_truth() -> None:
     assert found.rms_percent == pytest.approx(100 * found.rms_m / np.ptp(unseen.displacement_m()))
 
 
-def test_only_memory_and_zero_are_taken_from_an_unseen_recording() -> None:
+def test_only_memory_and_zero_are_taken_from_an_unseen_recording():
     """A stage that moves 5 % farther is not what was fitted, and that shows."""
     _, model = fitted()
     drive_V = unseen_drive()
@@ -34,18 +34,18 @@ def test_only_memory_and_zero_are_taken_from_an_unseen_recording() -> None:
     assert model.compare(other).rms_m == pytest.approx(lost_m, rel=0.1)
 
 
-def test_another_recording_of_a_fitted_name_begins_where_it_begins() -> None:
+def test_another_recording_of_a_fitted_name_begins_where_it_begins():
     _, model = fitted()
     namesake = recorded(unseen_drive(), 3, "sweep", before_V=-4.0, zero_m=-9e-6)
     assert model.compare(namesake).rms_m < 2e-3 * RANGE_m
 
 
-def test_a_recording_of_the_fit_is_followed_to_its_noise() -> None:
+def test_a_recording_of_the_fit_is_followed_to_its_noise():
     sweep, model = fitted()
     assert model.compare(sweep).rms_m < 2.5 * NOISE_m
 
 
-def test_a_drive_alone_is_predicted_from_the_de_poled_state() -> None:
+def test_a_drive_alone_is_predicted_from_the_de_poled_state():
     _, model = fitted()
     drive_V = unseen_drive()
     alone = piezoid.from_arrays(sampling_rate_Hz=RATE_Hz, voltage_V=drive_V)
@@ -56,7 +56,7 @@ def test_a_drive_alone_is_predicted_from_the_de_poled_state() -> None:
         model.compare(alone)
 
 
-def test_every_piece_between_breaks_begins_anew() -> None:
+def test_every_piece_between_breaks_begins_anew():
     _, model = fitted()
     frame = piezoid.to_frame(recorded(unseen_drive(), 4, "torn"))
     frame.iloc[1000, 1:] = np.nan
@@ -66,7 +66,7 @@ def test_every_piece_between_breaks_begins_anew() -> None:
     assert model.compare(torn).rms_m < 2e-3 * RANGE_m
 
 
-def test_the_inverse_makes_the_wanted_displacement() -> None:
+def test_the_inverse_makes_the_wanted_displacement():
     _, model = fitted()
     axis = model["x"]
     wanted_m = axis.zero_m + 6e-6 * np.sin(np.linspace(0.0, 20.0, 2000))
@@ -76,7 +76,7 @@ def test_the_inverse_makes_the_wanted_displacement() -> None:
     assert np.std(truth(voltage_V) - wanted_m) < 5e-3 * RANGE_m
 
 
-def test_parameters_hold_the_truth_in_their_intervals() -> None:
+def test_parameters_hold_the_truth_in_their_intervals():
     _, model = fitted()
     table = parameters_of(model["x"])
     assert list(table.columns) == ["value", "unit", "low", "high"]
@@ -92,7 +92,7 @@ def test_parameters_hold_the_truth_in_their_intervals() -> None:
 WHOLE_m_per_V = 3.2e-6
 
 
-def test_the_linear_part_goes_to_scipy_and_control() -> None:
+def test_the_linear_part_goes_to_scipy_and_control():
     control = pytest.importorskip("control")
     _, model = fitted()
     system = model.to_scipy(1000.0)
@@ -114,7 +114,7 @@ def test_the_linear_part_goes_to_scipy_and_control() -> None:
         (lambda m: m.to_scipy(-1.0), "sampling rate of -1.0 Hz"),
     ],
 )
-def test_what_is_no_signal_is_refused_in_words(call, said) -> None:
+def test_what_is_no_signal_is_refused_in_words(call, said):
     _, model = fitted()
     with pytest.raises((RecordingError, IdentificationError), match=said):
         call(model)

@@ -63,7 +63,7 @@ def sealed(record: dict[str, Any]) -> bytes:
 
 
 @pytest.mark.parametrize("place", KINDS)
-def test_an_entry_of_another_kind_is_refused(place: str) -> None:
+def test_an_entry_of_another_kind_is_refused(place):
     for kind in KINDS[place]:
         with pytest.raises(ParameterFileError, match="with its type"):
             read_model(with_entry(place, WRONG[kind]))
@@ -80,8 +80,8 @@ def test_an_entry_of_another_kind_is_refused(place: str) -> None:
     ],
 )
 def test_counts_and_magnitudes_beyond_their_bounds_are_refused_with_number_and_bound(
-    entry: str, value: object, said: str
-) -> None:
+    entry, value, said
+):
     with pytest.raises(ParameterFileError, match=said):
         read_model(with_entry(f"axes x hysteresis {entry}", value))
 
@@ -99,25 +99,25 @@ def test_counts_and_magnitudes_beyond_their_bounds_are_refused_with_number_and_b
         ("axes x uncertainty names", []),
     ],
 )
-def test_a_number_that_no_fit_finds_is_refused(place: str, value: float) -> None:
+def test_a_number_that_no_fit_finds_is_refused(place, value):
     with pytest.raises(ParameterFileError, match="with its type"):
         read_model(with_entry(place, value))
 
 
-def test_a_whole_number_stands_for_a_measured_one_and_comes_back() -> None:
+def test_a_whole_number_stands_for_a_measured_one_and_comes_back():
     model = read_model(with_entry("axes x lag time_s", 0))
     assert write_model(read_model(write_model(model))) == write_model(model)
 
 
 @pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999"])
-def test_a_sealed_number_that_is_none_is_refused(number: str) -> None:
+def test_a_sealed_number_that_is_none_is_refused(number):
     blank = f'{{"schema": "{SCHEMA}", "digest": "sha256:{"0" * 64}", "stage": {number}}}'.encode()
     digest = hashlib.sha256(blank).hexdigest().encode()
     with pytest.raises(ParameterFileError, match="JSON text"):
         read_model(blank.replace(b"0" * 64, digest, 1))
 
 
-def test_extensions_come_back_and_simulate_the_same_bits() -> None:
+def test_extensions_come_back_and_simulate_the_same_bits():
     extended = known_model(*one_of_each())
     again = read_model(write_model(stage_model(extended)))["x"]
     assert again.extensions == extended.extensions
@@ -127,13 +127,13 @@ def test_extensions_come_back_and_simulate_the_same_bits() -> None:
     )
 
 
-def test_a_file_without_the_entry_is_a_model_without_extensions() -> None:
+def test_a_file_without_the_entry_is_a_model_without_extensions():
     content = json.loads(write_model(stage_model(known_model())))
     del content["axes"]["x"]["extensions"]
     assert read_model(sealed(content))["x"].extensions == ()
 
 
-def test_an_unphysical_extension_is_refused_with_its_number() -> None:
+def test_an_unphysical_extension_is_refused_with_its_number():
     content = json.loads(write_model(stage_model(known_model())))
     content["axes"]["x"]["extensions"] = [{"kind": "first_order_lag", "lag_s": -1.0}]
     with pytest.raises(ParameterFileError, match=re.escape("lag_s is -1.0")):

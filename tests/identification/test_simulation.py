@@ -20,13 +20,13 @@ from tests.reports.known_stage import BREAK, axis_model, recording, starts
 ROUNDING_m = 1e-17
 
 
-def test_a_recording_without_noise_is_reproduced_to_rounding() -> None:
+def test_a_recording_without_noise_is_reproduced_to_rounding():
     exact = recording(noise_m=0.0)
     simulated_m = simulate_recording(axis_model(), exact)
     np.testing.assert_allclose(simulated_m, exact.displacement_m(), atol=ROUNDING_m, rtol=1e-14)
 
 
-def test_pieces_too_short_to_be_fitted_are_nan() -> None:
+def test_pieces_too_short_to_be_fitted_are_nan():
     whole = recording(noise_m=0.0)
     cut = replace(whole, breaks=(BREAK, 2 * BREAK - 5))
     simulated_m = simulate_recording(axis_model(), cut)
@@ -34,7 +34,7 @@ def test_pieces_too_short_to_be_fitted_are_nan() -> None:
     assert np.isfinite(simulated_m[:-5]).all()
 
 
-def test_rows_that_the_fit_left_out_are_nan_and_all_others_simulated() -> None:
+def test_rows_that_the_fit_left_out_are_nan_and_all_others_simulated():
     exact, model = recording(noise_m=0.0), axis_model()
     second = starts(exact.name)[1]
     late = replace(model, starts=(starts(exact.name)[0], replace(second, first=100)))
@@ -45,7 +45,7 @@ def test_rows_that_the_fit_left_out_are_nan_and_all_others_simulated() -> None:
     np.testing.assert_array_equal(fitted_m[~is_left_out], simulated_m[~is_left_out])
 
 
-def test_the_zero_stays_where_it_was_before_and_behind_the_rows_that_counted() -> None:
+def test_the_zero_stays_where_it_was_before_and_behind_the_rows_that_counted():
     start = replace(starts("a.csv")[0], first=100, last=301, zero_m=np.array([1e-6, 3e-6]))
     zero_m = zero_of(start, 400)
     assert (zero_m[:101] == 1e-6).all()
@@ -53,13 +53,13 @@ def test_the_zero_stays_where_it_was_before_and_behind_the_rows_that_counted() -
     assert zero_m[200] == pytest.approx(2e-6)
 
 
-def test_a_recording_the_model_does_not_know_is_refused_by_name() -> None:
+def test_a_recording_the_model_does_not_know_is_refused_by_name():
     with pytest.raises(IdentificationError, match=r"other\.csv: 2 uninterrupted pieces"):
         simulate_recording(axis_model(), recording("other.csv"))
     assert starts_of(axis_model(), recording("other.csv")) == ()
 
 
-def test_simulating_a_fitted_recording_leaves_the_residual_the_fit_reports() -> None:
+def test_simulating_a_fitted_recording_leaves_the_residual_the_fit_reports():
     given = recording()
     model = estimate_axis((given,), "x", Rig(), orders=((2, 2),))
     residual_m = given.displacement_m() - simulate_recording(model, given)
@@ -74,7 +74,7 @@ def test_simulating_a_fitted_recording_leaves_the_residual_the_fit_reports() -> 
     assert rms_m == pytest.approx(model.quality.rms_m, rel=1e-6)
 
 
-def test_only_the_other_axes_that_move_are_seen_by_an_extension() -> None:
+def test_only_the_other_axes_that_move_are_seen_by_an_extension():
     one = recording()
     drive = next(c for c in one.channels if c.quantity is Quantity.VOLTAGE)
     still = replace(drive, axis="y", label="y", values=np.full(one.samples, 3.0))

@@ -70,9 +70,7 @@ def states(out: Path) -> dict[str, str]:
     return {stage["name"]: stage["state"] for stage in record["stages"]}
 
 
-def test_a_killed_worker_loses_nothing_and_a_second_start_does_nothing_again(
-    tmp_path: Path, cluster: tuple[str, list["subprocess.Popen[bytes]"]]
-) -> None:
+def test_a_killed_worker_loses_nothing_and_a_second_start_does_nothing_again(tmp_path, cluster):
     address, workers = cluster
     night, out = write_night(tmp_path / "night"), tmp_path / "out"
     process = subprocess.Popen(
@@ -108,7 +106,7 @@ def test_a_killed_worker_loses_nothing_and_a_second_start_does_nothing_again(
     assert before == {p: p.stat().st_mtime_ns for p in out.glob("stages/*/*")}
 
 
-def test_a_batch_of_nothing_and_a_folder_of_something_else_are_refused(tmp_path: Path) -> None:
+def test_a_batch_of_nothing_and_a_folder_of_something_else_are_refused(tmp_path):
     (tmp_path / "empty").mkdir()
     nothing = started("batch", tmp_path / "empty", "--out", tmp_path / "out")
     assert nothing.returncode == 3
@@ -121,9 +119,7 @@ def test_a_batch_of_nothing_and_a_folder_of_something_else_are_refused(tmp_path:
     assert "has no manifest" in mine.stderr
 
 
-def test_a_batch_that_was_interrupted_goes_on_with_the_stages_that_are_missing(
-    tmp_path: Path,
-) -> None:
+def test_a_batch_that_was_interrupted_goes_on_with_the_stages_that_are_missing(tmp_path):
     """A worker that was killed outright, and stages that are not done again: above."""
     night, out = write_night(tmp_path / "night", count=1), tmp_path / "out"
     words = [*PIEZOID, "batch", night, "--out", out, "--workers", "1", "--quiet"]

@@ -43,7 +43,7 @@ def diagnosed(folder: Path, read: Reading) -> tuple[Diagnosis, str]:
     return diagnosis, " ".join(shown.split())
 
 
-def test_a_clock_that_loses_samples_is_named_with_their_number(tmp_path: Path) -> None:
+def test_a_clock_that_loses_samples_is_named_with_their_number(tmp_path):
     diagnosis, shown = diagnosed(tmp_path, with_lost_samples)
     assert causes(diagnosis) == ("timestamp_fault",)
     finding = next(one for one in diagnosis.findings if one.effect == "timestamp_fault")
@@ -54,7 +54,7 @@ def test_a_clock_that_loses_samples_is_named_with_their_number(tmp_path: Path) -
     assert "timestamp fault" in shown
 
 
-def test_the_healthy_twin_of_a_stage_with_a_clock_fault_is_not_accused(tmp_path: Path) -> None:
+def test_the_healthy_twin_of_a_stage_with_a_clock_fault_is_not_accused(tmp_path):
     diagnosis, shown = diagnosed(tmp_path, as_it_is)
     assert causes(diagnosis) == ()
     assert "timestamp fault" not in shown

@@ -42,7 +42,7 @@ def write_in_counts(path: Path, law: str, *, drive: str, scale: float) -> Path:
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_stage_in_counts_is_told_in_counts_everywhere(tmp_path: Path) -> None:
+def test_a_stage_in_counts_is_told_in_counts_everywhere(tmp_path):
     """Displacement and drive; where the drive is in volts: the test below."""
     place = tmp_path / "sweep.csv"
     sweep = write_in_counts(place, "dahl", drive="DAC voltage [LSB]", scale=3276.8)
@@ -71,7 +71,7 @@ def test_a_stage_in_counts_is_told_in_counts_everywhere(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_counts_and_metres_of_one_stage_give_the_same_model(tmp_path: Path) -> None:
+def test_counts_and_metres_of_one_stage_give_the_same_model(tmp_path):
     sweep = write_in_counts(tmp_path / "sweep.csv", "duhem", drive="voltage [V]", scale=1.0)
     (tmp_path / "lab.toml").write_text(
         '[[recording]]\nfile = "sweep.csv"\nscale = { displacement = 1e-9 }\n'
@@ -96,7 +96,7 @@ def test_counts_and_metres_of_one_stage_give_the_same_model(tmp_path: Path) -> N
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_nothing_in_counts_is_played_or_shipped(tmp_path: Path) -> None:
+def test_nothing_in_counts_is_played_or_shipped(tmp_path):
     sweep = write_in_counts(tmp_path / "sweep.csv", "plays", drive="drive [counts]", scale=3276.8)
     stage = tmp_path / "stage"
     done = run("fit", sweep, "--out", stage, "--stream")
@@ -123,6 +123,6 @@ def test_nothing_in_counts_is_played_or_shipped(tmp_path: Path) -> None:
         ("2 ms, 5 Hz, 3 mm/s", "2 ms, 5 Hz, 3 mcounts/s"),
     ],
 )
-def test_units_become_counts_and_words_stay(said: str, told: str) -> None:
+def test_units_become_counts_and_words_stay(said, told):
     assert in_counts(said, ("displacement",)) == told
     assert in_counts(said, ()) == said

@@ -51,9 +51,7 @@ def designed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return stage, " ".join(shown.split())
 
 
-def test_a_fitted_stage_gets_both_forms_and_keeps_its_other_files(
-    designed: tuple[Path, str],
-) -> None:
+def test_a_fitted_stage_gets_both_forms_and_keeps_its_other_files(designed):
     stage, shown = designed
     assert "mpi_dob" in shown
     found = design_from_json((stage / "design.json").read_bytes())
@@ -73,8 +71,8 @@ def test_a_fitted_stage_gets_both_forms_and_keeps_its_other_files(
 
 
 def test_a_rate_that_lab_toml_states_after_the_fit_is_not_passed_for_the_one_designed_for(
-    designed: tuple[Path, str],
-) -> None:
+    designed,
+):
     stage, shown = designed
     design = design_from_json((stage / "design.json").read_bytes())
     assert design.axis("x").sampling_rate_Hz == 20e3
@@ -82,7 +80,7 @@ def test_a_rate_that_lab_toml_states_after_the_fit_is_not_passed_for_the_one_des
     assert "fit again" in shown
 
 
-def test_what_cannot_be_met_is_refused_and_nothing_is_written(stage: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_met_is_refused_and_nothing_is_written(stage, tmp_path):
     spec = tmp_path / "design.toml"
     spec.write_text("[x]\nbandwidth_Hz = 5000\n")
     error = piezoid("design", stage, "--spec", spec).exception
@@ -91,9 +89,7 @@ def test_what_cannot_be_met_is_refused_and_nothing_is_written(stage: Path, tmp_p
     assert not (stage / "design.json").exists()
 
 
-def test_where_one_of_two_axes_cannot_be_met_the_other_is_written(
-    stage: Path, tmp_path: Path
-) -> None:
+def test_where_one_of_two_axes_cannot_be_met_the_other_is_written(stage, tmp_path):
     both = replace(MODEL, axes={"x": MODEL["x"], "y": replace(MODEL["x"], axis="y")})
     (stage / "model.json").write_bytes(write_model(both))
     spec = tmp_path / "design.toml"
@@ -111,7 +107,7 @@ def test_where_one_of_two_axes_cannot_be_met_the_other_is_written(
     assert "axis y has no controller" in page
 
 
-def test_the_rate_may_be_given_where_the_model_has_none(stage: Path) -> None:
+def test_the_rate_may_be_given_where_the_model_has_none(stage):
     (stage / "model.json").write_bytes(write_model(replace(MODEL, controller_rate_Hz=None)))
     error = piezoid("design", stage).exception
     assert isinstance(error, DesignError)
@@ -122,7 +118,7 @@ def test_the_rate_may_be_given_where_the_model_has_none(stage: Path) -> None:
 
 
 @pytest.mark.parametrize("rate", ["0", "1e-300", "1e300", "inf"])
-def test_a_rate_at_which_no_controller_runs_is_refused(stage: Path, rate: str) -> None:
+def test_a_rate_at_which_no_controller_runs_is_refused(stage, rate):
     error = piezoid("design", stage, "--rate", rate).exception
     assert isinstance(error, DesignError)
     assert "a rate from 1 to 10000000 Hz" in str(error)

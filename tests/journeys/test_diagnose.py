@@ -72,7 +72,7 @@ def plain(sweeps: Path) -> Result:
     return ran("diagnose", sweeps, "x.csv", "y.csv", out="plain")
 
 
-def test_a_model_in_front_of_the_recordings_says_what_changed(sweeps: Path, today: Result) -> None:
+def test_a_model_in_front_of_the_recordings_says_what_changed(sweeps, today):
     assert today.exit_code == 0, today.output
     content = (sweeps / "today/diagnosis.json").read_bytes()
     since = json.loads(content)["since_model"]
@@ -84,9 +84,7 @@ def test_a_model_in_front_of_the_recordings_says_what_changed(sweeps: Path, toda
     assert "quantisation" in diagnosis.names
 
 
-def test_without_a_model_the_axis_is_fitted_and_its_budget_adds_up(
-    sweeps: Path, plain: Result
-) -> None:
+def test_without_a_model_the_axis_is_fitted_and_its_budget_adds_up(sweeps, plain):
     assert plain.exit_code == 0, plain.output
     (diagnosis,) = read_diagnoses((sweeps / "plain/diagnosis.json").read_bytes())
     finding = next(one for one in diagnosis.findings if one.effect == "quantisation")
@@ -98,13 +96,13 @@ def test_without_a_model_the_axis_is_fitted_and_its_budget_adds_up(
     assert not page.all("p", "alarm")
 
 
-def test_recordings_that_tell_nothing_of_the_axis_are_named(today: Result, plain: Result) -> None:
+def test_recordings_that_tell_nothing_of_the_axis_are_named(today, plain):
     said = " ".join(plain.output.split())
     assert "not used: y.csv (axis x does not move or was not recorded" in said
     assert "not used" not in today.output
 
 
-def test_a_model_without_recordings_is_a_wrong_use(tmp_path: Path) -> None:
+def test_a_model_without_recordings_is_a_wrong_use(tmp_path):
     (tmp_path / "model.json").write_bytes(write_model(stage_model(axis_model())))
     done = CliRunner().invoke(
         app, ["diagnose", str(tmp_path / "model.json"), "--out", str(tmp_path / "o")]
@@ -131,8 +129,8 @@ def crashed_run(sweeps: Path) -> Iterator[Result]:
 
 
 def test_a_fault_of_ours_in_a_diagnosis_leaves_model_and_report_and_ends_with_status_1(
-    sweeps: Path, crashed_run: Result
-) -> None:
+    sweeps, crashed_run
+):
     assert crashed_run.exit_code == 1, crashed_run.output
     said = "axis x is not diagnosed: internal error (RuntimeError: an index too far)"
     assert said in " ".join(crashed_run.output.split())
@@ -146,7 +144,7 @@ def test_a_fault_of_ours_in_a_diagnosis_leaves_model_and_report_and_ends_with_st
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_tone_of_no_grid_is_told_first_with_its_frequency_and_drawn(tmp_path: Path) -> None:
+def test_a_tone_of_no_grid_is_told_first_with_its_frequency_and_drawn(tmp_path):
     campaign = draw_campaign(91, plans=("sweep", "check"), uncatalogued={"tone": 0.6})
     write_campaign(campaign, tmp_path)
     made = tmp_path / "recordings"
@@ -170,7 +168,7 @@ def test_a_tone_of_no_grid_is_told_first_with_its_frequency_and_drawn(tmp_path: 
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_sweep_a_thousand_times_slower_is_fitted_and_diagnosed(tmp_path: Path) -> None:
+def test_a_sweep_a_thousand_times_slower_is_fitted_and_diagnosed(tmp_path):
     """Hours for what took seconds: what one block alone determines is nothing but rounding."""
     lines = piezoid_datasets.recordings()[0].read_text().splitlines()[:1501]
     rows = [line.partition(",") for line in lines[1:]]
@@ -203,15 +201,13 @@ def write(place: Path, experiment: str, names: str) -> Path:
     ("experiment", "names", "told"),
     [("history", NO_DRIVE, "only displacement"), ("Z spectroscopy", SPECTROSCOPY, "no recording")],
 )
-def test_a_file_without_a_drive_is_refused_with_what_is_missing(
-    tmp_path: Path, experiment: str, names: str, told: str
-) -> None:
+def test_a_file_without_a_drive_is_refused_with_what_is_missing(tmp_path, experiment, names, told):
     held = collect([write(tmp_path / "drift.dat", experiment, names)])
     with pytest.raises(ExcitationError, match=f"{told}.*a drive voltage and a displacement"):
         diagnose(held.recordings)
 
 
-def test_an_axis_that_is_not_there_is_refused_by_its_name() -> None:
+def test_an_axis_that_is_not_there_is_refused_by_its_name():
     held = collect([Path("datasets/x_check.csv")])
     with pytest.raises(ExcitationError, match="displacement of axis y"):
         diagnose(held.recordings, axis="y")

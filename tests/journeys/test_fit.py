@@ -28,7 +28,7 @@ def write_sweep(path: Path, displacement_um: np.ndarray, heading: str = "pos [um
 
 
 @pytest.mark.slow
-def test_bundled_sweep_becomes_model_and_report(tmp_path: Path) -> None:
+def test_bundled_sweep_becomes_model_and_report(tmp_path):
     rows = piezoid_datasets.recordings()[0].read_text().splitlines()[:1501]
     (tmp_path / "sweep.csv").write_text("\n".join(rows) + "\n")
     done = started("fit", "sweep.csv", "--out", "stage", place=tmp_path)
@@ -45,7 +45,7 @@ def test_bundled_sweep_becomes_model_and_report(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_an_axis_that_another_process_cannot_fit_is_one_message(tmp_path: Path) -> None:
+def test_an_axis_that_another_process_cannot_fit_is_one_message(tmp_path):
     write_sweep(tmp_path / "x.csv", BUTTERFLY_um[:120])
     write_sweep(tmp_path / "y.csv", np.full(len(LOOP), 2.0))
     (tmp_path / "lab.toml").write_text(
@@ -62,7 +62,7 @@ def test_an_axis_that_another_process_cannot_fit_is_one_message(tmp_path: Path) 
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_class_that_does_not_apply_ends_with_status_1_and_a_report(tmp_path: Path) -> None:
+def test_a_class_that_does_not_apply_ends_with_status_1_and_a_report(tmp_path):
     write_sweep(tmp_path / "butterfly.csv", BUTTERFLY_um)
     status, shown = run("fit", tmp_path / "butterfly.csv", "--out", tmp_path / "stage")
     assert status == 1
@@ -77,9 +77,7 @@ def test_a_class_that_does_not_apply_ends_with_status_1_and_a_report(tmp_path: P
         ("comment", "voltage"),  # nothing that could be a displacement
     ],
 )
-def test_what_is_ambiguous_is_refused_with_the_line_to_write(
-    tmp_path: Path, heading: str, said: str
-) -> None:
+def test_what_is_ambiguous_is_refused_with_the_line_to_write(tmp_path, heading, said):
     write_sweep(tmp_path / "sweep.csv", LOOP, heading)
     done = piezoid("fit", tmp_path / "sweep.csv", "--out", tmp_path / "stage")
     assert isinstance(done.exception, PiezoidError)
@@ -88,7 +86,7 @@ def test_what_is_ambiguous_is_refused_with_the_line_to_write(
     assert not (tmp_path / "stage").exists()
 
 
-def test_a_missing_file_is_one_message_and_debug_brings_the_traceback(tmp_path: Path) -> None:
+def test_a_missing_file_is_one_message_and_debug_brings_the_traceback(tmp_path):
     done = started("fit", "nowhere.csv", "--out", "stage", place=tmp_path)
     assert done.returncode == 3
     assert "nowhere.csv" in done.stderr
@@ -97,7 +95,7 @@ def test_a_missing_file_is_one_message_and_debug_brings_the_traceback(tmp_path: 
     assert "Traceback" in again.stderr
 
 
-def test_help_names_the_verbs_and_loads_nothing_heavy(tmp_path: Path) -> None:
+def test_help_names_the_verbs_and_loads_nothing_heavy(tmp_path):
     done = started("--help", place=tmp_path)
     assert done.returncode == 0
     assert "fit" in done.stdout

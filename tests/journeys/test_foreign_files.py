@@ -67,9 +67,7 @@ def piezoid(words: str) -> Result:
 
 # Only what has shipped can be learned of: tests/cli/test_learn.py
 @pytest.mark.parametrize("words", [words for words in VERBS if not words.startswith("learn")])
-def test_a_verb_leaves_objects_of_all_kinds_in_its_folder_as_they_are(
-    words: str, place: Path
-) -> None:
+def test_a_verb_leaves_objects_of_all_kinds_in_its_folder_as_they_are(words, place):
     folder = place / VERBS[words]
     add_to_folder(folder, {"old.json": b"ours"})
     for sub in ("", "bundle", "mine"):
@@ -86,9 +84,7 @@ def test_a_verb_leaves_objects_of_all_kinds_in_its_folder_as_they_are(
 
 
 @pytest.mark.parametrize("words", [words for words in VERBS if VERBS[words] == "made"])
-def test_a_verb_refuses_a_home_folder_a_repository_and_a_folder_of_others_with_force(
-    words: str, place: Path
-) -> None:
+def test_a_verb_refuses_a_home_folder_a_repository_and_a_folder_of_others_with_force(words, place):
     (place / "code/.git").mkdir(parents=True)
     (place / "others").mkdir()
     (place / "others/thesis.tex").write_text("precious")
@@ -102,7 +98,7 @@ def test_a_verb_refuses_a_home_folder_a_repository_and_a_folder_of_others_with_f
     assert look(place.parent) == before
 
 
-def test_a_verb_that_adds_refuses_an_edited_file_and_replaces_it_with_force(place: Path) -> None:
+def test_a_verb_that_adds_refuses_an_edited_file_and_replaces_it_with_force(place):
     assert piezoid("report stage --quiet").exit_code == 0
     page = place / "stage/report.html"
     page.write_text("my notes")
@@ -124,14 +120,14 @@ def test_a_verb_that_adds_refuses_an_edited_file_and_replaces_it_with_force(plac
         "plan stage --rate 1000 --out . --force",
     ],
 )
-def test_a_verb_does_not_replace_the_folder_that_it_reads(words: str, place: Path) -> None:
+def test_a_verb_does_not_replace_the_folder_that_it_reads(words, place):
     before = look(place)
     assert piezoid(words).exit_code == 2
     assert look(place) == before
 
 
 @pytest.mark.parametrize("linked", ["", "o", "o/stages", "o/stages/st1"])
-def test_a_batch_keeps_what_lies_where_its_results_would(linked: str, place: Path) -> None:
+def test_a_batch_keeps_what_lies_where_its_results_would(linked, place):
     """Also behind a symbolic link, and with ``--force``."""
     theirs = place / "theirs/stages/st1"
     theirs.mkdir(parents=True)
@@ -148,9 +144,7 @@ def test_a_batch_keeps_what_lies_where_its_results_would(linked: str, place: Pat
     assert look(place) == before
 
 
-def test_a_batch_whose_results_lie_among_its_stages_does_again_what_was_removed(
-    place: Path,
-) -> None:
+def test_a_batch_whose_results_lie_among_its_stages_does_again_what_was_removed(place):
     words = "batch night --out night/res --workers 1 --json"
     first = piezoid(words)
     model = place / "night/res/stages/st1/model.json"
@@ -163,7 +157,7 @@ def test_a_batch_whose_results_lie_among_its_stages_does_again_what_was_removed(
     assert model.read_bytes() == written
 
 
-def test_a_diagnosis_that_was_put_into_the_folder_is_left_out_of_the_report(place: Path) -> None:
+def test_a_diagnosis_that_was_put_into_the_folder_is_left_out_of_the_report(place):
     assert "left out" not in piezoid("report stage").output
     other = replace(diagnosed(), explained_fraction=0.5)
     (place / "stage/diagnosis.json").write_bytes(write_diagnosis(other))

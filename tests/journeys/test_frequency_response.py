@@ -84,7 +84,7 @@ def fitted(folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("fitted")
-def test_model_and_diagnosis_hold_what_the_response_shows(folder: Path) -> None:
+def test_model_and_diagnosis_hold_what_the_response_shows(folder):
     axis = read_model((folder / "stage" / "model.json").read_bytes())["x"]
     assert axis.dynamics is not None
     low_Hz, high_Hz = axis.dynamics.mode_frequency_interval_Hz()[0]
@@ -99,7 +99,7 @@ def test_model_and_diagnosis_hold_what_the_response_shows(folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("fitted")
-def test_the_report_draws_the_response_and_draws_it_again(folder: Path) -> None:
+def test_the_report_draws_the_response_and_draws_it_again(folder):
     page = (folder / "stage" / "report.html").read_text()
     assert "gain as measured, response.csv" in page
     assert "not fitted" in page
@@ -110,7 +110,7 @@ def test_the_report_draws_the_response_and_draws_it_again(folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("fitted", "plays_alone", "one_order")
-def test_a_notebook_takes_the_response_as_the_command_line_does(folder: Path) -> None:
+def test_a_notebook_takes_the_response_as_the_command_line_does(folder):
     lab = folder / "lab.toml"
     held = read(folder / "sweep.csv", folder / "response.csv", lab=lab)
     model = fit(held, lab=lab)
@@ -124,7 +124,7 @@ def test_a_notebook_takes_the_response_as_the_command_line_does(folder: Path) ->
 
 
 @pytest.mark.usefixtures("fitted", "plays_alone", "one_order")
-def test_the_loop_is_fast_and_stable_on_the_stage_itself(folder: Path) -> None:
+def test_the_loop_is_fast_and_stable_on_the_stage_itself(folder):
     lab = folder / "lab.toml"
     alone = fit(read(folder / "sweep.csv", lab=lab), lab=lab)
     without = design(alone, lab=lab).axes[0].loops[0]
@@ -164,7 +164,7 @@ def driven(values: dict, wanted_m: Array) -> Array:  # type: ignore[type-arg]
     return shown
 
 
-def test_a_response_alone_is_refused_by_fit_and_told_by_inspect(folder: Path) -> None:
+def test_a_response_alone_is_refused_by_fit_and_told_by_inspect(folder):
     response, lab = folder / "response.csv", folder / "lab.toml"
     done = piezoid("fit", response, "--lab", lab, "--out", folder / "no")
     assert isinstance(done.exception, ExcitationError)
@@ -175,7 +175,7 @@ def test_a_response_alone_is_refused_by_fit_and_told_by_inspect(folder: Path) ->
     assert "possible resonances at 6" in shown
 
 
-def test_a_matrix_is_told_with_its_coupling(tmp_path: Path) -> None:
+def test_a_matrix_is_told_with_its_coupling(tmp_path):
     f = np.geomspace(1.0, 3000.0, 300)
     write_matlab(tmp_path / "stage.mat", f_Hz=f, H_m_per_V=matrix())
     status, shown = run("inspect", tmp_path / "stage.mat")
@@ -184,7 +184,7 @@ def test_a_matrix_is_told_with_its_coupling(tmp_path: Path) -> None:
     assert "coupling is reported, not controlled" in shown
 
 
-def test_a_response_of_an_axis_without_recording_or_name_is_refused(folder: Path) -> None:
+def test_a_response_of_an_axis_without_recording_or_name_is_refused(folder):
     text = LAB + '[[recording]]\nfile = "response.csv"\naxis = "y"\n'
     (folder / "y.toml").write_text(text)
     files = (folder / "sweep.csv", folder / "response.csv")

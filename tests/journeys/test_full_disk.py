@@ -75,9 +75,7 @@ VERBS = {
 
 
 @pytest.mark.parametrize("words", VERBS)
-def test_a_verb_whose_disk_is_full_says_so_once_and_leaves_what_was_there(
-    words: str, place: Path
-) -> None:
+def test_a_verb_whose_disk_is_full_says_so_once_and_leaves_what_was_there(words, place):
     before = held(place)
     status, said = ended(words, place, ROOM_FOR_100_BYTES)
     assert said.startswith(f"error: {VERBS[words]}: File too large")
@@ -89,9 +87,7 @@ def test_a_verb_whose_disk_is_full_says_so_once_and_leaves_what_was_there(
 
 
 @pytest.mark.parametrize("words", VERBS)
-def test_a_verb_that_may_not_write_says_so_once_and_before_the_work(
-    words: str, place: Path
-) -> None:
+def test_a_verb_that_may_not_write_says_so_once_and_before_the_work(words, place):
     before = held(place)
     for folder in (place / "made", place):
         folder.chmod(0o555)
@@ -103,7 +99,7 @@ def test_a_verb_that_may_not_write_says_so_once_and_before_the_work(
     assert held(place) == before
 
 
-def test_a_batch_whose_disk_is_full_keeps_no_half_of_a_stage(place: Path) -> None:
+def test_a_batch_whose_disk_is_full_keeps_no_half_of_a_stage(place):
     results = result_store(str(place / "results"))
     results.create()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -118,7 +114,7 @@ def test_a_batch_whose_disk_is_full_keeps_no_half_of_a_stage(place: Path) -> Non
     assert {Path(name).name for name in held(place / "results")} == {MANIFEST}
 
 
-def test_no_verb_writes_past_the_folder_that_appears_whole() -> None:
+def test_no_verb_writes_past_the_folder_that_appears_whole():
     """What is proven of `piezoid.output_folder` holds for every verb."""
     for path in Path(piezoid_cli.__file__).parent.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):

@@ -25,7 +25,7 @@ def sweep(path: Path, heading: str = "pos [um]", drive: str = "voltage [V]") -> 
     return path
 
 
-def test_the_lab_file_reads_the_recordings_as_they_were_read_without_it(tmp_path: Path) -> None:
+def test_the_lab_file_reads_the_recordings_as_they_were_read_without_it(tmp_path):
     files = piezoid_datasets.recordings()[:2]
     status, shown = run("init", *files, "--out", tmp_path / "lab.toml")
     assert status == 0, shown
@@ -38,7 +38,7 @@ def test_the_lab_file_reads_the_recordings_as_they_were_read_without_it(tmp_path
         assert np.array_equal(one.displacement_m(), other.displacement_m())
 
 
-def test_what_only_the_laboratory_knows_is_a_comment(tmp_path: Path) -> None:
+def test_what_only_the_laboratory_knows_is_a_comment(tmp_path):
     draft = draft_lab([sweep(tmp_path / "a.csv")], tmp_path)
     held = tomllib.loads(draft.text)
     assert not any(held[table] for table in ("rig", "amplifier", "sensor", "acquisition"))
@@ -48,7 +48,7 @@ def test_what_only_the_laboratory_knows_is_a_comment(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("heading", HOSTILE)
-def test_no_heading_breaks_out_of_the_file(tmp_path: Path, heading: str) -> None:
+def test_no_heading_breaks_out_of_the_file(tmp_path, heading):
     path = sweep(tmp_path / "a.csv", heading)
     draft = draft_lab([path], tmp_path)
     (tmp_path / "lab.toml").write_text(draft.text, encoding="utf-8")
@@ -59,7 +59,7 @@ def test_no_heading_breaks_out_of_the_file(tmp_path: Path, heading: str) -> None
     )
 
 
-def test_a_heading_that_stands_twice_is_named_by_number(tmp_path: Path) -> None:
+def test_a_heading_that_stands_twice_is_named_by_number(tmp_path):
     path = sweep(tmp_path / "a.csv")
     path.write_text(path.read_text().replace("\n", ",\n").replace(",\n", ',"pos [um]"\n', 1))
     draft = draft_lab([path], tmp_path)
@@ -68,9 +68,7 @@ def test_a_heading_that_stands_twice_is_named_by_number(tmp_path: Path) -> None:
     assert collect([path], read_lab(tmp_path / "lab.toml"))[0].samples == 200
 
 
-def test_an_ambiguous_file_becomes_an_entry_to_complete_and_the_status_says_so(
-    tmp_path: Path,
-) -> None:
+def test_an_ambiguous_file_becomes_an_entry_to_complete_and_the_status_says_so(tmp_path):
     path = sweep(tmp_path / "a.csv", "pos")
     status, shown = run("init", path, "--out", tmp_path / "lab.toml")
     assert status == 3
@@ -91,7 +89,7 @@ def test_an_ambiguous_file_becomes_an_entry_to_complete_and_the_status_says_so(
     )
 
 
-def test_a_lab_file_that_is_there_is_kept_unless_forced(tmp_path: Path) -> None:
+def test_a_lab_file_that_is_there_is_kept_unless_forced(tmp_path):
     path = sweep(tmp_path / "a.csv")
     lab = tmp_path / "lab.toml"
     lab.write_text("precious")
@@ -109,7 +107,7 @@ def test_a_lab_file_that_is_there_is_kept_unless_forced(tmp_path: Path) -> None:
     assert read_lab(lab).recordings[0].file == "a.csv"
 
 
-def test_files_are_named_from_the_folder_of_the_lab_file(tmp_path: Path) -> None:
+def test_files_are_named_from_the_folder_of_the_lab_file(tmp_path):
     (tmp_path / "data").mkdir()
     (tmp_path / "rig").mkdir()
     path = sweep(tmp_path / "data" / "a.csv")
@@ -120,7 +118,7 @@ def test_files_are_named_from_the_folder_of_the_lab_file(tmp_path: Path) -> None
     assert len(lab.entries_of(path)) == 1
 
 
-def test_a_link_to_itself_becomes_an_entry_to_complete(tmp_path: Path) -> None:
+def test_a_link_to_itself_becomes_an_entry_to_complete(tmp_path):
     loop = tmp_path / "loop.csv"
     loop.symlink_to(loop)
     draft = draft_lab([loop], tmp_path)

@@ -22,7 +22,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_people_see_channels_clock_and_problems(folder: Path) -> None:
+def test_people_see_channels_clock_and_problems(folder):
     status, shown = run("inspect", folder / "good.csv")
     assert status == 0
     for words in (
@@ -38,7 +38,7 @@ def test_people_see_channels_clock_and_problems(folder: Path) -> None:
         assert words in shown
 
 
-def test_every_file_is_shown_behind_one_that_is_refused(folder: Path) -> None:
+def test_every_file_is_shown_behind_one_that_is_refused(folder):
     status, shown = run(
         "inspect", folder / "missing.csv", folder / "scope.csv", folder / "good.csv"
     )
@@ -48,14 +48,14 @@ def test_every_file_is_shown_behind_one_that_is_refused(folder: Path) -> None:
     assert "good.csv: text table" in shown
 
 
-def test_a_name_without_end_does_not_fill_the_screen(folder: Path) -> None:
+def test_a_name_without_end_does_not_fill_the_screen(folder):
     np.savez(folder / "long.npz", **{"n" * 60_000: np.arange(9.0), "m" * 60_000: np.arange(3.0)})
     status, shown = run("inspect", folder / "long.npz")
     assert status == 3
     assert len(shown) < 20_000
 
 
-def test_lab_toml_makes_a_recording_of_what_was_refused(folder: Path) -> None:
+def test_lab_toml_makes_a_recording_of_what_was_refused(folder):
     lab = folder / "lab.toml"
     lab.write_text(
         '[[recording]]\nfile = "scope.csv"\nsampling_rate_Hz = 10\n'
@@ -66,7 +66,7 @@ def test_lab_toml_makes_a_recording_of_what_was_refused(folder: Path) -> None:
     assert "axis x, 10 Hz" in shown
 
 
-def test_scripts_read_json(folder: Path) -> None:
+def test_scripts_read_json(folder):
     status, text = run("inspect", "--json", folder / "good.csv", folder / "scope.csv")
     assert status == 3
     content = json.loads(text)

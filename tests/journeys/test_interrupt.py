@@ -56,7 +56,7 @@ def interrupted(code: str, place: Path, after_s: float, *arguments: str | Path) 
     return process.returncode
 
 
-def test_an_interrupted_fit_leaves_what_was_there(tmp_path: Path) -> None:
+def test_an_interrupted_fit_leaves_what_was_there(tmp_path):
     write_folder(tmp_path / "stage", {"model.json": b"precious"})
     before = sorted(p.name for p in (tmp_path / "stage").iterdir())
     sweep = piezoid_datasets.recordings()[0]
@@ -68,9 +68,7 @@ def test_an_interrupted_fit_leaves_what_was_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("after_s", [0.0, 0.05])
-def test_interrupted_while_writing_the_folder_is_whole_and_alone(
-    tmp_path: Path, after_s: float
-) -> None:
+def test_interrupted_while_writing_the_folder_is_whole_and_alone(tmp_path, after_s):
     assert interrupted(WRITE, tmp_path, after_s) == 130
     assert {p.name for p in tmp_path.iterdir()} <= {"stage"}
     held = [p.read_bytes() for p in (tmp_path / "stage").glob("*.bin")]
@@ -78,9 +76,7 @@ def test_interrupted_while_writing_the_folder_is_whole_and_alone(
     assert len(set(held)) <= 1
 
 
-def test_interrupted_while_modules_load_the_status_is_130_and_the_message_one_line(
-    tmp_path: Path,
-) -> None:
+def test_interrupted_while_modules_load_the_status_is_130_and_the_message_one_line(tmp_path):
     """From the first instruction of the command on; before, Python itself is starting."""
     code = (
         "import piezoid_cli.interrupt; print('begun', flush=True); "
@@ -109,7 +105,7 @@ def test_interrupted_while_modules_load_the_status_is_130_and_the_message_one_li
     assert len(statuses) > 2
 
 
-def test_an_interruption_that_a_library_swallows_still_ends_the_command(tmp_path: Path) -> None:
+def test_an_interruption_that_a_library_swallows_still_ends_the_command(tmp_path):
     code = """
 import signal, time
 from piezoid_cli.interrupt import install, interruptible
@@ -128,7 +124,7 @@ with interruptible():
     assert interrupted(code, tmp_path, 0.1) == 130
 
 
-def test_an_interruption_after_the_end_of_the_work_changes_nothing(tmp_path: Path) -> None:
+def test_an_interruption_after_the_end_of_the_work_changes_nothing(tmp_path):
     """While Python unloads its modules the command is done already."""
     code = """
 import time

@@ -176,7 +176,7 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Known]:
         yield Known(module.EFFECT, recordings, model.extended(found), found)
 
 
-def test_diagnose_finds_it_and_measures_it_in_the_refitted_model(known: Known) -> None:
+def test_diagnose_finds_it_and_measures_it_in_the_refitted_model(known):
     (finding,) = effects_of(known.found)
     assert finding.effect == "charge_leak"
     assert finding.size.ci95[0] < 100.0 * SHARE < finding.size.ci95[1]
@@ -185,7 +185,7 @@ def test_diagnose_finds_it_and_measures_it_in_the_refitted_model(known: Known) -
     assert read_diagnoses(write_diagnosis(known.found))[0].names == known.found.names
 
 
-def test_the_model_holds_it_fitted_and_comes_back_from_its_file(known: Known) -> None:
+def test_the_model_holds_it_fitted_and_comes_back_from_its_file(known):
     (leak,) = (e for e in known.model["x"].extensions if e.kind == "charge_leak")
     share, time_s = leak.free().value
     assert share == pytest.approx(SHARE, abs=3.0 * leak.std[0])
@@ -193,7 +193,7 @@ def test_the_model_holds_it_fitted_and_comes_back_from_its_file(known: Known) ->
     assert read_model(write_model(known.model))["x"].extensions == known.model["x"].extensions
 
 
-def test_a_plan_can_ask_about_it(known: Known) -> None:
+def test_a_plan_can_ask_about_it(known):
     planned = piezoid.plan(
         known.model, known.found, recordings=known.recordings, effect="charge_leak", clock_Hz=1e3
     )
@@ -202,7 +202,7 @@ def test_a_plan_can_ask_about_it(known: Known) -> None:
     assert planned.planned.errors[0] < planned.recorded.errors[0]
 
 
-def test_the_plant_of_verification_overshoots_by_it(known: Known) -> None:
+def test_the_plant_of_verification_overshoots_by_it(known):
     plant = lateral_plant(known.model["x"], sampling_rate_Hz=1000.0)
     assert plant.measured is not None
     moved, _ = sample(plant.measured, 1000.0).run(np.ones(5000))
@@ -210,7 +210,7 @@ def test_the_plant_of_verification_overshoots_by_it(known: Known) -> None:
     assert np.argmax(moved) < 100
 
 
-def test_the_report_draws_it_where_it_shows_and_says_what_it_means(known: Known) -> None:
+def test_the_report_draws_it_where_it_shows_and_says_what_it_means(known):
     page = Anatomy(piezoid.report(known.model, known.recordings, diagnoses=[known.found]))
     prose = [one.text for one in page.all("p", "prose")]
     assert any(one.endswith(f"For control: {known.effect.control}") for one in prose)

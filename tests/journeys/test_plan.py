@@ -32,9 +32,7 @@ def stage(tmp_path: Path) -> Path:
     ("words", "axis", "effects"),
     [((), "x", {"creep", "thermal_drift"}), (("--axis", "y"), "y", {"lag", "delay"})],
 )
-def test_a_plan_is_about_the_axis_that_is_named_or_the_first(
-    stage: Path, words: tuple[str, ...], axis: str, effects: set[str]
-) -> None:
+def test_a_plan_is_about_the_axis_that_is_named_or_the_first(stage, words, axis, effects):
     done = CliRunner().invoke(app, ["plan", str(stage), *RATE, *words, "--json"])
     assert done.exit_code == 0, done.output
     found = json.loads((stage / "plan.json").read_bytes())
@@ -46,13 +44,13 @@ def test_a_plan_is_about_the_axis_that_is_named_or_the_first(
     assert held in json.dumps(found)
 
 
-def test_an_axis_that_was_not_diagnosed_is_a_wrong_use_and_nothing_is_written(stage: Path) -> None:
+def test_an_axis_that_was_not_diagnosed_is_a_wrong_use_and_nothing_is_written(stage):
     done = CliRunner().invoke(app, ["plan", str(stage), *RATE, "--axis", "w"])
     assert done.exit_code == 2
     assert not (stage / "plan.json").exists()
 
 
-def test_what_the_plan_does_not_cover_is_said(stage: Path) -> None:
+def test_what_the_plan_does_not_cover_is_said(stage):
     done = CliRunner().invoke(app, ["plan", str(stage), *RATE])
     shown = " ".join(done.output.split())
     assert "record a small chirp first" in shown

@@ -33,11 +33,11 @@ def text_of(name: str) -> str:
 README = text_of("README.md")
 
 
-def test_the_readme_is_short() -> None:
+def test_the_readme_is_short():
     assert len(README.splitlines()) <= LONGEST
 
 
-def test_the_python_example_runs_in_the_folder_of_the_shell_example(tmp_path: Path) -> None:
+def test_the_python_example_runs_in_the_folder_of_the_shell_example(tmp_path):
     (example,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
     for name in ("sweep", "check"):
         recording = ROOT / f"datasets/x_{name}.csv"
@@ -53,16 +53,14 @@ def test_the_python_example_runs_in_the_folder_of_the_shell_example(tmp_path: Pa
     assert re.search(r"held-out error 0\.[0-3]\d % of the range", run.stdout)
 
 
-def test_the_readme_lists_every_file_that_a_stage_holds() -> None:
+def test_the_readme_lists_every_file_that_a_stage_holds():
     table = README.partition("## What you get")[2].partition("\n## ")[0]
     for name in (*SEALED, "report.html", "lab.toml", "bundle/"):
         assert f"| `{name}` |" in table
 
 
 @pytest.mark.parametrize("mark", ["", "ready", "by-make"])
-def test_make_leaves_an_environment_as_it_is_that_somebody_else_made(
-    mark: str, tmp_path: Path
-) -> None:
+def test_make_leaves_an_environment_as_it_is_that_somebody_else_made(mark, tmp_path):
     copyfile(ROOT / "Makefile", tmp_path / "Makefile")
     for name in ("pyproject.toml", "constraints.txt", f".venv/{mark}", ".venv/bin/python"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -76,7 +74,7 @@ def test_make_leaves_an_environment_as_it_is_that_somebody_else_made(
     assert "minutes" in planned
 
 
-def test_every_piezoid_line_is_one_it_accepts() -> None:
+def test_every_piezoid_line_is_one_it_accepts():
     """The gate runs them all, as printed: ``readme_walk.py``."""
     walked = [line for name in WALKED for line in lines_of(text_of(name))]
     shown = [line for line in walked if line.startswith("piezoid ")]
@@ -87,19 +85,19 @@ def test_every_piezoid_line_is_one_it_accepts() -> None:
         command.commands[verb].make_context(verb, words)  # type: ignore[attr-defined]
 
 
-def test_every_shell_block_is_walked_or_run_when_the_page_is_built() -> None:
+def test_every_shell_block_is_walked_or_run_when_the_page_is_built():
     shells = {str(p.relative_to(ROOT)) for p in PAGES if "```sh\n" in p.read_text("utf-8")}
     assert shells == set(WALKED)
 
 
-def test_the_map_names_every_folder_of_the_library() -> None:
+def test_the_map_names_every_folder_of_the_library():
     house = text_of("docs/map.md")
     folders = {path.parent.name for path in (ROOT / "piezoid").glob("*/__init__.py")}
     for folder in sorted(folders):
         assert f"`piezoid/{folder}/`" in house, folder
 
 
-def test_every_work_that_a_docstring_or_page_cites_stands_among_the_sources() -> None:
+def test_every_work_that_a_docstring_or_page_cites_stands_among_the_sources():
     known = set(re.findall(r"([A-Z]\w+) (\d{4})", text_of("docs/reference/sources.md")))
     for place in (*sorted((ROOT / "piezoid").rglob("*.py")), *PAGES):
         text = place.read_text(encoding="utf-8")
@@ -114,7 +112,7 @@ def test_every_work_that_a_docstring_or_page_cites_stands_among_the_sources() ->
 MADE_BY_DOCS = ("effects/", "laws/", "targets/")  # whose build checks the links into them
 
 
-def test_files_that_pages_name_exist() -> None:
+def test_files_that_pages_name_exist():
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         for name in re.findall(r"`((?:benchmarks|tests|reports|piezoid|docs)/[\w/]+\.\w+)`", text):
@@ -124,14 +122,14 @@ def test_files_that_pages_name_exist() -> None:
                 assert (page.parent / link).exists(), f"{page}: {link}"
 
 
-def test_the_version_is_stated_once_and_cited() -> None:
+def test_the_version_is_stated_once_and_cited():
     configuration = tomllib.loads(text_of("pyproject.toml"))
     assert "version" in configuration["project"]["dynamic"]
     assert yaml.safe_load(text_of("CITATION.cff"))["version"] == piezoid.__version__
     assert f"## {piezoid.__version__}" in text_of("CHANGELOG.md")
 
 
-def test_every_schema_number_is_in_the_list_of_schemas() -> None:
+def test_every_schema_number_is_in_the_list_of_schemas():
     listed = set(re.findall(r"`(piezoid\.\w+/\d+)`", text_of("SCHEMA_CHANGES.md")))
     places = [p for part in ("piezoid", "cli", "datasets") for p in (ROOT / part).rglob("*.py")]
     written = {

@@ -38,7 +38,7 @@ def fitted(recording: Path, lab_text: str, folder: Path) -> AxisModel:
 
 
 @pytest.mark.usefixtures("one_order")
-def test_the_steady_part_of_the_actuator(realdata: Path, tmp_path: Path) -> None:
+def test_the_steady_part_of_the_actuator(realdata, tmp_path):
     recording = realdata / "actuator_150V" / "hysteresis_v_150_1hz.csv"
     model = fitted(recording, ACTUATOR, tmp_path)
     assert model.verdict.applies
@@ -48,7 +48,7 @@ def test_the_steady_part_of_the_actuator(realdata: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.usefixtures("one_order")
-def test_the_flexure_with_its_wandering_zero(realdata: Path, tmp_path: Path) -> None:
+def test_the_flexure_with_its_wandering_zero(realdata, tmp_path):
     recording = realdata / "flexure" / "Model_Vi_Do.dat"
     model = fitted(recording, FLEXURE, tmp_path)
     assert model.verdict.applies
@@ -57,7 +57,7 @@ def test_the_flexure_with_its_wandering_zero(realdata: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.usefixtures("plays_alone")
-def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata: Path) -> None:
+def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata):
     model = fit(collect([realdata / "objective_lag" / "triangles.csv.gz"]).recordings)["x"]
     quality = model.quality
     assert not model.verdict.applies
@@ -69,7 +69,7 @@ def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata: Path
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_the_hold_of_an_approach_names_creep_and_is_fitted_as_no_loop(realdata: Path) -> None:
+def test_the_hold_of_an_approach_names_creep_and_is_fitted_as_no_loop(realdata):
     recordings = collect([realdata / "capsensor_hold" / "approach_hold_retract.csv.gz"]).recordings
     found = diagnose(recordings)
     (creep,) = [finding for finding in found.findings if finding.effect == "creep"]

@@ -41,7 +41,7 @@ def sections(stage: Path) -> set[str]:
     return {section.attributes["id"] for section in page.all("section")}
 
 
-def test_without_recordings_the_page_says_what_it_lacks(stage: Path) -> None:
+def test_without_recordings_the_page_says_what_it_lacks(stage):
     done = piezoid("report", stage)
     assert done.exit_code == 0, (done.output, done.exception)
     assert "without loops and residuals" in f"{done.output}{done.exception}"
@@ -51,14 +51,14 @@ def test_without_recordings_the_page_says_what_it_lacks(stage: Path) -> None:
     assert (stage / "notes.txt").read_text() == "mine"
 
 
-def test_with_the_recordings_of_the_fit_the_loops_are_drawn(stage: Path, sweep: Path) -> None:
+def test_with_the_recordings_of_the_fit_the_loops_are_drawn(stage, sweep):
     done = piezoid("report", stage, sweep)
     assert done.exit_code == 0, (done.output, done.exception)
     assert {"loops", "residuals"} <= sections(stage)
     assert "made without the recordings" not in (stage / "report.html").read_text()
 
 
-def test_any_other_file_is_refused_and_the_old_page_stays(stage: Path, sweep: Path) -> None:
+def test_any_other_file_is_refused_and_the_old_page_stays(stage, sweep):
     (stage / "report.html").write_text("old")
     sweep.write_text(sweep.read_text().replace("0.0000", "0.0001", 1))
     done = piezoid("report", stage, sweep, "--force")
@@ -67,7 +67,7 @@ def test_any_other_file_is_refused_and_the_old_page_stays(stage: Path, sweep: Pa
     assert (stage / "report.html").read_text() == "old"
 
 
-def test_a_changed_bit_is_refused_and_the_old_page_stays(stage: Path) -> None:
+def test_a_changed_bit_is_refused_and_the_old_page_stays(stage):
     assert piezoid("report", stage).exit_code == 0
     (stage / "report.html").write_text("old")
     content = (stage / "model.json").read_bytes()

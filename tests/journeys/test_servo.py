@@ -41,9 +41,7 @@ def servo(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, dict[str,
     return status, shown, model["axes"]["x"]
 
 
-def test_a_wide_loop_that_is_only_lag_is_reported_as_lag(
-    servo: tuple[int, str, dict[str, Any]],
-) -> None:
+def test_a_wide_loop_that_is_only_lag_is_reported_as_lag(servo):
     status, shown, axis = servo
     assert status == 1
     assert axis["verdict"]["applies"] is False
@@ -52,12 +50,12 @@ def test_a_wide_loop_that_is_only_lag_is_reported_as_lag(
     assert "is phase lag, not hysteresis" in shown
 
 
-def test_its_time_constant_is_that_of_the_servo(servo: tuple[int, str, dict[str, Any]]) -> None:
+def test_its_time_constant_is_that_of_the_servo(servo):
     """Plays that were fitted beside it take a part of it."""
     assert servo[2]["lag"]["time_s"] == pytest.approx(LAG_s, rel=0.1)
 
 
-def test_a_ceramic_behind_the_same_lag_is_not_called_lag(tmp_path: Path) -> None:
+def test_a_ceramic_behind_the_same_lag_is_not_called_lag(tmp_path):
     write(
         tmp_path,
         servo_stage(BANDWIDTH_Hz, seed=3, ceramic=draw_preisach(np.random.default_rng(5))),

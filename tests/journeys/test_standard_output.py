@@ -18,7 +18,7 @@ def recording(tmp_path: Path) -> Path:
     return place
 
 
-def test_characters_that_a_terminal_has_not_degrade(recording: Path) -> None:
+def test_characters_that_a_terminal_has_not_degrade(recording):
     out = recording.with_name("lab.toml")
     for words in (("inspect", recording), ("init", recording, "--out", out)):
         done = subprocess.run(
@@ -33,9 +33,7 @@ def test_characters_that_a_terminal_has_not_degrade(recording: Path) -> None:
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
 @pytest.mark.parametrize("flags", [(), ("--json",)])
-def test_a_full_disk_behind_standard_output_is_named(
-    flags: tuple[str, ...], recording: Path
-) -> None:
+def test_a_full_disk_behind_standard_output_is_named(flags, recording):
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
             [*PIEZOID, "inspect", recording, *flags],
@@ -48,7 +46,7 @@ def test_a_full_disk_behind_standard_output_is_named(
     assert done.stderr.count(b"error") == 1
 
 
-def test_a_closed_pipe_ends_neither_the_work_nor_its_status(recording: Path) -> None:
+def test_a_closed_pipe_ends_neither_the_work_nor_its_status(recording):
     out = recording.with_name("lab.toml")
     reader, writer = os.pipe()
     os.close(reader)
@@ -73,9 +71,7 @@ def test_a_closed_pipe_ends_neither_the_work_nor_its_status(recording: Path) -> 
         ("inspect --nope", "2>/dev/full", 2),
     ],
 )
-def test_a_stream_that_cannot_be_written_changes_no_exit_status(
-    words: str, stream: str, status: int, recording: Path
-) -> None:
+def test_a_stream_that_cannot_be_written_changes_no_exit_status(words, stream, status, recording):
     """Neither 1, a failed verdict, nor 70, an internal error."""
     line = f'"{PIEZOID[0]}" -m {PIEZOID[2]} {words} {stream}'
     done = subprocess.run(line, shell=True, cwd=recording.parent, capture_output=True, check=False)

@@ -48,7 +48,7 @@ def fitted(folder: Path, field: Array, reading_um: Array) -> AxisModel:
     return fit([recorded(folder, field, reading_um)])["x"]
 
 
-def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
+def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path):
     field = triangles(1, 600)
     sweep = write(tmp_path / "sweep.csv", field, 10 * LAWS["preisach"](field) + noise_um(600))
     (tmp_path / "lab.toml").write_text(
@@ -67,7 +67,7 @@ def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
     assert all(loop["certificate"] is None for loop in axis["loops"])
 
 
-def test_a_lag_whose_corners_an_envelope_follows_is_called_lag(tmp_path: Path) -> None:
+def test_a_lag_whose_corners_an_envelope_follows_is_called_lag(tmp_path):
     """A servo of 60 rad/s, damping 0.66, asymmetric triangles: an objective's positioner."""
     field = np.tile(np.concatenate([np.linspace(-1, 1, 500), np.linspace(1, -1, 900)]), 5)
     w = 60.0 / RATE_Hz  # rad per sample
@@ -82,7 +82,7 @@ def test_a_lag_whose_corners_an_envelope_follows_is_called_lag(tmp_path: Path) -
     assert len(axis.hysteresis.dead_zones.weight) <= 5
 
 
-def test_noise_on_a_drive_that_rests_is_no_sweep(tmp_path: Path) -> None:
+def test_noise_on_a_drive_that_rests_is_no_sweep(tmp_path):
     rng = np.random.default_rng(7)
     rest = write(tmp_path / "rest.csv", 1e-5 * rng.standard_normal(4000), 5 + noise_um(4000))
     done = piezoid("fit", rest, "--out", tmp_path / "stage")
@@ -110,14 +110,8 @@ def test_noise_on_a_drive_that_rests_is_no_sweep(tmp_path: Path) -> None:
     ids=["half a stroke", "one speed may be lag", "a slip beside one speed"],
 )
 def test_what_a_recording_lacks_and_what_is_odd_about_it_are_stated(
-    tmp_path: Path,
-    field: Array,
-    law: str,
-    lag_s: float,
-    slip_um: float,
-    lacks: set[str],
-    grades: set[Grade],
-) -> None:
+    tmp_path, field, law, lag_s, slip_um, lacks, grades
+):
     moved_um = 10 * LAWS[law](field)
     if lag_s:
         moved_um = first_order(moved_um, lag_s, RATE_Hz, -10.0)
@@ -129,7 +123,7 @@ def test_what_a_recording_lacks_and_what_is_odd_about_it_are_stated(
     assert not lag_s or "ten times slower" in facts["speed"]
 
 
-def test_a_drive_drawn_anew_at_every_sample_turns_all_the_time(tmp_path: Path) -> None:
+def test_a_drive_drawn_anew_at_every_sample_turns_all_the_time(tmp_path):
     field = np.random.default_rng(5).uniform(-1.0, 1.0, 2000)
     axis = fitted(tmp_path, field, 10 * LAWS["preisach"](field) + noise_um(2000))
     assert not {"branch", "loop", "speed", "amplitude"} & facts_of(axis)
@@ -140,9 +134,7 @@ def test_a_drive_drawn_anew_at_every_sample_turns_all_the_time(tmp_path: Path) -
 
 @pytest.mark.usefixtures("one_order")
 @pytest.mark.parametrize(("law", "drift_um"), [("dahl", 0.0), ("duhem", 2.0)])
-def test_a_zero_that_follows_a_strange_law_is_no_drift(
-    law: str, drift_um: float, tmp_path: Path
-) -> None:
+def test_a_zero_that_follows_a_strange_law_is_no_drift(law, drift_um, tmp_path):
     """Shrinking triangles: what the class leaves of the law moves the zero from size to size."""
     field, reading_um = swept_um(law)
     warming_um = drift_um * np.linspace(0.0, 1.0, len(field)) ** 0.5
@@ -151,7 +143,7 @@ def test_a_zero_that_follows_a_strange_law_is_no_drift(
     assert ("baseline_drift" in facts_of(axis)) == (drift_um > 0.0)
 
 
-def test_noise_under_a_drive_that_never_rests_is_told_as_a_bound(tmp_path: Path) -> None:
+def test_noise_under_a_drive_that_never_rests_is_told_as_a_bound(tmp_path):
     """Drawn anew at every sample, of a law the class does not follow: noise of 8 nm."""
     field = np.random.default_rng(5).uniform(-1.0, 1.0, 1500)
     axis = fitted(tmp_path, field, 10 * LAWS["duhem"](field) + noise_um(1500))
@@ -163,7 +155,7 @@ def test_noise_under_a_drive_that_never_rests_is_told_as_a_bound(tmp_path: Path)
     assert 0.9 < axis.quality.noise_rms_m / 8e-9 < 1.1
 
 
-def test_a_lag_of_first_order_leaves_hysteresis_the_plays_it_asks_for(tmp_path: Path) -> None:
+def test_a_lag_of_first_order_leaves_hysteresis_the_plays_it_asks_for(tmp_path):
     """Beside a delay no size helps; the lag had been tried at that size alone: 9 to 20 nm."""
     field = np.concatenate([triangles(2, 500), triangles(3, 150), triangles(2, 900)])
     late = first_order(10 * LAWS["wall_pinning"](field), 0.02, RATE_Hz, -10.0)
@@ -174,9 +166,7 @@ def test_a_lag_of_first_order_leaves_hysteresis_the_plays_it_asks_for(tmp_path: 
 
 
 @pytest.mark.usefixtures("one_order")
-def test_another_machine_beside_the_loop_is_no_lag_and_told_by_its_frequency(
-    tmp_path: Path,
-) -> None:
+def test_another_machine_beside_the_loop_is_no_lag_and_told_by_its_frequency(tmp_path):
     """Its tone is one period of the recording from the drive's third harmonic."""
     field = triangles(6, 500)
     turns = np.arange(len(field)) / 500

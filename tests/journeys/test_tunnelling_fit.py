@@ -33,9 +33,7 @@ def write_sweep(path: Path, rng: np.random.Generator, *, top_A: float = 5e-10) -
     return path
 
 
-def test_a_stage_of_one_spectroscopy_gives_barrier_model_and_report(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_stage_of_one_spectroscopy_gives_barrier_model_and_report(tmp_path, rng):
     status, shown = run("fit", write_sweep(tmp_path / "z.dat", rng), "--out", tmp_path / "stage")
     assert status == 0
     assert "Apparent barrier 3.8" in shown
@@ -49,9 +47,7 @@ def test_a_stage_of_one_spectroscopy_gives_barrier_model_and_report(
     assert 'id="loops"' not in page
 
 
-def test_a_weak_spectroscopy_says_low_confidence_and_every_reason(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_weak_spectroscopy_says_low_confidence_and_every_reason(tmp_path, rng):
     weak = write_sweep(tmp_path / "weak.dat", rng, top_A=20 * FLOOR_A)
     _, shown = run("fit", weak, "--out", tmp_path / "stage")
     assert "low confidence" in shown
@@ -61,9 +57,7 @@ def test_a_weak_spectroscopy_says_low_confidence_and_every_reason(
     )
 
 
-def test_two_files_of_one_name_are_refused_before_any_fit(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_two_files_of_one_name_are_refused_before_any_fit(tmp_path, rng):
     folders = [tmp_path / "monday", tmp_path / "friday"]
     for folder in folders:
         folder.mkdir()
@@ -72,7 +66,7 @@ def test_two_files_of_one_name_are_refused_before_any_fit(
         fit_model(held.recordings, sweeps=held.sweeps)
 
 
-def test_the_same_recording_twice_is_refused_but_two_axes_of_one_file_are_not() -> None:
+def test_the_same_recording_twice_is_refused_but_two_axes_of_one_file_are_not():
     from tests.reports.known_stage import recording
 
     x, y = recording("sweep.csv", "x"), recording("sweep.csv", "y")
@@ -81,9 +75,7 @@ def test_the_same_recording_twice_is_refused_but_two_axes_of_one_file_are_not() 
         refuse_duplicate_names([x, x])
 
 
-def test_a_current_over_time_is_said_to_be_unused(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_current_over_time_is_said_to_be_unused(tmp_path, rng):
     time_s = np.arange(400) / 1000.0
     lines = [f"{t:.3f},{np.sin(40 * t):.6f},{1e-9:.3e}" for t in time_s]
     loop = tmp_path / "loop.csv"
@@ -95,7 +87,7 @@ def test_a_current_over_time_is_said_to_be_unused(
     assert "dither" in model.remarks[0]
 
 
-def test_the_published_recording_gives_the_published_decay(realdata: Path, tmp_path: Path) -> None:
+def test_the_published_recording_gives_the_published_decay(realdata, tmp_path):
     path = realdata / "stm_current_vs_z" / "z.dat"
     status, shown = run("fit", path, "--out", tmp_path / "stage")
     assert status == 0

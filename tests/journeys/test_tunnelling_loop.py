@@ -56,9 +56,7 @@ def truths(made: Path) -> dict[str, Any]:
     return held
 
 
-def test_gain_sensor_pole_and_delay_lie_in_their_intervals(
-    junction: dict[str, Any], truths: dict[str, Any]
-) -> None:
+def test_gain_sensor_pole_and_delay_lie_in_their_intervals(junction, truths):
     loop = junction["loop_plant"]
     gains = [truth["gain_nepers_per_V"] for truth in truths.values()]
     low, high = loop["gain_interval"]
@@ -72,9 +70,7 @@ def test_gain_sensor_pole_and_delay_lie_in_their_intervals(
     assert loop["family_records"] == 3
 
 
-def test_every_spots_barrier_is_found_and_the_naive_one_is_not(
-    junction: dict[str, Any], truths: dict[str, Any]
-) -> None:
+def test_every_spots_barrier_is_found_and_the_naive_one_is_not(junction, truths):
     for record in junction["loop_plant"]["records"]:
         truth = truths[record["recording"]]
         assert record["barrier_eV"] == pytest.approx(truth["barrier_eV"], rel=0.08)
@@ -82,9 +78,7 @@ def test_every_spots_barrier_is_found_and_the_naive_one_is_not(
         assert "minus the controller's inverse" in record["naive_reason"]
 
 
-def test_mains_drift_and_the_limit_of_resolution_are_told(
-    junction: dict[str, Any], truths: dict[str, Any]
-) -> None:
+def test_mains_drift_and_the_limit_of_resolution_are_told(junction, truths):
     for record in junction["loop_plant"]["records"]:
         truth, unrest = truths[record["recording"]], record["unrest"]
         hum = {round(line["frequency_Hz"]): line["amplitude_m"] for line in unrest["mains"]}
@@ -98,7 +92,7 @@ def test_mains_drift_and_the_limit_of_resolution_are_told(
         assert unrest["limiting_electronics"] == "drive_step"
 
 
-def test_sweeps_and_loop_agree_and_give_one_barrier(junction: dict[str, Any]) -> None:
+def test_sweeps_and_loop_agree_and_give_one_barrier(junction):
     joint = junction["joint"]
     assert joint["agree"]
     low, high = joint["ratio_interval"]
@@ -109,9 +103,7 @@ def test_sweeps_and_loop_agree_and_give_one_barrier(junction: dict[str, Any]) ->
     assert abs(loop - joint["barrier_eV"]) < 0.15 * joint["barrier_eV"]
 
 
-def test_an_extension_declared_wrong_makes_sweeps_and_loop_disagree_aloud(
-    made: Path, tmp_path: Path
-) -> None:
+def test_an_extension_declared_wrong_makes_sweeps_and_loop_disagree_aloud(made, tmp_path):
     """A fifth too short: the loop's barrier comes out 1.44 times the sweeps'.
 
     Whether a controller ships is for its guards to say, which speak of metres as well.
@@ -133,9 +125,7 @@ def test_an_extension_declared_wrong_makes_sweeps_and_loop_disagree_aloud(
     assert low < found["gap_law"]["barrier_eV"] < found["loop_plant"]["barrier_eV"] < high
 
 
-def test_model_and_report_keep_the_loop_and_the_naive_estimate(
-    fitted: tuple[Path, str],
-) -> None:
+def test_model_and_report_keep_the_loop_and_the_naive_estimate(fitted):
     folder, shown = fitted
     content = (folder / "model.json").read_bytes()
     assert write_model(read_model(content)) == content
@@ -145,7 +135,7 @@ def test_model_and_report_keep_the_loop_and_the_naive_estimate(
     assert "Closed loop: apparent barrier" in shown
 
 
-def test_inspection_calls_the_dither_a_reference(made: Path) -> None:
+def test_inspection_calls_the_dither_a_reference(made):
     folder = made / "recordings"
     (seen,) = inspect_files([folder / "loop_1.csv"], read_lab(folder / "lab.toml"))
     assert seen.refusal is None
@@ -173,8 +163,8 @@ def test_inspection_calls_the_dither_a_reference(made: Path) -> None:
     ],
 )
 def test_what_lab_toml_lacks_or_has_wrong_is_refused_with_what_to_write(
-    made: Path, tmp_path: Path, old: str, new: str, told: str
-) -> None:
+    made, tmp_path, old, new, told
+):
     text = (made / "recordings" / "lab.toml").read_text()
     assert old in text
     place = tmp_path / "lab.toml"
@@ -185,7 +175,7 @@ def test_what_lab_toml_lacks_or_has_wrong_is_refused_with_what_to_write(
         _read(made / "recordings" / "loop_1.csv", read_lab(place))
 
 
-def test_too_short_a_tip_is_a_usage_error(tmp_path: Path) -> None:
+def test_too_short_a_tip_is_a_usage_error(tmp_path):
     status, shown = run("simulate", "--out", tmp_path / "out", "--junction", "0.5")
     assert status == 2
     assert "too short" in shown

@@ -74,9 +74,7 @@ def model(levels: list[piezoid.PeriodicData]) -> piezoid.CoupledStage:
     return piezoid.fit_coupled(levels, modes=3)
 
 
-def test_modes_and_how_they_move_with_the_level_are_found_within_finite_intervals(
-    model: piezoid.CoupledStage,
-) -> None:
+def test_modes_and_how_they_move_with_the_level_are_found_within_finite_intervals(model):
     near = [int(np.argmin(np.abs(model.mode_frequency_Hz(0.17) - f))) for f in MODE_HZ]
     true_Hz = MODE_HZ * np.exp(shift(LOW_V))
     np.testing.assert_allclose(model.mode_frequency_Hz(LOW_V)[near], true_Hz, rtol=2e-3)
@@ -90,34 +88,30 @@ def test_modes_and_how_they_move_with_the_level_are_found_within_finite_interval
     assert (high_Hz < 1.05 * low_Hz).any()
 
 
-def test_drives_of_any_level_within_the_data_are_followed_from_the_drive_alone(
-    model: piezoid.CoupledStage,
-) -> None:
+def test_drives_of_any_level_within_the_data_are_followed_from_the_drive_alone(model):
     for level_V, seed in ((LOW_V, 11), (0.2, 13), (HIGH_V, 12)):
         assert error(model, record(level_V, seed, realisations=2)) < 0.003
 
 
-def test_one_level_alone_can_be_fitted(levels: list[piezoid.PeriodicData]) -> None:
+def test_one_level_alone_can_be_fitted(levels):
     alone = piezoid.fit_coupled(levels[1:], modes=3, intervals=False)
     assert error(alone, record(HIGH_V, 14, realisations=1)) < 0.003
     assert np.isinf(alone.frequency_change()[:, 2]).all()
 
 
-def test_from_rest_the_answer_settles_into_the_steady_one(model: piezoid.CoupledStage) -> None:
+def test_from_rest_the_answer_settles_into_the_steady_one(model):
     drive = multisine(HIGH_V, np.random.default_rng(5))
     steady = model.simulate(drive, periodic=True)
     began = model.simulate(np.tile(drive, (4, 1)))[3 * SAMPLES :]
     assert np.std(began - steady) < 0.02 * np.std(steady)
 
 
-def test_the_same_records_give_the_same_model(
-    levels: list[piezoid.PeriodicData], model: piezoid.CoupledStage
-) -> None:
+def test_the_same_records_give_the_same_model(levels, model):
     again = piezoid.fit_coupled(levels[::-1], modes=3, intervals=False)
     np.testing.assert_array_equal(again.residue_m_per_V, model.residue_m_per_V)
 
 
-def test_drives_of_other_levels_and_widths_are_refused(model: piezoid.CoupledStage) -> None:
+def test_drives_of_other_levels_and_widths_are_refused(model):
     with pytest.raises(
         IdentificationError, match=r"a drive of 0\.5 V rms. Needed: one from 0\.1 to 0\.3"
     ):
@@ -128,7 +122,7 @@ def test_drives_of_other_levels_and_widths_are_refused(model: piezoid.CoupledSta
         model.simulate(np.ones((100, 3)))
 
 
-def test_records_that_cannot_answer_are_refused(levels: list[piezoid.PeriodicData]) -> None:
+def test_records_that_cannot_answer_are_refused(levels):
     with pytest.raises(ExcitationError, match="2 realisations for 2 drives"):
         piezoid.fit_coupled([levels[0].select([0, 1])])
     other = replace(levels[0], sampling_rate_Hz=2 * RATE_HZ)

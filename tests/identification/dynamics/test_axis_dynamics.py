@@ -60,7 +60,7 @@ def axis(chirped: Recording) -> AxisModel:
     return with_dynamics(axis_model(), [chirped], stated_Hz=400.0)
 
 
-def test_a_mode_behind_hysteresis_of_large_amplitude_is_found(axis: AxisModel) -> None:
+def test_a_mode_behind_hysteresis_of_large_amplitude_is_found(axis):
     dynamics = axis.dynamics
     assert dynamics is not None
     strongest = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
@@ -75,7 +75,7 @@ def test_a_mode_behind_hysteresis_of_large_amplitude_is_found(axis: AxisModel) -
     )
 
 
-def test_the_mode_is_told_where_a_generator_drives_the_stage_between_samples() -> None:
+def test_the_mode_is_told_where_a_generator_drives_the_stage_between_samples():
     """The stage seems early where a hold is assumed."""
     finer, rig = 16, Rig(amplifier_bandwidth_Hz=2600.0, sensor_bandwidth_Hz=7700.0)
     fine_Hz = finer * RATE_Hz
@@ -109,7 +109,7 @@ LOOP = 5.0 - 4.5 * np.sin(2 * np.pi * 1.5 * np.arange(10000) / RATE_Hz)
     [swept(180.0, 900.0, 2.0), np.concatenate([LOOP, swept(5.0, 1500.0, 0.3)])],
     ids=["through the resonance alone", "small, behind a slow loop"],
 )
-def test_a_sweep_excites_the_mode_it_passes(drive_V: Array, rng: np.random.Generator) -> None:
+def test_a_sweep_excites_the_mode_it_passes(drive_V, rng):
     sweep = recorded(drive_V, rng, "sweep.csv")
     assert [recording.name for recording, _ in excites_dynamics([sweep], "x")] == ["sweep.csv"]
     dynamics = with_dynamics(axis_model(), [sweep]).dynamics
@@ -119,9 +119,7 @@ def test_a_sweep_excites_the_mode_it_passes(drive_V: Array, rng: np.random.Gener
 
 
 @pytest.mark.parametrize("levels", [12, 40])
-def test_neither_stairs_nor_a_noisy_slow_drive_nor_one_fast_sine_are_sweeps(
-    levels: int, rng: np.random.Generator
-) -> None:
+def test_neither_stairs_nor_a_noisy_slow_drive_nor_one_fast_sine_are_sweeps(levels, rng):
     time_s = np.arange(30000) / RATE_Hz
     climb = 1.0 - np.abs(1.0 - np.arange(30000) / 15000.0)
     slow = 5.0 + 4.0 * np.sin(2 * np.pi * 2.0 * time_s)
@@ -139,9 +137,7 @@ def test_neither_stairs_nor_a_noisy_slow_drive_nor_one_fast_sine_are_sweeps(
     assert slow_axis.dynamics_remarks == ()
 
 
-def test_where_noise_covers_everything_it_is_said_that_nothing_was_fitted(
-    chirped: Recording, rng: np.random.Generator
-) -> None:
+def test_where_noise_covers_everything_it_is_said_that_nothing_was_fitted(chirped, rng):
     drive, moved = chirped.channels
     noise = replace(moved, values=1e-6 * rng.standard_normal(chirped.samples))
     found = with_dynamics(axis_model(), [replace(chirped, channels=(drive, noise))])
@@ -150,7 +146,7 @@ def test_where_noise_covers_everything_it_is_said_that_nothing_was_fitted(
     assert "0 of 2046 lines are coherent" in found.dynamics_remarks[0]
 
 
-def test_a_resonance_that_cannot_be_fitted_is_stated_with_the_reason(chirped: Recording) -> None:
+def test_a_resonance_that_cannot_be_fitted_is_stated_with_the_reason(chirped):
     drive, moved = chirped.channels
     early = replace(moved, values=np.roll(moved.values, -1))  # no held drive is ahead of itself
     found = with_dynamics(axis_model(), [replace(chirped, channels=(drive, early))])
@@ -162,7 +158,7 @@ def test_a_resonance_that_cannot_be_fitted_is_stated_with_the_reason(chirped: Re
         assert words in statement.text
 
 
-def test_the_model_with_dynamics_comes_back_to_the_last_bit(axis: AxisModel) -> None:
+def test_the_model_with_dynamics_comes_back_to_the_last_bit(axis):
     content = write_model(stage_model(axis))
     assert write_model(read_model(content)) == content
     assert read_model(content)["x"].dynamics is not None
@@ -172,9 +168,7 @@ def test_the_model_with_dynamics_comes_back_to_the_last_bit(axis: AxisModel) -> 
     assert axis.bandwidth.text in axis.dynamics_remarks
 
 
-def test_the_report_shows_gain_phase_coherence_and_poles(
-    axis: AxisModel, chirped: Recording
-) -> None:
+def test_the_report_shows_gain_phase_coherence_and_poles(axis, chirped):
     page = render(Page(model=stage_model(axis), recordings=[chirped]))
     for words in ('id="dynamics"', "Axis x: phase", "Axis x: coherence", "Axis x: poles"):
         assert words in page
@@ -183,7 +177,7 @@ def test_the_report_shows_gain_phase_coherence_and_poles(
 
 
 @pytest.mark.usefixtures("one_order")
-def test_sines_that_determine_no_mode_are_said_to_determine_none() -> None:
+def test_sines_that_determine_no_mode_are_said_to_determine_none():
     lab = read_lab(piezoid_datasets.LAB)
     (rates,) = collect(piezoid_datasets.recordings()[2:3], lab).recordings
     axis = estimate_axis([rates], "x", rig_of(lab, "x"), orders=((4, 1),))

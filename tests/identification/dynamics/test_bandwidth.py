@@ -36,9 +36,7 @@ def late(system: ContinuousSystem, delay_s: float) -> ContinuousSystem:
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("stated_Hz", [None, 630.0])
-def test_a_pole_is_called_a_pole(
-    rng: np.random.Generator, sign: int, stated_Hz: float | None
-) -> None:
+def test_a_pole_is_called_a_pole(rng, sign, stated_Hz):
     measured = seen(rng, first_order(630), sign)
     verdict = decide_bandwidth(measured, DECLARATION, delay_s=KNOWN, stated_Hz=stated_Hz)
     assert verdict.kind == "first_order"
@@ -49,18 +47,14 @@ def test_a_pole_is_called_a_pole(
 
 
 @pytest.mark.parametrize("damping", [0.02, 0.1, 0.4, 0.7])
-def test_a_mode_is_called_a_resonance_with_or_without_a_peak(
-    rng: np.random.Generator, damping: float
-) -> None:
+def test_a_mode_is_called_a_resonance_with_or_without_a_peak(rng, damping):
     verdict = decide_bandwidth(seen(rng, resonance(630, damping)), DECLARATION, delay_s=KNOWN)
     assert verdict.kind == "resonance"
     assert verdict.phase_interval_deg is not None
     assert verdict.phase_interval_deg[1] < -88.0
 
 
-def test_an_unknown_delay_leaves_a_steep_phase_undecided_and_a_peak_decisive(
-    rng: np.random.Generator,
-) -> None:
+def test_an_unknown_delay_leaves_a_steep_phase_undecided_and_a_peak_decisive(rng):
     """A pole with 140 us has the phase of a mode; a peak no delay can make."""
     pole = seen(rng, late(first_order(630), 140e-6))
     assert decide_bandwidth(pole, DECLARATION).kind == "undecided"
@@ -70,9 +64,7 @@ def test_an_unknown_delay_leaves_a_steep_phase_undecided_and_a_peak_decisive(
 
 
 @pytest.mark.parametrize("system", [first_order(630), resonance(630, 0.05), resonance(630, 0.7)])
-def test_lines_that_show_no_gain_at_rest_or_end_before_it_falls_decide_nothing(
-    rng: np.random.Generator, system: ContinuousSystem
-) -> None:
+def test_lines_that_show_no_gain_at_rest_or_end_before_it_falls_decide_nothing(rng, system):
     short = lines_between(seen(rng, system), 30.0, 200.0)
     verdict = decide_bandwidth(short, DECLARATION, delay_s=KNOWN, stated_Hz=630.0)
     assert verdict.kind == "undecided"
@@ -82,7 +74,7 @@ def test_lines_that_show_no_gain_at_rest_or_end_before_it_falls_decide_nothing(
     assert decide_bandwidth(without_rest, DECLARATION, delay_s=KNOWN).kind == "undecided"
 
 
-def test_a_stated_bandwidth_no_recording_reaches_is_said_to_be_open() -> None:
+def test_a_stated_bandwidth_no_recording_reaches_is_said_to_be_open():
     slow = recorded(5.0 + np.sin(np.arange(5000) / 500.0), np.random.default_rng(41))
     found = with_dynamics(axis_model(), [slow], stated_Hz=630.0)
     assert found.bandwidth is not None
@@ -103,7 +95,7 @@ def slewed(frequency_Hz: np.ndarray, limited_from_Hz: float) -> np.ndarray:
     return left
 
 
-def test_a_slew_limit_is_no_pole(rng: np.random.Generator) -> None:
+def test_a_slew_limit_is_no_pole(rng):
     """It turns 29 degrees where a pole turns 45: by 3 dB the gain falls behind both."""
     for delay_s in ((0.0, 0.0), (0.0, np.inf)):
         measured = seen(rng, first_order(1e6))
@@ -115,7 +107,7 @@ def test_a_slew_limit_is_no_pole(rng: np.random.Generator) -> None:
         assert verdict.phase_interval_deg[0] == pytest.approx(-29.0, abs=3.0)
 
 
-def test_a_gain_that_peaks_where_the_response_ends_is_a_resonance_there_or_above() -> None:
+def test_a_gain_that_peaks_where_the_response_ends_is_a_resonance_there_or_above():
     peak = BandwidthVerdict(
         kind="resonance", stated_Hz=None, peak_ratio=2.4, peak_Hz=125.0, highest_Hz=127.0, text=""
     )

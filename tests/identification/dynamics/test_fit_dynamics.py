@@ -24,7 +24,7 @@ from tests.identification.dynamics.stage import (
 EXACT = 1e-6  # relative: where the fit stops without noise
 
 
-def test_without_noise_the_truth_comes_back(rng: np.random.Generator) -> None:
+def test_without_noise_the_truth_comes_back(rng):
     model = fit_dynamics(first_response(record(rng, noise_m=0.0)), STRUCTURE, DECLARATION)
     np.testing.assert_allclose(model.mode_frequency_Hz, FREQUENCY_HZ, rtol=EXACT)
     np.testing.assert_allclose(model.mode_damping, DAMPING, rtol=100 * EXACT)
@@ -32,7 +32,7 @@ def test_without_noise_the_truth_comes_back(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(model.mode_gain_m_per_V, truth().mode_gain_m_per_V, rtol=1e-4)
 
 
-def test_a_mode_that_is_not_there_is_not_called_resolved(rng: np.random.Generator) -> None:
+def test_a_mode_that_is_not_there_is_not_called_resolved(rng):
     measured = first_response(record(rng, noise_m=1e-8))
     assert resolved_modes(fit_dynamics(measured, STRUCTURE, DECLARATION)).all()
     too_many = fit_dynamics(measured, Structure(modes=3), DECLARATION)
@@ -41,7 +41,7 @@ def test_a_mode_that_is_not_there_is_not_called_resolved(rng: np.random.Generato
     assert not np.delete(resolved_modes(too_many), near).any()
 
 
-def test_stated_intervals_hold_the_truth_as_often_as_they_say(rng: np.random.Generator) -> None:
+def test_stated_intervals_hold_the_truth_as_often_as_they_say(rng):
     """At least 93 % of five parameters in 100 draws, none below 90, with noise, play and cubic.
 
     The play is small: at one level hysteresis also delays a little, which no linear model tells
@@ -57,7 +57,7 @@ def test_stated_intervals_hold_the_truth_as_often_as_they_say(rng: np.random.Gen
     assert inside.min() >= 90
 
 
-def test_the_realisation_has_the_response_of_the_record(rng: np.random.Generator) -> None:
+def test_the_realisation_has_the_response_of_the_record(rng):
     frequency_Hz = np.linspace(5, 20_000, 77)
     model = replace(
         truth(),
@@ -71,7 +71,7 @@ def test_the_realisation_has_the_response_of_the_record(rng: np.random.Generator
     np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-20)
 
 
-def test_a_first_order_stage_is_found_as_a_lag(rng: np.random.Generator) -> None:
+def test_a_first_order_stage_is_found_as_a_lag(rng):
     measured = first_response(record(rng, noise_m=1e-10))
     lag = 2 * np.pi * 630 / (2j * np.pi * measured.frequency_Hz + 2 * np.pi * 630)
     slow = type(measured)(**{**vars(measured), "response": 1e-6 * lag})
@@ -80,13 +80,13 @@ def test_a_first_order_stage_is_found_as_a_lag(rng: np.random.Generator) -> None
     assert found.delay_s < 1e-9
 
 
-def test_more_parameters_than_values_are_refused(rng: np.random.Generator) -> None:
+def test_more_parameters_than_values_are_refused(rng):
     narrow = lines_between(first_response(record(rng)), 600, 700)
     with pytest.raises(IdentificationError, match="usable real values"):
         fit_dynamics(narrow, Structure(modes=6, direct=True), DECLARATION)
 
 
-def test_a_declared_filter_is_not_blamed_on_the_delay(rng: np.random.Generator) -> None:
+def test_a_declared_filter_is_not_blamed_on_the_delay(rng):
     measured = first_response(record(rng, noise_m=1e-10))
     without = fit_dynamics(measured, STRUCTURE, Declaration())
     declared = fit_dynamics(measured, STRUCTURE, DECLARATION)

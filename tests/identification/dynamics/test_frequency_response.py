@@ -19,13 +19,13 @@ from tests.identification.dynamics.stage import (
 )
 
 
-def test_without_noise_the_responses_of_two_axes_are_exact(rng: np.random.Generator) -> None:
+def test_without_noise_the_responses_of_two_axes_are_exact(rng):
     for k, found in enumerate(estimate_response(record(rng, inputs=("x", "y"), noise_m=0.0))):
         exact = all_paths(found.frequency_Hz, axes=2)[:, k, k]
         np.testing.assert_allclose(found.response, exact, rtol=1e-9, atol=1e-18)
 
 
-def test_the_stated_variance_is_that_of_the_error(rng: np.random.Generator) -> None:
+def test_the_stated_variance_is_that_of_the_error(rng):
     """Errors over their standard deviation have mean square one: 200 complex values, 4 sigma."""
     found = first_response(record(rng, noise_m=5e-9))
     error = found.response - truth().sampled(RATE_HZ).response(found.frequency_Hz)[:, 0, 0]
@@ -33,7 +33,7 @@ def test_the_stated_variance_is_that_of_the_error(rng: np.random.Generator) -> N
     assert abs(mean_square - 1) < 4 / np.sqrt(len(error))
 
 
-def test_coherence_is_the_share_of_the_power_that_is_no_noise(rng: np.random.Generator) -> None:
+def test_coherence_is_the_share_of_the_power_that_is_no_noise(rng):
     """White noise of rms s has the power s^2 n / r in every line of the mean of r periods."""
     noise_m, data = 2e-8, record(rng, noise_m=2e-8)
     found = first_response(data)
@@ -45,7 +45,7 @@ def test_coherence_is_the_share_of_the_power_that_is_no_noise(rng: np.random.Gen
     np.testing.assert_allclose(found.coherence, moved / (moved + noise), atol=0.03)
 
 
-def test_mains_on_the_sensor_is_rejected_at_its_line_alone(rng: np.random.Generator) -> None:
+def test_mains_on_the_sensor_is_rejected_at_its_line_alone(rng):
     data = record(rng, noise_m=5e-10, realisations=6)
     time_s = np.arange(PERIOD) / RATE_HZ
     phase = rng.uniform(0, 2 * np.pi, 6)
@@ -55,13 +55,11 @@ def test_mains_on_the_sensor_is_rejected_at_its_line_alone(rng: np.random.Genera
     assert found.frequency_Hz[found.is_rejected].tolist() == [150.0]
 
 
-def test_a_sharp_resonance_is_not_taken_for_interference(rng: np.random.Generator) -> None:
+def test_a_sharp_resonance_is_not_taken_for_interference(rng):
     assert not first_response(record(rng, cubic=0.02)).is_interference.any()
 
 
-def test_a_chirp_gives_the_response_where_it_has_power_and_rejects_the_rest(
-    rng: np.random.Generator,
-) -> None:
+def test_a_chirp_gives_the_response_where_it_has_power_and_rejects_the_rest(rng):
     drive_V = _chirp_V()
     moved_m, _ = truth().sampled(RATE_HZ).run(drive_V)
     found = estimate_response_by_coherence(
@@ -80,9 +78,7 @@ def test_a_chirp_gives_the_response_where_it_has_power_and_rejects_the_rest(
 
 
 @pytest.mark.parametrize("segment_samples", [32, 512])
-def test_coherence_falls_with_noise_as_it_should(
-    rng: np.random.Generator, segment_samples: int
-) -> None:
+def test_coherence_falls_with_noise_as_it_should(rng, segment_samples):
     """Equal powers of signal and noise make a coherence of one half."""
     drive_V = rng.standard_normal(200_000)
     found = estimate_response_by_coherence(
@@ -96,7 +92,7 @@ def test_coherence_falls_with_noise_as_it_should(
     assert scatter == pytest.approx(1.0, abs=0.25)
 
 
-def test_one_realisation_of_one_period_is_refused(rng: np.random.Generator) -> None:
+def test_one_realisation_of_one_period_is_refused(rng):
     with pytest.raises(ExcitationError, match="1 realisations of 1 periods for 1 inputs"):
         first_response(record(rng, realisations=1, periods=1))
 

@@ -57,9 +57,7 @@ def together() -> tuple[LinearDynamics, JointFit]:
     return found
 
 
-def test_mode_and_damping_converge_from_a_rough_start(
-    together: tuple[LinearDynamics, JointFit],
-) -> None:
+def test_mode_and_damping_converge_from_a_rough_start(together):
     dynamics, _ = together
     assert dynamics.mode_frequency_Hz[0] == pytest.approx(MODE_Hz, rel=1e-3)
     assert dynamics.mode_damping[0] == pytest.approx(DAMPING, rel=0.01)
@@ -67,13 +65,11 @@ def test_mode_and_damping_converge_from_a_rough_start(
     assert high - low < 0.01 * MODE_Hz
 
 
-def test_the_joint_fit_leaves_less_than_two_separate_fits(
-    together: tuple[LinearDynamics, JointFit],
-) -> None:
+def test_the_joint_fit_leaves_less_than_two_separate_fits(together):
     _, record = together
     assert record.joint_rms_m[0] < 0.2 * record.separate_rms_m[0]
 
 
-def test_a_recording_without_a_known_memory_is_not_fitted_jointly() -> None:
+def test_a_recording_without_a_known_memory_is_not_fitted_jointly():
     chirped = recorded(chirp(samples=SAMPLES), np.random.default_rng(41), "other.csv")
     assert fit_jointly(axis(), rough(axis()), chirped, [chirped]) is None

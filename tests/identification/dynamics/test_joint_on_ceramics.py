@@ -3,7 +3,7 @@
 from benchmarks.dynamics_coverage import coverage, draw, fit_stage
 
 
-def test_a_slow_sweep_is_not_given_away_for_the_many_lines_of_a_chirp() -> None:
+def test_a_slow_sweep_is_not_given_away_for_the_many_lines_of_a_chirp():
     # Counted line by line, the chirp had bought its last nanometres with 2223 nm of this sweep.
     stage, truth = draw(3010)
     axis = fit_stage(stage)

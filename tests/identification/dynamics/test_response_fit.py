@@ -50,9 +50,7 @@ def record(
 
 
 @pytest.mark.parametrize("modes", STAGES.values(), ids=STAGES)
-def test_modes_delay_and_creep_are_found(
-    modes: tuple[tuple[float, float, float], ...], rng: np.random.Generator
-) -> None:
+def test_modes_delay_and_creep_are_found(modes, rng):
     exact = response(FREQUENCY_Hz, modes, delay_s=2e-4, slope_dB=-0.15)
     found = fit_response(record(noisy(rng, exact, 0.005)), "x", ())
     assert found.is_determined
@@ -67,7 +65,7 @@ def test_modes_delay_and_creep_are_found(
     assert found.slow.slope_dB == pytest.approx(-0.15, abs=0.03)
 
 
-def test_lines_without_coherence_do_not_count(rng: np.random.Generator) -> None:
+def test_lines_without_coherence_do_not_count(rng):
     exact = response(FREQUENCY_Hz)
     coherence, values = np.full(len(exact), 0.999), noisy(rng, exact, 0.003)
     hole = (FREQUENCY_Hz > 90.0) & (FREQUENCY_Hz < 140.0)
@@ -79,7 +77,7 @@ def test_lines_without_coherence_do_not_count(rng: np.random.Generator) -> None:
         fit_response(record(values, np.full(len(exact), 0.1)), "x", ())
 
 
-def test_a_line_of_mains_is_left_out(rng: np.random.Generator) -> None:
+def test_a_line_of_mains_is_left_out(rng):
     values = noisy(rng, response(FREQUENCY_Hz), 0.002)
     place = int(np.argmin(np.abs(FREQUENCY_Hz - 50.0)))
     values[place] *= 1.4
@@ -87,7 +85,7 @@ def test_a_line_of_mains_is_left_out(rng: np.random.Generator) -> None:
     assert np.flatnonzero(found.measured.is_interference).tolist() == [place]
 
 
-def test_poles_of_the_rig_are_those_the_response_went_through(rng: np.random.Generator) -> None:
+def test_poles_of_the_rig_are_those_the_response_went_through(rng):
     plain = noisy(rng, response(FREQUENCY_Hz), 0.001)
     seen = plain * SENSOR.system().response(FREQUENCY_Hz)[:, 0, 0]
     whole = seen * AMPLIFIER.system().response(FREQUENCY_Hz)[:, 0, 0]
@@ -100,7 +98,7 @@ def test_poles_of_the_rig_are_those_the_response_went_through(rng: np.random.Gen
         np.testing.assert_allclose(dynamics.response([2000.0]), through.response([2000.0]), 1e-3)
 
 
-def test_what_no_few_modes_make_is_not_determined(rng: np.random.Generator) -> None:
+def test_what_no_few_modes_make_is_not_determined(rng):
     f = FREQUENCY_Hz[::4]
     wild = response(f) * np.exp(1.5 * rng.standard_normal(len(f)))
     assert not fit_response(record(wild, frequency_Hz=f), "x", ()).is_determined
@@ -122,9 +120,7 @@ def slow_axis(polarity: float) -> tuple[AxisModel, Recording]:
 
 
 @pytest.mark.parametrize("polarity", [1.0, -1.0])
-def test_the_response_becomes_the_dynamics_and_the_hysteresis_keeps_its_gain(
-    polarity: float, rng: np.random.Generator
-) -> None:
+def test_the_response_becomes_the_dynamics_and_the_hysteresis_keeps_its_gain(polarity, rng):
     axis, sweep = slow_axis(polarity)
     measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
     found = with_dynamics(axis, [sweep], response=measured)
@@ -143,7 +139,7 @@ def test_the_response_becomes_the_dynamics_and_the_hysteresis_keeps_its_gain(
 
 
 @pytest.mark.parametrize("factor", [15.0, 1e-3])
-def test_a_response_in_other_units_is_not_used(factor: float, rng: np.random.Generator) -> None:
+def test_a_response_in_other_units_is_not_used(factor, rng):
     axis, sweep = slow_axis(1.0)
     measured = record(factor * noisy(rng, response(FREQUENCY_Hz), 0.003))
     found = with_dynamics(axis, [sweep], response=measured)
@@ -166,7 +162,7 @@ def chirp_of(mode_Hz: float, rng: np.random.Generator) -> Recording:
     return recording(drive_V, moved_m, "chirp.csv", rate_Hz)
 
 
-def test_a_response_that_contradicts_a_recording_is_not_used(rng: np.random.Generator) -> None:
+def test_a_response_that_contradicts_a_recording_is_not_used(rng):
     axis, sweep = slow_axis(1.0)
     measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
     other = with_dynamics(axis, [sweep, chirp_of(430.0, rng)], response=measured)

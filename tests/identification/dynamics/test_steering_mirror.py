@@ -18,7 +18,7 @@ def read(folder: Path, level: str) -> PeriodicData:
     )
 
 
-def test_mains_is_found_at_the_low_level_only(realdata: Path) -> None:
+def test_mains_is_found_at_the_low_level_only(realdata):
     low = estimate_response(read(realdata, "100mV"))
     high = estimate_response(read(realdata, "300mV"))
     hum_Hz = low[0].frequency_Hz[np.any([one.is_interference for one in low], axis=0)]

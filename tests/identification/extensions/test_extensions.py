@@ -19,7 +19,7 @@ LAYOUTS = (LAYOUT_OF_EXTENSIONS,)
 ids = {"ids": lambda extension: extension.kind}
 
 
-def test_every_file_of_the_folder_is_registered() -> None:
+def test_every_file_of_the_folder_is_registered():
     folder = Path(family.__file__).parent
     files = {path.stem for path in folder.glob("*.py")}
     assert files - {"__init__", "extension"} == {
@@ -29,13 +29,13 @@ def test_every_file_of_the_folder_is_registered() -> None:
     assert {type(extension) for extension in one_of_each()} == set(EXTENSIONS)
 
 
-def test_a_kind_nobody_knows_is_refused_by_name() -> None:
+def test_a_kind_nobody_knows_is_refused_by_name():
     with pytest.raises(ValueError, match="'warp_drive'"):
         from_json(Extension, {"kind": "warp_drive"}, LAYOUTS)
 
 
 @pytest.mark.parametrize("extension", one_of_each(), **ids)
-def test_an_extension_comes_back_from_json_and_from_its_own_numbers(extension: Extension) -> None:
+def test_an_extension_comes_back_from_json_and_from_its_own_numbers(extension):
     written = json.loads(json.dumps(to_json(extension, LAYOUTS)))
     assert from_json(Extension, written, LAYOUTS) == extension
     free = extension.free()
@@ -61,7 +61,7 @@ def outputs_of(extension: Extension, drive_V: Array, piece: Where) -> dict[str, 
 
 
 @pytest.mark.parametrize("extension", one_of_each(), **ids)
-def test_no_extension_changes_its_input_and_each_acts_somewhere(extension: Extension) -> None:
+def test_no_extension_changes_its_input_and_each_acts_somewhere(extension):
     here = where()
     drive_V = 5.0 + 5.0 * np.sin(2 * np.pi * 7.0 * here.time_s)
     before = drive_V.copy()
@@ -73,9 +73,7 @@ def test_no_extension_changes_its_input_and_each_acts_somewhere(extension: Exten
 
 @pytest.mark.parametrize("samples", [0, 1, 2, 3, 40])
 @pytest.mark.parametrize("extension", one_of_each(), **ids)
-def test_short_and_constant_signals_have_finite_outputs_of_their_length(
-    extension: Extension, samples: int
-) -> None:
+def test_short_and_constant_signals_have_finite_outputs_of_their_length(extension, samples):
     for signal in (np.full(samples, 0.4), np.resize([0.3, -0.2, 0.9], samples)):
         piece = replace(where(samples), samples=samples)
         for name, output in outputs_of(extension, signal, piece).items():
@@ -84,14 +82,14 @@ def test_short_and_constant_signals_have_finite_outputs_of_their_length(
 
 
 @pytest.mark.parametrize("extension", one_of_each(), **ids)
-def test_a_stage_at_rest_stays_at_rest_behind_every_response(extension: Extension) -> None:
+def test_a_stage_at_rest_stays_at_rest_behind_every_response(extension):
     still_m = np.full(3000, 2e-6)
     answered_m = extension.response(still_m, where(3000, "other.csv"))
     np.testing.assert_allclose(answered_m, answered_m[0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("extension", [e for e in one_of_each() if e.is_fast], **ids)
-def test_a_slow_ramp_comes_later_by_what_the_extension_says(extension: Extension) -> None:
+def test_a_slow_ramp_comes_later_by_what_the_extension_says(extension):
     time_s = where().time_s
     behind = time_s - extension.response(time_s, where())
     assert behind[-1] == pytest.approx(extension.group_delay_s(RATE_Hz), rel=1e-3)
@@ -99,9 +97,7 @@ def test_a_slow_ramp_comes_later_by_what_the_extension_says(extension: Extension
 
 @pytest.mark.parametrize("way", [-1.0, 1.0])
 @pytest.mark.parametrize("extension", one_of_each(), ids=lambda one: one.kind)
-def test_the_end_of_however_wide_an_interval_is_an_extension(
-    extension: Extension, way: float
-) -> None:
+def test_the_end_of_however_wide_an_interval_is_an_extension(extension, way):
     free = extension.free()
     for value in (free.lower, free.value, free.upper):
         there = extension.moved_to(np.clip(value, free.lower, free.upper))
@@ -109,6 +105,6 @@ def test_the_end_of_however_wide_an_interval_is_an_extension(
         assert wide.at_corner(way, way).kind == extension.kind
 
 
-def test_a_mode_in_which_nothing_takes_part_is_no_state_of_a_loop() -> None:
+def test_a_mode_in_which_nothing_takes_part_is_no_state_of_a_loop():
     mode = LinearMode(frequency_Hz=240.0, quality=4.0, participation=0.0)
     assert mode.loop_effect(RATE_Hz) is NOTHING

@@ -19,7 +19,7 @@ from piezoid.record_json import from_json, to_json
 from tests.identification.extensions.samples import RATE_Hz, where
 
 
-def test_a_mode_rings_at_its_frequency_with_its_quality() -> None:
+def test_a_mode_rings_at_its_frequency_with_its_quality():
     mode = LinearMode(frequency_Hz=40.0, quality=25.0)
     time_s = where(8000).time_s
     rung = mode.response(np.sin(2 * np.pi * 40.0 * time_s), where(8000))
@@ -30,7 +30,7 @@ def test_a_mode_rings_at_its_frequency_with_its_quality() -> None:
     np.testing.assert_allclose(half.response(plain, where(8000)), (plain + rung) / 2)
 
 
-def test_small_lags_of_the_walls_are_a_pole_and_large_ones_grow_with_the_logarithm() -> None:
+def test_small_lags_of_the_walls_are_a_pole_and_large_ones_grow_with_the_logarithm():
     ramp_m, speed, time_s = np.linspace(0.0, 8e-6, 8000), 1e-6, 0.02
     plain = RateDependence(time_s=time_s).irreversible(ramp_m, RATE_Hz)
     assert ramp_m[-1] - plain[-1] == pytest.approx(time_s * speed, rel=1e-3)
@@ -42,7 +42,7 @@ def test_small_lags_of_the_walls_are_a_pole_and_large_ones_grow_with_the_logarit
     assert behind_m < 0.8 * time_s * speed
 
 
-def test_drift_begins_at_nothing_and_belongs_to_its_own_piece() -> None:
+def test_drift_begins_at_nothing_and_belongs_to_its_own_piece():
     pieces = [where(6000), where(6000, "b.csv"), where(100, "short.csv")]
     drift = ThermalDrift.of(pieces)
     assert [curve.recording for curve in drift.curves] == ["sweep.csv", "b.csv"]
@@ -56,7 +56,7 @@ def test_drift_begins_at_nothing_and_belongs_to_its_own_piece() -> None:
     assert moved.added(where(100, "short.csv")) == 0.0
 
 
-def test_mains_lines_are_folded_and_left_out_where_two_would_be_one() -> None:
+def test_mains_lines_are_folded_and_left_out_where_two_would_be_one():
     slow = Where(recording="slow", rate_Hz=100.0, samples=400)
     lines = MainsLines.of([slow, where(4000)], 50.0, harmonics=(1, 3))
     assert [hum.harmonic for hum in lines.hums] == [(1,), (1, 3)]
@@ -71,7 +71,7 @@ def test_mains_lines_are_folded_and_left_out_where_two_would_be_one() -> None:
     assert np.argmax(np.abs(np.fft.rfft(heard_m))) * 100.0 / 400 == pytest.approx(40.0)
 
 
-def test_the_shares_of_even_creep_move_as_one_and_no_other_creep_is_even() -> None:
+def test_the_shares_of_even_creep_move_as_one_and_no_other_creep_is_even():
     even = CreepLadder(time_s=(0.1, 1.0, 10.0), share=(0.01,) * 3, even=True)
     assert len(even.free().value) == 1
     assert even.moved_to(np.array([0.02])).share == (0.02,) * 3
@@ -81,7 +81,7 @@ def test_the_shares_of_even_creep_move_as_one_and_no_other_creep_is_even() -> No
         replace(even, share=(0.01, 0.02, 0.01))
 
 
-def test_a_gain_that_changes_multiplies_from_its_instant_on_and_steps_its_zero_once() -> None:
+def test_a_gain_that_changes_multiplies_from_its_instant_on_and_steps_its_zero_once():
     here = where()
     name, instant_s = here.recording, float(here.time_s[here.samples // 2])
     change = GainChange(
@@ -100,7 +100,7 @@ def test_a_gain_that_changes_multiplies_from_its_instant_on_and_steps_its_zero_o
 STAIRS = np.repeat([0.0, 0.8, -0.4, -0.4, 0.5], 100)  # steps in front of 100, 200 and 400
 
 
-def test_a_mode_between_the_samples_hides_its_ringing_behind_every_step() -> None:
+def test_a_mode_between_the_samples_hides_its_ringing_behind_every_step():
     mode = LinearMode(frequency_Hz=495.0, quality=5.0)  # a time constant is 1.6 samples of 500 Hz
     rows = rows_after_steps(STAIRS, 500.0, (mode,), min_rows=2)
     np.testing.assert_array_equal(rows, [k + n for k in (100, 200, 400) for n in range(13)])

@@ -1,7 +1,6 @@
 """Data this class of model cannot describe end in a verdict with its reason, not in a bad fit."""
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ def noisy(values: np.ndarray, seed: int = 1) -> np.ndarray:  # type: ignore[type
     return values + np.random.default_rng(seed).normal(0, 3e-9, len(values))
 
 
-def test_a_wide_loop_that_is_only_lag_is_called_lag() -> None:
+def test_a_wide_loop_that_is_only_lag_is_called_lag():
     drive = decaying(15, per_unit=20)
     model = fit([recording(drive, noisy(first_order_lag(1e-6 * drive, 0.016, RATE_Hz)))])["x"]
     assert not model.verdict.applies
@@ -34,14 +33,14 @@ def test_a_wide_loop_that_is_only_lag_is_called_lag() -> None:
     assert "16.0 ms" in model.verdict.reason
 
 
-def test_hysteresis_behind_the_same_lag_is_not_called_lag() -> None:
+def test_hysteresis_behind_the_same_lag_is_not_called_lag():
     drive = decaying(15, per_unit=20)
     plays = play_sum(drive, np.array([0.0, 1, 2.5]), np.array([1.0, 0.2, 0.15]), np.zeros(3))
     model = fit([recording(drive, noisy(first_order_lag(1e-6 * plays, 0.016, RATE_Hz)))])["x"]
     assert model.verdict.applies
 
 
-def test_a_butterfly_loop_is_refused() -> None:
+def test_a_butterfly_loop_is_refused():
     drive = np.tile(decaying(2, per_unit=20)[:-1], 6)
     plays = play_sum(drive, np.array([0.0, 1.0, 2.0]), np.array([1.0, 0.5, 0.3]), np.zeros(3))
     model = fit([recording(drive, noisy(1e-7 * plays**2 + 1e-8 * plays))])["x"]
@@ -51,8 +50,8 @@ def test_a_butterfly_loop_is_refused() -> None:
 
 @pytest.mark.parametrize(("leading", "is_refused"), [(1, False), (2, True)])
 def test_loops_that_open_the_wrong_way_in_one_of_three_recordings_are_its_own_fault(
-    leading: int, is_refused: bool
-) -> None:
+    leading, is_refused
+):
     """Its readings come early, as behind a slip of the clock."""
     recordings = []
     for k in range(3):
@@ -64,7 +63,7 @@ def test_loops_that_open_the_wrong_way_in_one_of_three_recordings_are_its_own_fa
     assert ("wrong way" in model.verdict.reason) is is_refused
 
 
-def test_a_loop_is_as_wide_as_its_branches_are_apart() -> None:
+def test_a_loop_is_as_wide_as_its_branches_are_apart():
     drive = through([-1.0, 1.0] * 3, 100)
     plays = play_sum(drive, np.array([0.0, 0.3]), np.array([1.0, 0.5]), np.full(2, drive[0]))
     for loop in loops_of(drive, plays, 0.01)[1:]:
@@ -73,7 +72,7 @@ def test_a_loop_is_as_wide_as_its_branches_are_apart() -> None:
         assert loop.span == pytest.approx(2.0, abs=0.02)
 
 
-def test_levels_held_one_after_another_are_no_loop() -> None:
+def test_levels_held_one_after_another_are_no_loop():
     """Between two levels nothing was read: straight lines there cross where no branch does."""
     levels = 5.0 * np.array([0.0, 1, -0.55, -0.34, 1, 0, 0.6])
     ways = [[b - 0.08 * (b - a)] + [b] * 200 for a, b in itertools.pairwise(levels)]
@@ -86,7 +85,7 @@ def test_levels_held_one_after_another_are_no_loop() -> None:
         assert all(loop.opening.min() > -1e-9 for loop in wide)
 
 
-def test_a_response_made_of_something_else_is_refused() -> None:
+def test_a_response_made_of_something_else_is_refused():
     rng = np.random.default_rng(3)
     drive = wandering(rng, 30)
     walk = np.cumsum(rng.normal(0, 1, len(drive)))
@@ -96,7 +95,7 @@ def test_a_response_made_of_something_else_is_refused() -> None:
     assert "of the displacement range" in model.verdict.reason
 
 
-def test_a_reading_of_something_else_is_not_called_lag() -> None:
+def test_a_reading_of_something_else_is_not_called_lag():
     drive = np.tile(decaying(2, per_unit=20)[:-1], 6)
     elsewhere = np.sin(2.0 * np.pi * 0.37 / 40.0 * np.arange(len(drive)))
     verdict = fit([recording(drive, noisy(1e-6 * elsewhere))])["x"].verdict
@@ -108,7 +107,7 @@ def reason_of(drive: np.ndarray, response_m: np.ndarray) -> str:  # type: ignore
     return fit([recording(drive, response_m)])["x"].verdict.reason
 
 
-def test_a_sensor_that_does_not_follow_its_drive_is_said_to_and_no_shape_is_blamed() -> None:
+def test_a_sensor_that_does_not_follow_its_drive_is_said_to_and_no_shape_is_blamed():
     rng = np.random.default_rng(12)
     drive = decaying(15, per_unit=20)
     # another axis' column: a walk of its own
@@ -127,9 +126,7 @@ def test_a_sensor_that_does_not_follow_its_drive_is_said_to_and_no_shape_is_blam
 
 
 @pytest.mark.parametrize("law", ["duhem", "plays"])
-def test_a_gain_that_changes_over_the_cycles_makes_no_lag_of_a_loop(
-    law: str, tmp_path: Path
-) -> None:
+def test_a_gain_that_changes_over_the_cycles_makes_no_lag_of_a_loop(law, tmp_path):
     turn = np.arange(4800) / 120.0
     field = -np.cos(2.0 * np.pi * turn)
     response_um = 10.0 * LAWS[law](field) * (1.0 + 0.06 * turn / turn[-1])
@@ -139,7 +136,7 @@ def test_a_gain_that_changes_over_the_cycles_makes_no_lag_of_a_loop(
     assert any("the sensitivity changes by +" in said for said in found.verdict.remarks)
 
 
-def test_a_branch_is_as_quiet_at_its_ends_as_between() -> None:
+def test_a_branch_is_as_quiet_at_its_ends_as_between():
     drive = through([0.0, -1.0, 1.0, -1.0, 0.0], 1000)
     response = play_sum(drive, np.array([0.0, 0.3]), np.array([1.0, 0.5]), np.full(2, drive[0]))
     zigzag = 0.1 * (-1.0) ** np.arange(len(drive))

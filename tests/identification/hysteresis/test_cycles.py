@@ -34,13 +34,13 @@ def said(folder: Path, law: str, change: Array, added_um: Array) -> str:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_sensitivity_that_falls_slowly_is_told_with_its_size(tmp_path: Path, law: str) -> None:
+def test_a_sensitivity_that_falls_slowly_is_told_with_its_size(tmp_path, law):
     text = said(tmp_path, law, 1.0 - 0.013 * CYCLE / (COUNT - 1), np.zeros(len(CYCLE)))
     assert "the sensitivity changes by -1.3" in text
 
 
 @pytest.mark.parametrize("shape", ["sine", "triangle"])
-def test_a_period_of_no_whole_number_of_samples_hides_no_trend(tmp_path: Path, shape: str) -> None:
+def test_a_period_of_no_whole_number_of_samples_hides_no_trend(tmp_path, shape):
     turn = np.arange(COUNT * PERIOD) / (PERIOD + 0.37)
     drive = np.cos(2.0 * np.pi * turn)
     if shape == "triangle":
@@ -52,7 +52,7 @@ def test_a_period_of_no_whole_number_of_samples_hides_no_trend(tmp_path: Path, s
         assert ("the sensitivity changes by -1." in text) == (lost > 0.0)
 
 
-def test_tips_that_wander_are_told_beside_the_noise(tmp_path: Path) -> None:
+def test_tips_that_wander_are_told_beside_the_noise(tmp_path):
     level = 0.1 * np.random.default_rng(9).standard_normal(COUNT)
     slowly = np.interp(np.arange(len(CYCLE)) / PERIOD, np.arange(COUNT), level)
     text = said(tmp_path, "dahl", np.ones(len(CYCLE)), slowly)
@@ -61,14 +61,12 @@ def test_tips_that_wander_are_told_beside_the_noise(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("law", ["preisach", "duhem"])
-def test_steady_cycles_have_no_trend(tmp_path: Path, law: str) -> None:
+def test_steady_cycles_have_no_trend(tmp_path, law):
     assert said(tmp_path, law, np.ones(len(CYCLE)), np.zeros(len(CYCLE))) == ""
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_displacement_of_another_clock_slides_against_its_drive(
-    tmp_path: Path, law: str
-) -> None:
+def test_a_displacement_of_another_clock_slides_against_its_drive(tmp_path, law):
     turn = np.arange(COUNT * PERIOD) / (PERIOD + 0.37)
     for ppm in (0.0, 700.0):
         moved_um = 10.0 * LAWS[law](-np.cos(2.0 * np.pi * turn * (1.0 - 1e-6 * ppm)))

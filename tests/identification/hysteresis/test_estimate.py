@@ -14,7 +14,6 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import IN_SAMPLE
 from piezoid.identification.store import read_model, write_model
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Recording
 from tests.identification.hysteresis.stages import (
     RATE_Hz,
     decaying,
@@ -52,7 +51,7 @@ def fitted() -> AxisModel:
     return fit(recordings)["x"]
 
 
-def test_error_on_another_excitation_is_near_the_noise_and_the_lag_is_that_of_the_stage() -> None:
+def test_error_on_another_excitation_is_near_the_noise_and_the_lag_is_that_of_the_stage():
     model = fitted()
     assert model.verdict.applies
     assert model.quality.held_out_rms_m < 2 * NOISE_m  # 0.02 % of the stroke
@@ -61,7 +60,7 @@ def test_error_on_another_excitation_is_near_the_noise_and_the_lag_is_that_of_th
     assert model.lag.time_s == pytest.approx(0.004, abs=2e-4)
 
 
-def test_loading_curve_lies_within_its_interval_of_the_truth() -> None:
+def test_loading_curve_lies_within_its_interval_of_the_truth():
     found = fitted().uncertainty
     true_m = psi(np.maximum(found.reach_V[:, None] - THRESHOLD, 0.0) @ WEIGHT)
     inside = np.abs(found.loading_m - true_m) <= found.loading_half_m + 1e-3 * true_m
@@ -69,7 +68,7 @@ def test_loading_curve_lies_within_its_interval_of_the_truth() -> None:
     assert (found.loading_half_m[1:] < 0.01 * found.loading_m[-1]).all()
 
 
-def test_certificate_is_not_smaller_than_the_error_to_the_truth() -> None:
+def test_certificate_is_not_smaller_than_the_error_to_the_truth():
     model = fitted()
     rng = np.random.default_rng(6)
     u = np.clip(wandering(rng, 40), -4.9, 4.9)
@@ -84,7 +83,7 @@ def test_certificate_is_not_smaller_than_the_error_to_the_truth() -> None:
 
 
 @pytest.mark.usefixtures("one_order")
-def test_a_sensor_that_falls_as_the_drive_rises_only_changes_the_polarity() -> None:
+def test_a_sensor_that_falls_as_the_drive_rises_only_changes_the_polarity():
     rng = np.random.default_rng(7)
     u = decaying(15, per_unit=30)
     y = stage(u, rng)
@@ -105,7 +104,7 @@ def test_a_sensor_that_falls_as_the_drive_rises_only_changes_the_polarity() -> N
 
 
 @pytest.mark.usefixtures("one_order")
-def test_a_transient_from_before_the_record_is_left_out_and_said() -> None:
+def test_a_transient_from_before_the_record_is_left_out_and_said():
     rng = np.random.default_rng(9)
     u = np.tile(decaying(2, per_unit=20)[:-1], 12)
     y = stage(u, rng)
@@ -117,7 +116,7 @@ def test_a_transient_from_before_the_record_is_left_out_and_said() -> None:
 
 
 @pytest.mark.usefixtures("one_order")
-def test_slow_motion_of_the_zero_does_not_bend_the_loop() -> None:
+def test_slow_motion_of_the_zero_does_not_bend_the_loop():
     u = np.tile(decaying(2, per_unit=40)[:-1], 24)
     drift = 2e-7 * np.linspace(0, 1, len(u)) ** 0.5
     still, moving = (
@@ -136,6 +135,6 @@ UNREAD = replace(STILL, channels=STILL.channels[:1])
 @pytest.mark.parametrize(
     ("unfit", "told"), [(STILL, "never changes"), (UNREAD, "only voltage is recorded")]
 )
-def test_recordings_that_determine_no_model_are_refused(unfit: Recording, told: str) -> None:
+def test_recordings_that_determine_no_model_are_refused(unfit, told):
     with pytest.raises(ExcitationError, match=told):
         fit([unfit])

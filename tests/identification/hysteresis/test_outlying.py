@@ -31,11 +31,11 @@ def clean_um(law: str) -> Array:
 
 
 @pytest.mark.parametrize("law", BENT)
-def test_what_a_law_does_behind_every_turn_is_no_single_reading(law: str, tmp_path: Path) -> None:
+def test_what_a_law_does_behind_every_turn_is_no_single_reading(law, tmp_path):
     assert said_of(tmp_path, clean_um(law)) == ""
 
 
-def test_sparks_of_a_hundredth_of_the_range_are_left_out(tmp_path: Path) -> None:
+def test_sparks_of_a_hundredth_of_the_range_are_left_out(tmp_path):
     reading_um = clean_um("dahl")
     reading_um[57::113] += 0.8  # in the middle of branches, and three samples behind a turn
     reading_um[803] -= 0.8

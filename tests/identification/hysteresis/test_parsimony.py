@@ -34,7 +34,7 @@ def law_fitted(law: str) -> AxisModel:
     return estimate_axis([recording(5.0 * field, 1e-6 * reading_um)], "x", Rig())
 
 
-def test_a_thin_loop_gets_a_small_shape_and_is_as_near_as_the_noise_allows() -> None:
+def test_a_thin_loop_gets_a_small_shape_and_is_as_near_as_the_noise_allows():
     model = thin_loop()
     assert len(model.hysteresis.plays.weight) - 1 <= 5
     assert len(model.hysteresis.dead_zones.weight) - 1 <= 3
@@ -46,7 +46,7 @@ def test_a_thin_loop_gets_a_small_shape_and_is_as_near_as_the_noise_allows() -> 
 
 
 @pytest.mark.parametrize("law", DISTINCT_LAWS)
-def test_weights_are_a_positive_density_within_what_drive_and_data_allow(law: str) -> None:
+def test_weights_are_a_positive_density_within_what_drive_and_data_allow(law):
     model = law_fitted(law)
     mean = model.quality.range_m / np.ptp(model.voltage_V)
     plays = model.hysteresis.plays
@@ -58,7 +58,7 @@ def test_weights_are_a_positive_density_within_what_drive_and_data_allow(law: st
 
 
 @pytest.mark.parametrize("law", DISTINCT_LAWS)
-def test_the_choice_is_as_good_as_the_best_of_all_that_was_tried(law: str) -> None:
+def test_the_choice_is_as_good_as_the_best_of_all_that_was_tried(law):
     quality = law_fitted(law).quality
     least_m = min(order.held_out_rms_m for order in quality.orders)
     assert quality.held_out_rms_m < 1.15 * least_m
@@ -66,7 +66,7 @@ def test_the_choice_is_as_good_as_the_best_of_all_that_was_tried(law: str) -> No
 
 @pytest.mark.usefixtures("one_order")
 @pytest.mark.parametrize("small", [0.01, 0.4])
-def test_a_recording_that_goes_further_than_all_others_cannot_blow_up(small: float) -> None:
+def test_a_recording_that_goes_further_than_all_others_cannot_blow_up(small):
     rng = np.random.default_rng(3)
     wide = np.tile(decaying(12, per_unit=20), 2)
     made = []
@@ -81,7 +81,7 @@ def test_a_recording_that_goes_further_than_all_others_cannot_blow_up(small: flo
 
 
 @pytest.mark.usefixtures("one_order")
-def test_a_recording_whose_parts_go_unequally_far_is_held_out_by_its_parts() -> None:
+def test_a_recording_whose_parts_go_unequally_far_is_held_out_by_its_parts():
     """Only the part of the widest recording that goes furthest is trained on by half."""
     rng = np.random.default_rng(4)
     wide = decaying(12, per_unit=20)

@@ -40,7 +40,7 @@ def fitted(seed: int = 0, noise_m: float = 2e-8) -> tuple[HysteresisFit, Scales]
     return search(pieces_of([one], "x", scales, Rig()), SHAPE, SETTINGS), scales
 
 
-def test_loop_width_is_that_of_a_simulated_full_loop() -> None:
+def test_loop_width_is_that_of_a_simulated_full_loop():
     found, scales = fitted()
     model = to_si_units(found.operator, scales)
     full = scales.voltage_V * np.concatenate(
@@ -52,7 +52,7 @@ def test_loop_width_is_that_of_a_simulated_full_loop() -> None:
     assert width == pytest.approx(falling - rising, rel=1e-9)
 
 
-def test_intervals_have_the_size_of_the_scatter_over_new_noise() -> None:
+def test_intervals_have_the_size_of_the_scatter_over_new_noise():
     def width(vector: Array, found: HysteresisFit, scales: Scales) -> Array:
         return np.array([loop_width_m(vector, found.task.coordinates, scales)])
 
@@ -67,7 +67,7 @@ def test_intervals_have_the_size_of_the_scatter_over_new_noise() -> None:
     assert 0.5 * scatter < np.median(half_widths) < 4 * scatter
 
 
-def test_simplification_drops_parts_without_use_and_is_as_good() -> None:
+def test_simplification_drops_parts_without_use_and_is_as_good():
     found, _ = fitted(noise_m=1e-10)
     theta = found.theta.copy()
     weight = found.task.coordinates.slices["weight"]
@@ -78,7 +78,7 @@ def test_simplification_drops_parts_without_use_and_is_as_good() -> None:
     assert simple.rms <= 1.002 * idle.rms
 
 
-def test_distance_of_two_models_bounds_what_any_drive_reaches(rng: np.random.Generator) -> None:
+def test_distance_of_two_models_bounds_what_any_drive_reaches(rng):
     found, scales = fitted()
     model = to_si_units(found.operator, scales)
     drives_V = adversarial_drives(scales.voltage_V, 1)
@@ -94,7 +94,7 @@ def test_distance_of_two_models_bounds_what_any_drive_reaches(rng: np.random.Gen
     np.testing.assert_allclose(same, 0.0, atol=1e-18)
 
 
-def test_without_dead_zones_the_bound_is_attained() -> None:
+def test_without_dead_zones_the_bound_is_attained():
     found, scales = fitted()
     model = to_si_units(found.operator, scales)
     plays = replace(model.plays, weight=model.plays.weight * np.linspace(0.9, 1.1, 7))

@@ -27,7 +27,7 @@ def pieces(count: int) -> tuple[Piece, ...]:
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_a_trial_ends_as_soon_as_it_misses_its_limit_and_is_else_the_same(count: int) -> None:
+def test_a_trial_ends_as_soon_as_it_misses_its_limit_and_is_else_the_same(count):
     free = fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=math.inf)
     assert free is not None
     just = fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=free.held_out_rms)
@@ -38,14 +38,14 @@ def test_a_trial_ends_as_soon_as_it_misses_its_limit_and_is_else_the_same(count:
 
 
 @pytest.mark.parametrize(("iterations", "gap"), [(30, 0.0), (1, 1.0)])
-def test_a_start_that_was_not_the_optimum_has_a_remark(iterations: int, gap: float) -> None:
+def test_a_start_that_was_not_the_optimum_has_a_remark(iterations, gap):
     fitted = search(pieces(1), SHAPE, replace(SETTINGS, iterations=iterations))
     assert fitted.converged is (iterations == 30)
     remarks = remarks_on(replace(fitted, kkt_gap=gap), OTHER_RECORDINGS, Rig())
     assert any("optimal only to" in remark for remark in remarks) is (gap > 0.0)
 
 
-def test_a_lag_on_zero_names_the_declared_poles_that_may_be_too_slow() -> None:
+def test_a_lag_on_zero_names_the_declared_poles_that_may_be_too_slow():
     shape = replace(SHAPE, lag="delay")
     fitted = search(pieces(1), shape, Settings(longest_lag_s=0.02, iterations=1))
     theta = fitted.theta.copy()

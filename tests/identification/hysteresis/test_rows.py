@@ -50,9 +50,7 @@ def drawn_vector(rng: np.random.Generator, coordinates: Coordinates) -> Array:
 @pytest.mark.parametrize(
     ("sensor_Hz", "stride", "bends"), [(None, 1, 2), (60.0, 4, 2), (60.0, 1, 0)]
 )
-def test_tangents_are_finite_differences_of_the_simulation(
-    rng: np.random.Generator, lag: str, sensor_Hz: float | None, stride: int, bends: int
-) -> None:
+def test_tangents_are_finite_differences_of_the_simulation(rng, lag, sensor_Hz, stride, bends):
     coordinates = Coordinates(
         shape=Shape(plays=4, below=2, above=1, lag=lag, bends=bends), offsets=(3,)
     )
@@ -75,9 +73,7 @@ def test_tangents_are_finite_differences_of_the_simulation(
         assert wrong.mean() < KINKS, f"number {place}"
 
 
-def test_tangents_of_a_task_with_extensions_are_finite_differences_too(
-    rng: np.random.Generator,
-) -> None:
+def test_tangents_of_a_task_with_extensions_are_finite_differences_too(rng):
     extensions = (Delay(delay_s=1.3 / RATE_Hz), CreepLadder(time_s=(0.3,), share=(0.02,)))
     coordinates = Coordinates(
         shape=Shape(plays=4, below=2, above=1, lag="none"), offsets=(1,), numbers=(1, 1)

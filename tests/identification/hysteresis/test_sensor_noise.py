@@ -1,7 +1,5 @@
 """The sensor's noise, right where the drive itself moves from sample to sample."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -27,7 +25,7 @@ def coarse(samples: int) -> np.ndarray:
 
 @pytest.mark.parametrize("law", ["preisach", "duhem", "plays"])
 @pytest.mark.parametrize("drive", [jumping, drawn, coarse, lambda n: triangles(n // 300, 300)])
-def test_repeated_periods_measure_the_noise(tmp_path: Path, law: str, drive) -> None:
+def test_repeated_periods_measure_the_noise(tmp_path, law, drive):
     once = drive(1200)
     field = np.tile(once, 3)
     moved_um = 10.0 * LAWS[law](field)
@@ -38,7 +36,7 @@ def test_repeated_periods_measure_the_noise(tmp_path: Path, law: str, drive) -> 
         assert 1e6 * found_m == pytest.approx(NOISE_um, rel=0.15)
 
 
-def test_without_periods_what_the_model_leaves_tells_it(tmp_path: Path) -> None:
+def test_without_periods_what_the_model_leaves_tells_it(tmp_path):
     field, noise_um = drawn(3000), NOISE_um * np.random.default_rng(3).standard_normal(3000)
     piece, unit_m = piece_of(recorded(tmp_path, field, 10.0 * LAWS["duhem"](field) + noise_um))
     residual = -noise_um * 1e-6 / unit_m
@@ -48,7 +46,7 @@ def test_without_periods_what_the_model_leaves_tells_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("rate_Hz", [500.0, 20e3])
 @pytest.mark.parametrize("left_um", [0.0, 0.3])
-def test_noise_that_is_not_white_is_told_whole(tmp_path: Path, rate_Hz: float, left_um) -> None:
+def test_noise_that_is_not_white_is_told_whole(tmp_path, rate_Hz, left_um):
     """A tenth: a 1/f part slower than what the model leaves cannot be told from it."""
     field = np.sin(np.linspace(0.0, 20.0, 12000) ** 1.3)  # never the same period twice
     noise_um = NOISE_um * coloured_noise(12000, rate_Hz, 4e3, 0.4, np.random.default_rng(4))
@@ -60,7 +58,7 @@ def test_noise_that_is_not_white_is_told_whole(tmp_path: Path, rate_Hz: float, l
     assert 1e6 * found_m == pytest.approx(np.std(noise_um), rel=0.1)
 
 
-def test_readings_that_were_lost_say_nothing_of_it(tmp_path: Path) -> None:
+def test_readings_that_were_lost_say_nothing_of_it(tmp_path):
     field, rng = np.sin(np.linspace(0.0, 20.0, 12000) ** 1.3), np.random.default_rng(5)
     reading_um = 10.0 * LAWS["duhem"](field) + NOISE_um * rng.standard_normal(12000)
     reading_um[rng.random(12000) < 0.1] = -1000.0

@@ -76,9 +76,7 @@ CASES: tuple[tuple[Extension, Extension, float], ...] = (
 @pytest.mark.parametrize(
     ("true", "start", "within"), CASES, ids=lambda case: getattr(case, "kind", "")
 )
-def test_what_was_put_in_is_found_and_lowers_the_error_on_rows_left_out(
-    true: Extension, start: Extension, within: float
-) -> None:
+def test_what_was_put_in_is_found_and_lowers_the_error_on_rows_left_out(true, start, within):
     recordings = recordings_of(true)
     bare = fit_extended(known_model(), recordings, structure=Structure(lag=False))
     found = fit_extended(known_model(), recordings, (start,))
@@ -88,7 +86,7 @@ def test_what_was_put_in_is_found_and_lowers_the_error_on_rows_left_out(
     assert np.abs(value - expected).max() <= within * np.abs(expected).max()
 
 
-def test_the_model_that_comes_back_simulates_the_residual_the_fit_reports() -> None:
+def test_the_model_that_comes_back_simulates_the_residual_the_fit_reports():
     true = (Delay(delay_s=3e-4), CreepLadder(time_s=TIMES_s, share=(0.02, 0.03)))
     recordings = recordings_of(*true)
     found = fit_extended(known_model(), recordings, true)
@@ -102,7 +100,7 @@ def test_the_model_that_comes_back_simulates_the_residual_the_fit_reports() -> N
     assert found.model.quality.held_out_rms_m == found.held_out_rms_m
 
 
-def test_of_several_starts_the_closest_fit_is_taken_as_if_it_were_alone() -> None:
+def test_of_several_starts_the_closest_fit_is_taken_as_if_it_were_alone():
     true, near = Delay(delay_s=3e-4), known_model()
     plays = near.hysteresis.plays
     wide = replace(plays, threshold=1.5 * plays.threshold)
@@ -116,7 +114,7 @@ def test_of_several_starts_the_closest_fit_is_taken_as_if_it_were_alone() -> Non
     assert found.rms_m < max(fit.rms_m for fit in alone)
 
 
-def test_every_piece_of_an_interrupted_recording_begins_as_the_model_says() -> None:
+def test_every_piece_of_an_interrupted_recording_begins_as_the_model_says():
     recording, _ = recordings_of()
     starts = [
         PieceStart(
@@ -133,7 +131,7 @@ def test_every_piece_of_an_interrupted_recording_begins_as_the_model_says() -> N
     assert [part.start for part in parts] == starts
 
 
-def test_an_error_of_the_measurement_that_only_the_rows_left_out_hold_is_not_fitted_away() -> None:
+def test_an_error_of_the_measurement_that_only_the_rows_left_out_hold_is_not_fitted_away():
     """A fold must not have seen its rows: a step in them stays in the error at full height."""
     recordings = recordings_of()
     part = parts_of(known_model(), recordings)[0]
@@ -148,7 +146,7 @@ def test_an_error_of_the_measurement_that_only_the_rows_left_out_hold_is_not_fit
     assert found.held_out_rms_m > 1.1 * found.rms_m
 
 
-def test_nothing_is_found_where_nothing_is() -> None:
+def test_nothing_is_found_where_nothing_is():
     recordings = recordings_of()
     bare = fit_extended(known_model(), recordings)
     for start in (Delay(delay_s=1e-4), CreepLadder(time_s=TIMES_s, share=(0.01, 0.01))):
@@ -157,7 +155,7 @@ def test_nothing_is_found_where_nothing_is() -> None:
         assert np.abs(found.model.extensions[0].free().value).max() < 2e-3
 
 
-def test_a_memory_that_is_not_fitted_is_what_a_cycled_drive_leaves() -> None:
+def test_a_memory_that_is_not_fitted_is_what_a_cycled_drive_leaves():
     found = fit_extended(known_model(), recordings_of(), structure=Structure(memory=False))
     plays = found.model.hysteresis.plays
     low_V, high_V = np.array(found.model.voltage_V) - found.model.hysteresis.voltage_offset_V
@@ -167,14 +165,14 @@ def test_a_memory_that_is_not_fitted_is_what_a_cycled_drive_leaves() -> None:
         np.testing.assert_allclose(start.memory_V, cycled_V, atol=1e-9)
 
 
-def test_recordings_the_model_does_not_know_are_fitted_from_rest() -> None:
+def test_recordings_the_model_does_not_know_are_fitted_from_rest():
     unknown = replace(known_model(), starts=())
     found = fit_extended(unknown, recordings_of())
     assert found.held_out_rms_m < 1.3 * NOISE_m
     assert {start.recording for start in found.model.starts} == {"slow.csv", "fast.csv"}
 
 
-def test_an_extension_that_acts_in_one_fold_alone_leaves_the_held_out_error_as_it_is() -> None:
+def test_an_extension_that_acts_in_one_fold_alone_leaves_the_held_out_error_as_it_is():
     recordings = recordings_of()
     changes = tuple(
         GainChange(recording="slow.csv", instant_s=share * recordings[0].duration_s, ratio=1.0)

@@ -1,9 +1,7 @@
 """Plant and barrier are found behind a controller, where the plain transfer function is wrong."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.instrument_fit import fit_with_instrument
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
-from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.identification.tunnelling.loop_model import mean_of, spread_family
 from piezoid.identification.tunnelling.loop_spectra import LoopSpectra, spectra_of_dither
 from piezoid.operators.linear import ContinuousSystem, sample
@@ -33,7 +30,7 @@ from tests.identification.tunnelling.loops import (
 )
 
 
-def test_barriers_within_five_percent_and_intervals_that_hold() -> None:
+def test_barriers_within_five_percent_and_intervals_that_hold():
     """Twelve records of four seconds; the benchmark does fifty of eight."""
     junctions = [junction for n, junction in enumerate(BARRIERS) if n % 5 < 3]
     barriers_eV = np.array([junction.barrier_eV for junction in junctions])
@@ -51,14 +48,14 @@ def test_barriers_within_five_percent_and_intervals_that_hold() -> None:
     assert np.median(naive) > 5.0 * np.median(np.abs(error))
 
 
-def test_delay_and_sensor_pole_are_found_with_their_intervals() -> None:
+def test_delay_and_sensor_pole_are_found_with_their_intervals():
     fit = identified(record_of(SLOW_SENSOR), SLOW_SENSOR)
     assert fit.delay_interval_s[0] < 40e-6 < fit.delay_interval_s[1]
     assert fit.sensor_pole_interval_Hz[0] < 5000.0 < fit.sensor_pole_interval_Hz[1]
     assert fit.plant.delay_s == pytest.approx(40e-6, abs=5e-6)
 
 
-def test_a_pole_faster_than_a_hold_shows_is_bounded_from_below_only() -> None:
+def test_a_pole_faster_than_a_hold_shows_is_bounded_from_below_only():
     """It looks like a delay; neither it nor the family around it may run away."""
     junction = replace(SLOW_SENSOR, sensor_pole_Hz=30e3)
     fit = identified(loop_records([junction], periods=11, seed=3)[0], junction)
@@ -71,7 +68,7 @@ def test_a_pole_faster_than_a_hold_shows_is_bounded_from_below_only() -> None:
     assert max(member.delay_s for member in family) < 80e-6
 
 
-def test_a_pole_no_record_can_tell_leaves_the_family_where_poles_are_sought() -> None:
+def test_a_pole_no_record_can_tell_leaves_the_family_where_poles_are_sought():
     fit = identified(record_of(Junction(), 11), Junction())
     known = fit.covariance.copy()
     known[1, :] *= 1e4
@@ -83,14 +80,14 @@ def test_a_pole_no_record_can_tell_leaves_the_family_where_poles_are_sought() ->
     assert np.ptp(gains) == pytest.approx(2.0 * 1.96 * np.sqrt(known[0, 0]), rel=1e-3)
 
 
-def test_a_quiet_junction_is_known_to_a_per_mille() -> None:
+def test_a_quiet_junction_is_known_to_a_per_mille():
     fit = identified(record_of(NOISELESS_JUNCTION, 21), NOISELESS_JUNCTION)
     truth = NOISELESS_JUNCTION.decay_per_m * NOISELESS_JUNCTION.drive_gain_m_per_V
     assert fit.plant.gain_nepers_per_V == pytest.approx(truth, rel=5e-3)
     assert fit.confidence is Confidence.HIGH
 
 
-def test_the_naive_error_does_not_fall_with_a_longer_record() -> None:
+def test_the_naive_error_does_not_fall_with_a_longer_record():
     short, long = (
         identified(record_of(ATTENUATED_DRIVE, periods), ATTENUATED_DRIVE) for periods in (11, 41)
     )
@@ -107,16 +104,14 @@ def test_the_naive_error_does_not_fall_with_a_longer_record() -> None:
         ({"seed": 41, "in_drive": True, "rms": 3e-12 / 18e-9}, 0.05),  # three picometres of tip
     ],
 )
-def test_a_dither_without_a_period_or_added_to_the_drive_serves_as_instrument_too(
-    dither: dict[str, Any], rel: float
-) -> None:
+def test_a_dither_without_a_period_or_added_to_the_drive_serves_as_instrument_too(dither, rel):
     (record,) = loop_records([ATTENUATED_DRIVE], periods=21, **dither)
     fit = identified(record, ATTENUATED_DRIVE)
     assert fit.barrier_interval_eV[0] < ATTENUATED_DRIVE.barrier_eV < fit.barrier_interval_eV[1]
     assert fit.barrier_eV == pytest.approx(ATTENUATED_DRIVE.barrier_eV, rel=rel)
 
 
-def test_a_weak_dither_gives_a_wide_interval_and_says_so() -> None:
+def test_a_weak_dither_gives_a_wide_interval_and_says_so():
     junction = Junction(drive_range_V=1.0, flicker_m=5e-12)
     fit = identified(loop_records([junction], periods=12, seed=11, rms=0.02)[0], junction)
     assert fit.confidence is not Confidence.HIGH
@@ -124,9 +119,7 @@ def test_a_weak_dither_gives_a_wide_interval_and_says_so() -> None:
 
 
 @pytest.mark.parametrize(("polarity", "unit"), [(-1.0, 1.0), (1.0, 1e-3)])
-def test_neither_the_sign_of_the_current_nor_the_unit_of_the_dither_matters(
-    polarity: float, unit: float
-) -> None:
+def test_neither_the_sign_of_the_current_nor_the_unit_of_the_dither_matters(polarity, unit):
     record = record_of(Junction(), 12)
     changed = replace(
         record,
@@ -139,7 +132,7 @@ def test_neither_the_sign_of_the_current_nor_the_unit_of_the_dither_matters(
 
 
 @pytest.mark.parametrize("is_periodic", [True, False])
-def test_all_lines_but_those_of_the_mains_are_used_however_slow(is_periodic: bool) -> None:
+def test_all_lines_but_those_of_the_mains_are_used_however_slow(is_periodic):
     record = loop_records([Junction()], periods=10, seed=13, periodic=False)[0]
     if is_periodic:
         record = replace(record, period_samples=PERIOD_SAMPLES)
@@ -162,15 +155,13 @@ def test_all_lines_but_those_of_the_mains_are_used_however_slow(is_periodic: boo
     ],
     ids=["no dither", "too short", "sign of the set point", "sign of the drive"],
 )
-def test_a_record_that_cannot_be_identified_is_refused(
-    periods: int, change: Callable[[LoopRecord], dict[str, Any]], message: str
-) -> None:
+def test_a_record_that_cannot_be_identified_is_refused(periods, change, message):
     record = record_of(Junction(), periods)
     with pytest.raises(ExcitationError, match=message):
         identified(replace(record, **change(record)), Junction())
 
 
-def test_an_uncertain_extension_widens_the_barrier_only() -> None:
+def test_an_uncertain_extension_widens_the_barrier_only():
     fit = identified(record_of(Junction(), 12), Junction(), extension_uncertainty=0.05)
     assert np.ptp(np.log(fit.gain_interval)) < 0.1
     assert np.ptp(fit.barrier_interval_eV) > 0.38 * fit.barrier_eV  # 2 * 2 * 1.96 * 5 %
@@ -180,8 +171,8 @@ def test_an_uncertain_extension_widens_the_barrier_only() -> None:
     ("junction", "tolerance"), [(SLOW_SENSOR, 1.08), (SLOW_SENSOR, 0.92), (FAST_SENSOR, 1.0)]
 )
 def test_the_delays_interval_holds_poles_that_a_data_sheet_states_a_little_off(
-    junction: Junction, tolerance: float
-) -> None:
+    junction, tolerance
+):
     """Eight per cent too slow or too fast, both of them: two microseconds or more of delay."""
     fit = identified(
         record_of(junction, 21),
@@ -194,7 +185,7 @@ def test_the_delays_interval_holds_poles_that_a_data_sheet_states_a_little_off(
     assert fit.plant.delay_s == pytest.approx(40e-6, abs=4e-6 if tolerance == 1.0 else 8e-6)
 
 
-def test_what_all_records_have_alike_does_not_average() -> None:
+def test_what_all_records_have_alike_does_not_average():
     """Two records that share half of their variance know their mean less well than two alone."""
     fit = identified(record_of(Junction(), 11), Junction())
     alike = replace(fit, common=0.5 * fit.covariance)
@@ -202,7 +193,7 @@ def test_what_all_records_have_alike_does_not_average() -> None:
     np.testing.assert_allclose((halves[1] / halves[0]) ** 2, 1.5)
 
 
-def test_an_offset_of_the_current_is_taken_off_or_held_by_the_interval() -> None:
+def test_an_offset_of_the_current_is_taken_off_or_held_by_the_interval():
     """Fifty picoamperes beside a nanoampere: five per cent of the gain, ten of the barrier."""
     junction, record = ATTENUATED_DRIVE, record_of(ATTENUATED_DRIVE)
     moved = replace(record, current_A=record.current_A + 50e-12)
@@ -220,7 +211,7 @@ def test_an_offset_of_the_current_is_taken_off_or_held_by_the_interval() -> None
     assert fits[2].plant.gain_nepers_per_V < 0.98 * truth
 
 
-def test_blocks_that_cut_a_dither_take_nothing_off_the_gain() -> None:
+def test_blocks_that_cut_a_dither_take_nothing_off_the_gain():
     """A slow junction of one second: blocks of 512 samples alone lose 0.23 % of the gain."""
     quiet = replace(
         NOISELESS_JUNCTION,
@@ -245,7 +236,7 @@ def spectra_of(plant: JunctionPlant, mode: DriveMode, *, seed: int, noise: float
     return LoopSpectra(frequency_Hz=frequency_Hz, reference=drive, drive=drive, output=output)
 
 
-def test_a_mode_of_the_drive_passes_for_neither_gain_nor_delay() -> None:
+def test_a_mode_of_the_drive_passes_for_neither_gain_nor_delay():
     """A fifth of the extension swings at 5 kHz: the response is the plant times the mode."""
     plant = JunctionPlant(
         gain_nepers_per_V=0.3,
@@ -268,7 +259,7 @@ def test_a_mode_of_the_drive_passes_for_neither_gain_nor_delay() -> None:
     assert fit.plant.delay_s == pytest.approx(70e-6, abs=2e-6)
 
 
-def test_a_mode_is_sampled_with_the_plant_also_beyond_half_the_rate() -> None:
+def test_a_mode_is_sampled_with_the_plant_also_beyond_half_the_rate():
     """The oracle is the matrix exponential of amplifier, sensor and mode in a row."""
     plant = JunctionPlant(
         gain_nepers_per_V=2.0,
@@ -289,7 +280,7 @@ def test_a_mode_is_sampled_with_the_plant_also_beyond_half_the_rate() -> None:
     assert found == pytest.approx(sample(row, 20e3).response(frequency_Hz)[:, 0, 0], rel=1e-10)
 
 
-def test_the_delay_is_as_sure_as_modes_beyond_the_recorded_lines_allow() -> None:
+def test_the_delay_is_as_sure_as_modes_beyond_the_recorded_lines_allow():
     """A mode at 30 kHz stiffens the drive as a faster pole would: no line shows it as a mode."""
     mode = DriveMode(frequency_Hz=30e3, quality=10.0, share=1.0)
     held = 0

@@ -12,9 +12,7 @@ from piezoid.identification.tunnelling.confidence import Confidence
 from tests.identification.tunnelling.sweeps import DECAY_PER_M, HEIGHT_M, OFFSET_A, changed, sweep
 
 
-def test_rows_without_numbers_are_counted_and_lower_the_confidence(
-    rng: np.random.Generator,
-) -> None:
+def test_rows_without_numbers_are_counted_and_lower_the_confidence(rng):
     whole = sweep(rng)
     current_A = whole.current_A.copy()
     current_A[rng.permutation(200)[:134]] = np.nan
@@ -27,9 +25,7 @@ def test_rows_without_numbers_are_counted_and_lower_the_confidence(
 
 
 @pytest.mark.parametrize("left", ["a weak sweep", "the far end", "no current"])
-def test_a_sweep_that_hardly_rises_above_its_noise_is_wide_and_says_why(
-    rng: np.random.Generator, left: str
-) -> None:
+def test_a_sweep_that_hardly_rises_above_its_noise_is_wide_and_says_why(rng, left):
     curve = sweep(rng, peak_A=0.7e-12, floor_A=0.05e-12)
     if left == "the far end":
         whole = sweep(rng)
@@ -46,7 +42,7 @@ def test_a_sweep_that_hardly_rises_above_its_noise_is_wide_and_says_why(
 
 
 @pytest.mark.parametrize("nepers", [0.3, -0.3])
-def test_a_tip_jump_is_found_allowed_for_and_said(rng: np.random.Generator, nepers: float) -> None:
+def test_a_tip_jump_is_found_allowed_for_and_said(rng, nepers):
     fit = fit_barrier([sweep(rng, jump_nepers=nepers)])
     (jump,) = fit.weighted.jumps
     assert jump.height_m == pytest.approx(0.0, abs=4e-12)  # the step of the height
@@ -56,21 +52,21 @@ def test_a_tip_jump_is_found_allowed_for_and_said(rng: np.random.Generator, nepe
     assert "tip jump" in fit.reasons[0]
 
 
-def test_a_quiet_sweep_shows_neither_tip_jumps_nor_outliers(rng: np.random.Generator) -> None:
+def test_a_quiet_sweep_shows_neither_tip_jumps_nor_outliers(rng):
     for _ in range(8):
         fit = fit_barrier([sweep(rng, correlation=0.5)])
         assert not fit.weighted.jumps
         assert not any("outliers" in reason for reason in fit.reasons)
 
 
-def test_an_unstable_tip_gets_low_confidence(rng: np.random.Generator) -> None:
+def test_an_unstable_tip_gets_low_confidence(rng):
     fit = fit_barrier([sweep(rng, relative=0.4, correlation=0.5)])
     assert fit.confidence is Confidence.LOW
     assert any("unstable tip" in reason for reason in fit.reasons)
 
 
 @pytest.mark.parametrize("factor", [3.0, 0.3])
-def test_outliers_are_counted_on_either_side(rng: np.random.Generator, factor: float) -> None:
+def test_outliers_are_counted_on_either_side(rng, factor):
     whole = sweep(rng)
     current_A = whole.current_A.copy()
     current_A[10:130:10] *= factor
@@ -80,9 +76,7 @@ def test_outliers_are_counted_on_either_side(rng: np.random.Generator, factor: f
 
 
 @pytest.mark.parametrize("steeper", [1.15, 0.85])
-def test_a_decay_that_changes_with_the_height_is_told_with_its_sign(
-    rng: np.random.Generator, steeper: float
-) -> None:
+def test_a_decay_that_changes_with_the_height_is_told_with_its_sign(rng, steeper):
     """From the middle of what stands clear of the noise: 9.6 nepers, two thirds of the sweep."""
     above_m = HEIGHT_M - HEIGHT_M[0]
     bent_m = above_m + (steeper - 1.0) * np.maximum(above_m - 0.23e-9, 0.0)
@@ -94,7 +88,7 @@ def test_a_decay_that_changes_with_the_height_is_told_with_its_sign(
     assert float(percent) == pytest.approx(100.0 * (steeper - 1.0), rel=0.25)
 
 
-def test_a_saturated_amplifier_is_left_out_and_said(rng: np.random.Generator) -> None:
+def test_a_saturated_amplifier_is_left_out_and_said(rng):
     whole = sweep(rng)
     clipped = changed(whole, np.maximum(whole.current_A, -200e-12))
     fit = fit_barrier([clipped])
@@ -106,7 +100,7 @@ def test_a_saturated_amplifier_is_left_out_and_said(rng: np.random.Generator) ->
     assert "at the amplifier's limit" in fit.reasons[0]
 
 
-def test_a_height_of_the_other_sign_is_refused(rng: np.random.Generator) -> None:
+def test_a_height_of_the_other_sign_is_refused(rng):
     with pytest.raises(ExcitationError, match="grows with the height"):
         fit_barrier([changed(sweep(rng), height_sign=-1.0)])
 
@@ -119,9 +113,7 @@ def test_a_height_of_the_other_sign_is_refused(rng: np.random.Generator) -> None
         (np.arange(20.0), np.ones(19), "shape"),
     ],
 )
-def test_columns_that_cannot_carry_a_fit_are_refused(
-    height_m: np.ndarray, current_A: np.ndarray, match: str
-) -> None:
+def test_columns_that_cannot_carry_a_fit_are_refused(height_m, current_A, match):
     with pytest.raises(RecordingError, match=match):
         read_approach(
             height_m, current_A, bias_V=0.1, direction=Direction.FORWARD, label="unusable"

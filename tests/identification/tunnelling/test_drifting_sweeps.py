@@ -67,8 +67,8 @@ def law_of(model: TunnellingModel) -> GapLaw:
 
 @pytest.mark.parametrize("drift_m_per_s", [100e-12, -100e-12, 0.0])
 def test_to_and_fro_together_are_free_of_a_drift_of_a_fifth_of_the_speed(
-    tmp_path: Path, rng: np.random.Generator, drift_m_per_s: float
-) -> None:
+    tmp_path, rng, drift_m_per_s
+):
     model = fitted(tmp_path / "z.dat", *sweeps(rng, drift_m_per_s=drift_m_per_s))
     law = law_of(model)
     assert law.decay_interval_per_m[0] < DECAY_per_m < law.decay_interval_per_m[1]
@@ -81,9 +81,7 @@ def test_to_and_fro_together_are_free_of_a_drift_of_a_fifth_of_the_speed(
     assert told == (drift_m_per_s != 0.0)
 
 
-def test_one_way_alone_holds_the_drift_in_its_interval_and_says_so(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_one_way_alone_holds_the_drift_in_its_interval_and_says_so(tmp_path, rng):
     for drift_m_per_s in (100e-12, -100e-12):
         height_m, away_A, _ = sweeps(rng, drift_m_per_s=drift_m_per_s)
         law = law_of(fitted(tmp_path / "z.dat", height_m, away_A))
@@ -93,9 +91,7 @@ def test_one_way_alone_holds_the_drift_in_its_interval_and_says_so(
 
 
 @pytest.mark.parametrize("module", ["", "Z Spectroscopy>"])
-def test_a_head_that_states_the_time_of_a_row_narrows_what_drift_may_be(
-    tmp_path: Path, rng: np.random.Generator, module: str
-) -> None:
+def test_a_head_that_states_the_time_of_a_row_narrows_what_drift_may_be(tmp_path, rng, module):
     height_m, away_A, _ = sweeps(rng)
     fast = f"{module}Settling time (s)\t100E-6\t\n{module}Integration time (s)\t100E-6\t\n"
     stated = law_of(fitted(tmp_path / "z.dat", height_m, away_A, head=fast))
@@ -104,9 +100,7 @@ def test_a_head_that_states_the_time_of_a_row_narrows_what_drift_may_be(
 
 
 @pytest.mark.parametrize("behind_A", [0.0, 5e-12])
-def test_rows_at_the_preamplifiers_limit_are_left_out_and_counted(
-    tmp_path: Path, rng: np.random.Generator, behind_A: float
-) -> None:
+def test_rows_at_the_preamplifiers_limit_are_left_out_and_counted(tmp_path, rng, behind_A):
     """A third of a decade and more is cut off, exactly or under noise of the converter."""
     held = sweeps(rng, top_A=5e-9, range_A=1.2e-9, behind_A=behind_A)
     law = law_of(fitted(tmp_path / "z.dat", *held))
@@ -119,9 +113,7 @@ def test_rows_at_the_preamplifiers_limit_are_left_out_and_counted(
     assert all(cut <= count <= cut + 6 for count in told)
 
 
-def test_no_row_of_a_sweep_within_the_range_is_taken_for_clipped(
-    rng: np.random.Generator,
-) -> None:
+def test_no_row_of_a_sweep_within_the_range_is_taken_for_clipped(rng):
     for _ in range(20):
         height_m, *ways = sweeps(rng, behind_A=1e-12)
         for current_A, direction in zip(ways, Direction, strict=True):
@@ -131,15 +123,13 @@ def test_no_row_of_a_sweep_within_the_range_is_taken_for_clipped(
             assert curve.saturated == 0
 
 
-def test_an_offset_of_picoamperes_moves_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_an_offset_of_picoamperes_moves_nothing(tmp_path, rng):
     law = law_of(fitted(tmp_path / "z.dat", *sweeps(rng, offset_A=4e-12)))
     assert law.offset_A == pytest.approx(4e-12, abs=5.0 * law.offset_standard_A)
     assert law.decay_interval_per_m[0] < DECAY_per_m < law.decay_interval_per_m[1]
 
 
-def test_a_head_of_zero_bias_leaves_the_sign_to_the_current(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_head_of_zero_bias_leaves_the_sign_to_the_current(tmp_path, rng):
     height_m, away_A, back_A = sweeps(rng)
     unknown = fitted(tmp_path / "z.dat", height_m, -away_A, -back_A, bias="0E+0")
     known = fitted(tmp_path / "z.dat", height_m, -away_A, -back_A, bias="-1E-3")

@@ -22,9 +22,7 @@ def _plant(delay_s: float, sensor_pole_Hz: float = 7000.0) -> JunctionPlant:
 
 @pytest.mark.parametrize("delay_s", [0.0, 12e-6, 50e-6, 95e-6, 100e-6])
 @pytest.mark.parametrize("sensor_pole_Hz", [900.0, 4000.0, 30000.0])
-def test_the_step_response_is_that_of_the_continuous_chain(
-    delay_s: float, sensor_pole_Hz: float
-) -> None:
+def test_the_step_response_is_that_of_the_continuous_chain(delay_s, sensor_pole_Hz):
     plant = _plant(delay_s, sensor_pole_Hz)
     a, s = 2 * np.pi * 4000.0, 2 * np.pi * sensor_pole_Hz
     system = sample(
@@ -43,7 +41,7 @@ def test_the_step_response_is_that_of_the_continuous_chain(
     assert plant.respond(np.ones(40)) == pytest.approx(np.array(expected), abs=split)
 
 
-def test_the_frequency_response_is_that_of_the_polynomials() -> None:
+def test_the_frequency_response_is_that_of_the_polynomials():
     plant = _plant(61e-6)
     numerator, denominator = plant.polynomials()
     frequency_Hz = np.array([1.0, 100.0, 3000.0, 9900.0])
@@ -52,6 +50,6 @@ def test_the_frequency_response_is_that_of_the_polynomials() -> None:
     assert plant.frequency_response(frequency_Hz) == pytest.approx(expected, rel=1e-10)
 
 
-def test_a_negative_delay_is_refused() -> None:
+def test_a_negative_delay_is_refused():
     with pytest.raises(ValueError, match="delay_s"):
         _plant(-1e-6)

@@ -40,25 +40,25 @@ def measured(junction: Junction, periods: int = 21) -> LoopNoise:
     return noise
 
 
-def test_the_drift_rate_lies_in_its_interval() -> None:
+def test_the_drift_rate_lies_in_its_interval():
     noise = measured(DRIFTING_JUNCTION)
     low, high = noise.drift_interval_m_per_s
     assert low < 60e-12 < high
     assert noise.drift_m_per_s == pytest.approx(60e-12, abs=10e-12)
 
 
-def test_the_hum_is_found_at_its_frequency_and_size() -> None:
+def test_the_hum_is_found_at_its_frequency_and_size():
     noise = measured(HUMMING_JUNCTION)
     assert noise.mains[0].frequency_Hz == pytest.approx(60.0, abs=0.3)
     assert noise.mains[0].amplitude_m == pytest.approx(6e-12, rel=0.15, abs=0.0)
 
 
-def test_without_hum_no_line_is_claimed() -> None:
+def test_without_hum_no_line_is_claimed():
     noise = measured(HUMLESS_JUNCTION)
     assert noise.mains == ()
 
 
-def test_the_vibration_stands_in_the_spectrum() -> None:
+def test_the_vibration_stands_in_the_spectrum():
     record = record_of(VIBRATING_JUNCTION, 21)
     fit = identified(record, VIBRATING_JUNCTION)
     decay_per_m = decay_of_barrier(fit.barrier_eV)
@@ -68,7 +68,7 @@ def test_the_vibration_stands_in_the_spectrum() -> None:
     assert frequency_Hz[around][np.argmax(density[around])] == pytest.approx(140.0, abs=10.0)
 
 
-def test_the_published_budget_at_one_nanoampere_and_ten_kilohertz() -> None:
+def test_the_published_budget_at_one_nanoampere_and_ten_kilohertz():
     """Shot 1.79 pA, Johnson of 1 GOhm 4.0e-15 A/rtHz; the drive's steps limit, not physics."""
     chain = CurrentChain(bandwidth_Hz=10e3, feedback_ohm=1e9, adc_step_A=0.305e-12)
     assert chain.shot_A(1e-9) == pytest.approx(1.79e-12, rel=5e-3, abs=0.0)
@@ -88,9 +88,7 @@ def test_the_published_budget_at_one_nanoampere_and_ten_kilohertz() -> None:
 
 
 @pytest.mark.parametrize("unrest_m", [1e-12, 1e-13])
-def test_the_gap_is_what_the_electronics_of_the_current_leave_of_the_unrest(
-    unrest_m: float,
-) -> None:
+def test_the_gap_is_what_the_electronics_of_the_current_leave_of_the_unrest(unrest_m):
     *reading, _, gap = budget_resolution(
         set_point_A=1e-9,
         decay_per_m=decay_of_barrier(1.0),
@@ -104,7 +102,7 @@ def test_the_gap_is_what_the_electronics_of_the_current_leave_of_the_unrest(
     assert whole_m == pytest.approx(max(unrest_m, alone_m), rel=1e-9, abs=0.0)
 
 
-def test_the_limiting_electronics_change_with_an_attenuator() -> None:
+def test_the_limiting_electronics_change_with_an_attenuator():
     whole, attenuated = (
         measured(junction, periods=12) for junction in (Junction(), STRONGLY_ATTENUATED_DRIVE)
     )
@@ -113,7 +111,7 @@ def test_the_limiting_electronics_change_with_an_attenuator() -> None:
     assert whole.limiting_source == attenuated.limiting_source == "gap"
 
 
-def test_the_budget_is_for_the_declared_bandwidth_or_for_the_pole_below_half_the_rate() -> None:
+def test_the_budget_is_for_the_declared_bandwidth_or_for_the_pole_below_half_the_rate():
     record = record_of(Junction(), 6)
     for declared_Hz, pole_Hz, expected_Hz in ((7e3, 3e3, 7e3), (None, 3e3, 3e3), (None, 3e4, 1e4)):
         plant = JunctionPlant(
@@ -128,7 +126,7 @@ def test_the_budget_is_for_the_declared_bandwidth_or_for_the_pole_below_half_the
         assert noise.bandwidth_Hz == pytest.approx(expected_Hz)
 
 
-def test_a_record_too_short_for_mains_lines_has_no_budget() -> None:
+def test_a_record_too_short_for_mains_lines_has_no_budget():
     record = record_of(Junction(), 9)
     plant = identified(record, Junction()).plant
     samples = int(0.49 * record.sampling_rate_Hz)
@@ -141,7 +139,7 @@ def test_a_record_too_short_for_mains_lines_has_no_budget() -> None:
     assert measure_loop_noise(short, plant, RIG) is None
 
 
-def test_the_power_density_integrates_to_the_variance(rng: np.random.Generator) -> None:
+def test_the_power_density_integrates_to_the_variance(rng):
     signal = rng.standard_normal(40000)
     frequency_Hz, density = power_density(signal, 1000.0)
     assert np.sum(density) * frequency_Hz[1] == pytest.approx(np.var(signal), rel=0.03)

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -48,7 +47,7 @@ def half_gain_spread(family: Sequence[JunctionPlant]) -> float:
     return 0.5 * float(np.log(high.gain_nepers_per_V / low.gain_nepers_per_V))
 
 
-def test_the_family_holds_the_junctions_it_was_drawn_from(fits: list[ClosedLoopFit]) -> None:
+def test_the_family_holds_the_junctions_it_was_drawn_from(fits):
     nominal, *extremes = spread_family(fits)
     assert len(extremes) == 6
     for place, name in enumerate(("gain_nepers_per_V", "sensor_pole_Hz", "delay_s")):
@@ -70,22 +69,20 @@ def test_the_family_holds_the_junctions_it_was_drawn_from(fits: list[ClosedLoopF
     assert 0.06 < half_gain_spread([nominal, *extremes]) < 0.25
 
 
-def test_one_record_spreads_by_its_own_uncertainty(fits: list[ClosedLoopFit]) -> None:
+def test_one_record_spreads_by_its_own_uncertainty(fits):
     """Too few records to see what differs between them: the normal quantile of one."""
     expected = 1.96 * np.sqrt(fits[0].covariance[0, 0])
     assert half_gain_spread(spread_family(fits[:1])) == pytest.approx(expected, rel=1e-3)
 
 
-def test_equal_junctions_have_no_spread_beyond_their_uncertainty() -> None:
+def test_equal_junctions_have_no_spread_beyond_their_uncertainty():
     equal = Junction()
     same = [identified(r, equal) for r in loop_records([equal] * 4, periods=11, seed=37)]
     uncertainty = np.sqrt(np.mean([fit.covariance[0, 0] for fit in same]))
     assert half_gain_spread(spread_family(same)) < 4.0 * uncertainty
 
 
-def test_the_model_comes_back_number_for_number_also_where_an_interval_has_no_end(
-    rng: np.random.Generator, fits: list[ClosedLoopFit]
-) -> None:
+def test_the_model_comes_back_number_for_number_also_where_an_interval_has_no_end(rng, fits):
     model = TunnellingModel(
         gap_law=fit_barrier([sweep(rng)]).law,
         loop_plant=describe_loop_plant(fits, rig_of(Junction())),
@@ -97,7 +94,7 @@ def test_the_model_comes_back_number_for_number_also_where_an_interval_has_no_en
         assert from_json(TunnellingModel, json.loads(text)) == known
 
 
-def test_one_loop_among_other_recordings_is_enough_for_a_plant(tmp_path: Path) -> None:
+def test_one_loop_among_other_recordings_is_enough_for_a_plant(tmp_path):
     (tmp_path / "lab.toml").write_text(LAB)
     lab, junction, sweep_of_x = read_lab(tmp_path / "lab.toml"), Junction(), stage_recording()
     record = record_of(junction, 9)

@@ -24,8 +24,8 @@ def _fit(realdata: Path, direction: Direction, *numbers: str) -> BarrierFit:
 
 @pytest.mark.parametrize("direction", list(Direction))
 def test_the_published_decay_lies_in_the_interval_and_three_sweeps_agree_with_it(
-    realdata: Path, direction: Direction
-) -> None:
+    realdata, direction
+):
     fit = _fit(realdata, direction, "AVG")
     low, high = fit.decay_interval_per_m
     assert low < PUBLISHED_PER_M[direction] < high
@@ -38,13 +38,13 @@ def test_the_published_decay_lies_in_the_interval_and_three_sweeps_agree_with_it
     assert together.confidence is Confidence.HIGH
 
 
-def test_the_negative_polarity_and_the_offset_are_found(realdata: Path) -> None:
+def test_the_negative_polarity_and_the_offset_are_found(realdata):
     fit = _fit(realdata, Direction.FORWARD, "AVG")
     assert fit.polarity == -1.0
     assert -0.05e-12 < fit.offset_A < -0.01e-12  # the far end rests at -0.036 pA
 
 
-def test_the_directions_differ_by_a_few_picometres(realdata: Path) -> None:
+def test_the_directions_differ_by_a_few_picometres(realdata):
     ways = [_fit(realdata, way, "00001", "00002", "00003") for way in Direction]
     shift = compare_directions(*ways)
     low, high = shift.shift_interval_m
@@ -52,7 +52,7 @@ def test_the_directions_differ_by_a_few_picometres(realdata: Path) -> None:
     assert shift.is_one_decay
 
 
-def test_a_known_shift_between_directions_is_found(rng: np.random.Generator) -> None:
+def test_a_known_shift_between_directions_is_found(rng):
     forward = fit_barrier([sweep(rng) for _ in range(3)])
     backward = fit_barrier(
         [sweep(rng, shift_m=10e-12, direction=Direction.BACKWARD) for _ in range(3)]

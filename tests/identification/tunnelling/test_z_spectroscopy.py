@@ -1,7 +1,5 @@
 """The sweeps of a Z spectroscopy file are found, with height, direction and bias."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -29,7 +27,7 @@ def _table(*labels: str, metadata: dict[str, str] | None = None) -> RawTable:
     )
 
 
-def test_the_real_file_holds_three_sweeps_each_way(realdata: Path) -> None:
+def test_the_real_file_holds_three_sweeps_each_way(realdata):
     table = real_table(realdata)
     curves = read_z_spectroscopy(table)
     ways = [curve.direction for curve in curves]
@@ -40,7 +38,7 @@ def test_the_real_file_holds_three_sweeps_each_way(realdata: Path) -> None:
     assert np.array_equal(curves[4].height_m, expected.height_m)
 
 
-def test_sweeps_of_several_files_are_taken_in_their_order() -> None:
+def test_sweeps_of_several_files_are_taken_in_their_order():
     head = {"Bias>Bias (V)": "-20E-3"}
     first = _table("Z rel (nm)", "Current (nA)", "Current [bwd] (nA)", metadata=head)
     second = _table("Z rel (nm)", "Current (pA)", metadata=head)
@@ -51,46 +49,44 @@ def test_sweeps_of_several_files_are_taken_in_their_order() -> None:
     ]
 
 
-def test_an_average_is_taken_only_where_there_is_nothing_else() -> None:
+def test_an_average_is_taken_only_where_there_is_nothing_else():
     alone = _table("Z rel (nm)", "Current [AVG] (pA)", "Bias [AVG] (V)")
     both = _table("Z rel (nm)", "Current [AVG] (pA)", "Current [00001] (pA)", "Bias [00001] (V)")
     assert [c.label for c in read_z_spectroscopy(alone)] == ["made.dat: Current [AVG] (pA)"]
     assert [c.label for c in read_z_spectroscopy(both)] == ["made.dat: Current [00001] (pA)"]
 
 
-def test_units_of_the_headings_are_converted() -> None:
+def test_units_of_the_headings_are_converted():
     (curve,) = read_z_spectroscopy(_table("Z rel (nm)", "Current (pA)", "Bias (mV)"))
     assert curve.height_m[0] == pytest.approx(1e-9, abs=0.0)
     assert curve.current_A[0] == pytest.approx(2e-12, abs=0.0)
     assert curve.bias_V == pytest.approx(3.5e-3)
 
 
-def test_the_bias_of_the_head_serves_where_the_sweep_has_none() -> None:
+def test_the_bias_of_the_head_serves_where_the_sweep_has_none():
     table = _table("Z rel (m)", "Current [bwd] (A)", metadata={"Bias>Bias (V)": "-20E-3"})
     (curve,) = read_z_spectroscopy(table)
     assert curve.bias_V == -0.02
     assert curve.direction is Direction.BACKWARD
 
 
-def test_a_sweep_over_bias_is_refused() -> None:
+def test_a_sweep_over_bias_is_refused():
     with pytest.raises(UnitError, match="swept column is 'Bias"):
         read_z_spectroscopy(_table("Bias (V)", "Current (A)"))
 
 
-def test_a_table_without_current_is_refused() -> None:
+def test_a_table_without_current_is_refused():
     with pytest.raises(RecordingError, match="no current among"):
         read_z_spectroscopy(_table("Z rel (m)", "LIX 1 omega (A)"))
 
 
 @pytest.mark.parametrize("name", ["Current (A)", "I (A)"])
-def test_a_table_without_bias_has_none(name: str) -> None:
+def test_a_table_without_bias_has_none(name):
     (curve,) = read_z_spectroscopy(_table("Z rel (m)", name))
     assert curve.bias_V is None
 
 
-def test_a_text_table_of_height_and_current_is_an_approach_curve(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_text_table_of_height_and_current_is_an_approach_curve(tmp_path, rng):
     """I = 700 pA exp(-19 z/nm) + 0.3 pA, noise 0.1 pA."""
     z_nm = np.linspace(0.0, 0.7, 300)
     picoamperes = 700.0 * np.exp(-19.0 * z_nm) + 0.3 + 0.1 * rng.standard_normal(300)
