@@ -1,4 +1,4 @@
-"""A healthy campaign of the virtual laboratory as recordings, and the view of them."""
+"""Healthy campaigns of the virtual laboratory as recordings, and their residual views."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -18,21 +18,21 @@ PLANS = ("sweep", "rates", "staircase", "chirp", "other_axis")
 
 
 def causes(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """Return the findings that accuse the stage: the shape of its loops is no fault."""
+    """Return the findings except loop shape, which is no fault of the stage."""
     return tuple(name for name in diagnosis.names if name != "loop_shape")
 
 
 def effects_of(diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """Return the findings that name an effect of the stage or its instruments.
-
-    Loop shape and something else say what the class of hysteresis leaves on this stage.
-    """
-    rest = ("loop_shape", "something_else")
-    return tuple(finding for finding in diagnosis.findings if finding.effect not in rest)
+    """Return the findings that name an effect of the stage or its instruments."""
+    return tuple(
+        finding
+        for finding in diagnosis.findings
+        if finding.effect not in ("loop_shape", "something_else")
+    )
 
 
 def thinned(recordings: Iterable[Recording], every: int) -> tuple[Recording, ...]:
-    """Return the recordings with every n-th sample: the same stage, quicker to diagnose."""
+    """Return recordings with every n-th sample, which are faster to diagnose."""
     return tuple(
         replace(
             recording,

@@ -1,4 +1,4 @@
-"""A ceramic whose loops no sum of plays represents: Bouc-Wen, 0 to 100 V, about 11 um."""
+"""Bouc-Wen ceramic, 0 to 100 V, about 11 um: no sum of plays represents its loops."""
 
 import numpy as np
 

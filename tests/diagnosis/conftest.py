@@ -4,11 +4,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.diagnosis import bench, play_stage, played
+from tests.diagnosis import bench, play_recordings, play_stage
 
 
 @pytest.fixture(scope="module", autouse=True)
 def drop_cached_views() -> Iterator[None]:
     yield
-    for view in (bench.healthy_view, play_stage.healthy, played.view_after):
+    for view in (bench.healthy_view, play_stage.healthy, play_recordings.view_after):
         view.cache_clear()

@@ -1,4 +1,4 @@
-"""A stage that is a sum of plays with a little Bouc-Wen, recorded three times, no code of ours."""
+"""Stage of plays and a weak Bouc-Wen state, recorded with three drives; independent of piezoid."""
 
 from functools import cache
 
@@ -21,15 +21,15 @@ def drive(kind: str) -> tuple[float, Array]:
         return rate_Hz, np.linspace(1.0, 0.3, 9000) * 2 / np.pi * turn
     if kind == "walk":
         levels = np.random.default_rng(5).uniform(-0.9, 0.9, 31)
-        place = np.linspace(0, 29.999, 9000)
-        part = 0.5 - 0.5 * np.cos(np.pi * (place % 1.0))
-        at = place.astype(int)
-        return rate_Hz, levels[at] + (levels[at + 1] - levels[at]) * part
+        position = np.linspace(0, 29.999, 9000)
+        progress = 0.5 - 0.5 * np.cos(np.pi * (position % 1.0))
+        segment = position.astype(int)
+        return rate_Hz, levels[segment] + (levels[segment + 1] - levels[segment]) * progress
     return rate_Hz, 0.6 * np.sin(2 * np.pi * 2.7 * time_s) + 0.3 * np.sin(2 * np.pi * 17 * time_s)
 
 
-def moved(field: Array) -> Array:
-    """Return the displacement over the stroke, of plays and a little Bouc-Wen."""
+def stroke_fraction(field: Array) -> Array:
+    """Return the displacement divided by the stroke."""
     state, rub, out = np.zeros(6), 0.0, np.empty(len(field))
     width = np.linspace(0.05, 0.6, 6)
     for i, (u, step) in enumerate(zip(field, np.diff(field, prepend=field[0]), strict=True)):
@@ -43,13 +43,13 @@ def moved(field: Array) -> Array:
 def clean(kind: str) -> tuple[float, Array, Array]:
     rate_Hz, field = drive(kind)
     noise = np.random.default_rng(len(kind)).normal(0.0, NOISE_m, len(field))
-    return rate_Hz, field, STROKE_m * moved(field) + noise
+    return rate_Hz, field, STROKE_m * stroke_fraction(field) + noise
 
 
 def recording(kind: str, reading_m: Array | None = None, field: Array | None = None) -> Recording:
-    rate_Hz, own, measured_m = clean(kind)
+    rate_Hz, default_field, measured_m = clean(kind)
     values = {
-        Quantity.VOLTAGE: 50.0 + 40.0 * (own if field is None else field),
+        Quantity.VOLTAGE: 50.0 + 40.0 * (default_field if field is None else field),
         Quantity.DISPLACEMENT: measured_m if reading_m is None else reading_m,
     }
     channels = tuple(
@@ -70,12 +70,12 @@ def healthy():
     return view_with()
 
 
-def slipped(reading_m: Array, at: int, samples: int) -> Array:
-    """Return readings that come so many samples late from a place on, or early where negative."""
-    place = np.arange(len(reading_m))
-    source = np.where(place >= at, np.maximum(place - samples, at if samples > 0 else 0), place)
+def with_slip(reading_m: Array, at: int, samples: int) -> Array:
+    """Delay the readings after one sample, or advance them if the number is negative."""
+    sample = np.arange(len(reading_m))
+    source = np.where(sample >= at, np.maximum(sample - samples, at if samples > 0 else 0), sample)
     return reading_m[np.minimum(source, len(reading_m) - 1)]
 
 
-def within(fault, value: float) -> bool:
+def is_within_interval(fault, value: float) -> bool:
     return abs(fault.value - value) <= 1.96 * fault.spread

@@ -1,4 +1,4 @@
-"""The error budget: its parts add up, and whatever leaves the model above the noise has a name."""
+"""The error budget adds up and names every error above the noise."""
 
 from functools import cache
 
@@ -18,8 +18,8 @@ from tests.reports.known_diagnosis import diagnosed, finding
 
 
 @cache
-def of_bouc_wen() -> tuple[Recording, Diagnosis]:
-    """Return loops of a Bouc-Wen ceramic that grow smaller in the second half, and why."""
+def bouc_wen_diagnosis() -> tuple[Recording, Diagnosis]:
+    """Return decaying loops of a Bouc-Wen ceramic and their diagnosis."""
     time_s = np.arange(3000) / 500.0
     height_V = np.where(time_s < 3.0, 100.0, 100.0 - 25.0 * (time_s - 3.0))
     drive_V = height_V * 0.5 * (1.0 - np.cos(2.0 * np.pi * time_s))
@@ -35,16 +35,16 @@ def power(diagnosis: Diagnosis) -> float:
 
 
 @pytest.mark.slow
-def test_loops_of_another_class_are_named_loop_shape_and_neither_drift_nor_creep():
-    _, bouc_wen = of_bouc_wen()
+def test_loops_of_another_class_are_named_loop_shape_only():
+    _, bouc_wen = bouc_wen_diagnosis()
     assert bouc_wen.names == ("loop_shape",)
     part = next(part for part in bouc_wen.budget if part.part == "loop_shape")
     assert part.rms_m > 3.0 * NOISE_um * 1e-6
 
 
 @pytest.mark.slow
-def test_the_final_error_is_that_of_the_model_and_the_parts_add_up():
-    loops, bouc_wen = of_bouc_wen()
+def test_the_final_error_is_that_of_the_model_and_the_budget_adds_up():
+    loops, bouc_wen = bouc_wen_diagnosis()
     assert bouc_wen.model is not None
     assert bouc_wen.final.rms_m == bouc_wen.model.quality.held_out_rms_m
     part = next(part for part in bouc_wen.budget if part.part == "loop_shape")
@@ -55,11 +55,11 @@ def test_the_final_error_is_that_of_the_model_and_the_parts_add_up():
     assert np.std(error_m) == pytest.approx(bouc_wen.model.quality.rms_m, rel=0.1)
 
 
-def budget_of(known: Diagnosis, explained_m: float, wide_m: float) -> dict[str, float]:
+def budget_of(diagnosis: Diagnosis, explained_m: float, wide_m: float) -> dict[str, float]:
     errors = RemainingErrors(explained_m=explained_m, wide_m=wide_m, scatter=0.01)
-    found = with_budget(known, errors)
-    assert power(found) == pytest.approx(known.baseline.rms_m**2)
-    return {part.part: part.rms_m for part in found.budget}
+    completed = with_budget(diagnosis, errors)
+    assert power(completed) == pytest.approx(diagnosis.baseline.rms_m**2)
+    return {part.part: part.rms_m for part in completed.budget}
 
 
 def test_each_error_is_split_by_the_next_smaller_one():
@@ -71,28 +71,32 @@ def test_each_error_is_split_by_the_next_smaller_one():
     assert parts["noise"] == pytest.approx(5e-9)
 
 
-def test_a_residual_that_dominates_is_something_else_with_its_coordinate():
+def test_a_dominant_residual_is_something_else_with_its_coordinate():
     errors = RemainingErrors(explained_m=3e-8, wide_m=3e-8, scatter=0.01)
-    found = with_budget(diagnosed(finding("creep", 0.4)), errors)
-    named = next(one for one in found.findings if one.effect == "something_else")
-    assert named.coordinate == "drive"
-    assert found.largest_remaining.part in ("something_else", "unexplained")
+    diagnosis = with_budget(diagnosed(finding("creep", 0.4)), errors)
+    structure = next(
+        finding for finding in diagnosis.findings if finding.effect == "something_else"
+    )
+    assert structure.coordinate == "drive"
+    assert diagnosis.largest_remaining.part in ("something_else", "unexplained")
 
 
-def test_structure_that_the_model_lacks_is_part_of_the_final_error():
+def test_unmodelled_structure_is_part_of_the_final_error():
     errors = RemainingErrors(explained_m=2.5e-8, wide_m=1e-8, scatter=0.01, structure_m=2e-8)
-    found = with_budget(diagnosed(finding("creep", 0.4), finding("something_else", 0.4)), errors)
-    parts = {part.part: part for part in found.budget}
+    diagnosis = with_budget(
+        diagnosed(finding("creep", 0.4), finding("something_else", 0.4)), errors
+    )
+    parts = {part.part: part for part in diagnosis.budget}
     assert not parts["something_else"].is_explained
     assert parts["something_else"].rms_m == pytest.approx(2e-8)
     assert parts["creep"].rms_m == pytest.approx(4e-8)
     assert parts["loop_shape"].rms_m == pytest.approx(np.sqrt(1.25) * 1e-8)
-    assert power(found) == pytest.approx(found.baseline.rms_m**2)
+    assert power(diagnosis) == pytest.approx(diagnosis.baseline.rms_m**2)
 
 
 @pytest.mark.slow
-def test_the_error_of_coarse_readings_is_part_of_the_budget_and_nothing_else():
-    loops, _ = of_bouc_wen()
+def test_the_error_of_coarse_readings_is_quantisation_and_not_something_else():
+    loops, _ = bouc_wen_diagnosis()
     step_m = 60e-6 * NOISE_um
     coarse = from_arrays(
         time_s=np.arange(loops.samples) / loops.sampling_rate_Hz,

@@ -1,4 +1,4 @@
-"""A sensor that a feedback holds: the drive's answer is creep, drift, or neither."""
+"""Closed-loop recordings at a constant sensor: the drive shows creep, drift, or neither."""
 
 from pathlib import Path
 
@@ -18,27 +18,29 @@ SHARE = 0.015  # of the step, each decade
 HOLD_s = np.arange(HOLD) / RATE_Hz
 
 
-def held(law: str, moved: Array, *, seed: int = 3) -> tuple[Array, Array]:
-    """Return field and reading of an approach, a hold against a motion, and a retraction.
+def constant_sensor(law: str, disturbance: Array, *, seed: int = 3) -> tuple[Array, Array]:
+    """Return drive and reading of an approach, a hold under feedback, and a retraction.
 
-    moved  (HOLD,)  what the stage does by itself, of the field's unit
+    disturbance  (HOLD,)  motion that the feedback compensates, in units of the field
     """
     approach = np.linspace(1.0, -0.8, MOVE)
-    back = np.linspace(0.0, 1.0, MOVE)
-    give = np.zeros(HOLD)
-    for _ in range(60):  # the integrator of the loop
-        position = LAWS[law](np.concatenate([approach, approach[-1] + give]))
-        give = give - (position[MOVE:] - position[MOVE - 1] + moved)
-    field = np.concatenate([approach, approach[-1] + give])
-    retract = field[-1] + back * (1.0 - field[-1])
+    return_path = np.linspace(0.0, 1.0, MOVE)
+    correction = np.zeros(HOLD)
+    for _ in range(60):  # integrator of the loop
+        position = LAWS[law](np.concatenate([approach, approach[-1] + correction]))
+        correction = correction - (position[MOVE:] - position[MOVE - 1] + disturbance)
+    field = np.concatenate([approach, approach[-1] + correction])
+    retract = field[-1] + return_path * (1.0 - field[-1])
     field = np.concatenate([field, retract])
-    aside = np.concatenate([np.zeros(MOVE), moved, np.full(MOVE, moved[-1])])
+    disturbance_path = np.concatenate(
+        [np.zeros(MOVE), disturbance, np.full(MOVE, disturbance[-1])]
+    )
     noise = 2e-4 * np.random.default_rng(seed).standard_normal(len(field))
-    return field, 10.0 * (LAWS[law](field) + aside) + noise
+    return field, 10.0 * (LAWS[law](field) + disturbance_path) + noise
 
 
-def diagnosed(folder: Path, law: str, moved: Array) -> Diagnosis:
-    field, reading_um = held(law, moved)
+def diagnosed(folder: Path, law: str, disturbance: Array) -> Diagnosis:
+    field, reading_um = constant_sensor(law, disturbance)
     cuts = {"a": slice(0, MOVE), "b": slice(MOVE, MOVE + HOLD), "c": slice(MOVE + HOLD, None)}
     files = [
         write(folder / f"{name}.csv", field[part], reading_um[part]) for name, part in cuts.items()
@@ -47,22 +49,22 @@ def diagnosed(folder: Path, law: str, moved: Array) -> Diagnosis:
 
 
 @pytest.mark.parametrize("law", ["dahl", "preisach"])
-def test_creep_in_a_hold_is_named_with_its_size(tmp_path, law):
+def test_creep_at_a_constant_sensor_is_named_with_its_size(tmp_path, law):
     step = 1.8
-    crept = -SHARE * step * np.log10(1.0 + HOLD_s / 0.02) * 0.5
-    found = diagnosed(tmp_path, law, crept)
-    finding = next(one for one in found.findings if one.effect == "creep")
+    creep = -SHARE * step * np.log10(1.0 + HOLD_s / 0.02) * 0.5
+    diagnosis = diagnosed(tmp_path, law, creep)
+    finding = next(candidate for candidate in diagnosis.findings if candidate.effect == "creep")
     low, high = finding.size.ci95
     approach = LAWS[law](np.linspace(1.0, -0.8, MOVE))
     assert low < 100 * SHARE * step * 0.5 / abs(approach[-1] - approach[0]) < high
     assert "b.csv a feedback holds the sensor" in finding.explanation
 
 
-def test_what_goes_on_evenly_in_a_hold_is_no_creep(tmp_path):
-    found = diagnosed(tmp_path, "preisach", -0.05 * HOLD_s / HOLD_s[-1])
-    assert "creep" not in found.names
+def test_a_linear_change_of_a_constant_sensor_is_no_creep(tmp_path):
+    diagnosis = diagnosed(tmp_path, "preisach", -0.05 * HOLD_s / HOLD_s[-1])
+    assert "creep" not in diagnosis.names
 
 
-def test_what_goes_against_the_move_before_is_no_creep(tmp_path):
-    back = 0.02 * np.log10(1.0 + HOLD_s / 0.02)
-    assert "creep" not in diagnosed(tmp_path, "preisach", back).names
+def test_a_change_against_the_previous_move_is_no_creep(tmp_path):
+    reverse = 0.02 * np.log10(1.0 + HOLD_s / 0.02)
+    assert "creep" not in diagnosed(tmp_path, "preisach", reverse).names

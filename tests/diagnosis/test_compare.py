@@ -1,4 +1,4 @@
-"""Since a model was fitted: nothing, another sensitivity, or more than that."""
+"""Comparison of a model with new recordings: unchanged, another sensitivity, or another stage."""
 
 from dataclasses import replace
 
@@ -12,63 +12,63 @@ from piezoid.identification.quality import Verdict
 from tests.identification.joint.stage import NOISE_m, known_model, recordings_of
 
 
-def test_a_model_that_still_holds_is_said_to_hold():
-    found = compare(known_model(), recordings_of())
-    assert "still holds" in found.statement.text
-    assert found.unchanged_error_m < 1.3 * NOISE_m
-    value, low, high = found.gain_ratio
+def test_an_unchanged_stage_confirms_the_model():
+    comparison = compare(known_model(), recordings_of())
+    assert "still holds" in comparison.statement.text
+    assert comparison.unchanged_error_m < 1.3 * NOISE_m
+    value, low, high = comparison.gain_ratio
     assert low <= 1.0 <= high
     assert value == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize(("ratio", "said"), [(1.03, "more than"), (0.88, "less than")])
-def test_another_sensitivity_is_measured_and_explains_the_error(ratio, said):
+@pytest.mark.parametrize(("ratio", "phrase"), [(1.03, "more than"), (0.88, "less than")])
+def test_a_changed_sensitivity_is_measured_and_explains_the_error(ratio, phrase):
     change = GainChange(recording="slow.csv", instant_s=0.0, ratio=ratio, later=("fast.csv",))
-    found = compare(known_model(), recordings_of(change))
-    assert found.gain_ratio[0] == pytest.approx(ratio, abs=2e-3)
-    assert said in found.statement.text
-    assert found.unchanged_error_m > 5 * NOISE_m
-    assert found.rescaled_error_m < 1.3 * NOISE_m
+    comparison = compare(known_model(), recordings_of(change))
+    assert comparison.gain_ratio[0] == pytest.approx(ratio, abs=2e-3)
+    assert phrase in comparison.statement.text
+    assert comparison.unchanged_error_m > 5 * NOISE_m
+    assert comparison.rescaled_error_m < 1.3 * NOISE_m
 
 
-def test_more_than_a_sensitivity_is_not_given_to_it():
-    found = compare(known_model(), recordings_of(FirstOrderLag(lag_s=0.01)))
-    assert "more than the sensitivity changed" in found.statement.text
-    assert found.refitted_error_m < 0.9 * found.rescaled_error_m
+def test_a_changed_lag_is_not_attributed_to_the_sensitivity():
+    comparison = compare(known_model(), recordings_of(FirstOrderLag(lag_s=0.01)))
+    assert "more than the sensitivity changed" in comparison.statement.text
+    assert comparison.refitted_error_m < 0.9 * comparison.rescaled_error_m
 
 
-@pytest.mark.parametrize("is_random", [False, True], ids=["another stage", "wandering"])
-def test_a_model_of_another_stage_does_not_hold_and_the_figure_says_so(is_random):
-    """Where a sensor wanders, the search for a sensitivity runs into its end."""
-    strange = []
+@pytest.mark.parametrize("is_random", [False, True], ids=["another stage", "random walk"])
+def test_a_model_of_another_stage_does_not_hold(is_random):
+    """With a random walk, the estimated sensitivity reaches its bound."""
+    unrelated = []
     for recording in recordings_of():
         reading_m = 2e-6 * np.sin(np.arange(recording.samples) / 97.0)
         if is_random:
             reading_m = np.cumsum(np.random.default_rng(7).normal(size=recording.samples)) / 1e7
-        strange.append(with_displacement(recording, reading_m))
-    found = compare(known_model(), strange)
-    assert not found.holds
-    text = found.statement.text
+        unrelated.append(with_displacement(recording, reading_m))
+    comparison = compare(known_model(), unrelated)
+    assert not comparison.holds
+    text = comparison.statement.text
     assert "does not hold" in text
     assert "% of the motion" in text
     assert not is_random or not ("90.00" in text or "e+" in text)
 
 
-def test_a_sensitivity_is_told_beside_sparks_as_in_a_clean_file():
-    more = GainChange(recording="slow.csv", instant_s=0.0, ratio=1.12, later=("fast.csv",))
-    sparked = []
-    for recording in recordings_of(more):
+def test_a_changed_sensitivity_is_measured_despite_outliers():
+    change = GainChange(recording="slow.csv", instant_s=0.0, ratio=1.12, later=("fast.csv",))
+    disturbed = []
+    for recording in recordings_of(change):
         reading_m = np.array(recording.displacement_m())
         reading_m[77::83] += 0.4e-6
-        sparked.append(with_displacement(recording, reading_m))
-    found = compare(known_model(), sparked)
-    assert found.gain_ratio[0] == pytest.approx(1.12, abs=2e-3)
-    assert "only the sensitivity changed" in found.statement.text
-    assert "12." in found.statement.text
-    assert not found.holds
+        disturbed.append(with_displacement(recording, reading_m))
+    comparison = compare(known_model(), disturbed)
+    assert comparison.gain_ratio[0] == pytest.approx(1.12, abs=2e-3)
+    assert "only the sensitivity changed" in comparison.statement.text
+    assert "12." in comparison.statement.text
+    assert not comparison.holds
 
 
-def test_a_noisier_sensor_is_no_other_stage():
+def test_a_noisier_sensor_is_not_another_stage():
     rng = np.random.default_rng(5)
     noisy = [
         with_displacement(
@@ -77,23 +77,23 @@ def test_a_noisier_sensor_is_no_other_stage():
         )
         for recording in recordings_of()
     ]
-    found = compare(known_model(), noisy)
-    assert "still holds" in found.statement.text
-    assert "sensor noise rose" in found.statement.text
+    comparison = compare(known_model(), noisy)
+    assert "still holds" in comparison.statement.text
+    assert "sensor noise rose" in comparison.statement.text
 
 
-def test_a_model_that_never_applied_holds_nowhere():
-    never = replace(known_model(), verdict=Verdict(applies=False, reason="loops turn back"))
-    found = compare(never, recordings_of())
-    assert not found.holds
-    assert "still holds" not in found.statement.text
-    assert "loops turn back" in found.statement.text
+def test_an_inapplicable_model_does_not_hold():
+    inapplicable = replace(known_model(), verdict=Verdict(applies=False, reason="loops turn back"))
+    comparison = compare(inapplicable, recordings_of())
+    assert not comparison.holds
+    assert "still holds" not in comparison.statement.text
+    assert "loops turn back" in comparison.statement.text
 
 
-def test_what_belonged_to_the_recordings_of_then_is_left_behind():
+def test_drift_of_earlier_recordings_does_not_affect_a_comparison():
     drift = ThermalDrift.of([])
-    old = replace(known_model(), extensions=(drift,))
+    extended = replace(known_model(), extensions=(drift,))
     assert (
-        compare(old, recordings_of()).to_json()
+        compare(extended, recordings_of()).to_json()
         == compare(known_model(), recordings_of()).to_json()
     )

@@ -1,8 +1,7 @@
-"""A plan asks what was left open, stays inside the limits, and its promise comes true.
+"""A plan addresses an open question within the limits and separates effects as predicted.
 
-The laboratory knows what each effect really changed: it records everything again without it. How
-well that change can be told from another is computed here by plain least squares, apart from the
-code that promised it.
+The laboratory repeats every recording without an effect, which gives its true contribution. Plain
+least squares, independent of the planner, computes how well two contributions can be separated.
 """
 
 from collections.abc import Mapping, Sequence
@@ -55,15 +54,17 @@ MIDDLE_V = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Hidden:
-    """A stage with effects in it, and what it recorded."""
+class HiddenStage:
+    """A stage with hidden effects and its recordings."""
 
     rig: LabRig
     stage: Stage
     faults: Mapping[str, Fault]
     runs: tuple[Run, ...]
 
-    def played(self, drive: Drive | None) -> tuple[tuple[Rows, ...], dict[str, tuple[Rows, ...]]]:
+    def recorded(
+        self, drive: Drive | None
+    ) -> tuple[tuple[Rows, ...], dict[str, tuple[Rows, ...]]]:
         """Return all recordings, the planned one last, and the same without each effect."""
         runs = self.runs if drive is None else (*self.runs, self._run(drive))
         without = {
@@ -82,26 +83,28 @@ class Hidden:
         )
 
 
-def hidden(
+def hidden_stage(
     seed: int, sizes_percent: Mapping[str, float], plans: Sequence[str], truth: str = "preisach"
-) -> Hidden:
+) -> HiddenStage:
     """Draw a stage and hide effects of these sizes in it."""
-    rig = draw_rig(_chance(seed, "rig"))
-    ceramic = named(TRUTHS, truth).draw(_chance(seed, "ceramic"))
+    rig = draw_rig(_rng(seed, "rig"))
+    ceramic = named(TRUTHS, truth).draw(_rng(seed, "ceramic"))
     stage = Stage(rig=rig, ceramic=ceramic, seed=seed)
-    runs = tuple(run_of(named(PLANS, name), rig, _chance(seed, name)) for name in plans)
-    bench = healthy(stage, runs)
+    runs = tuple(run_of(named(PLANS, name), rig, _rng(seed, name)) for name in plans)
+    healthy_bench = healthy(stage, runs)
     faults = {
         effect.name: effect.install(
-            sizes_percent[effect.name] / 100.0 * rig.stroke_m, bench, _chance(seed, effect.name)
+            sizes_percent[effect.name] / 100.0 * rig.stroke_m,
+            healthy_bench,
+            _rng(seed, effect.name),
         )
         for effect in EFFECTS
         if effect.name in sizes_percent
     }
-    return Hidden(rig=rig, stage=stage, faults=faults, runs=runs)
+    return HiddenStage(rig=rig, stage=stage, faults=faults, runs=runs)
 
 
-def model_of(case: Hidden) -> ActuatorModel:
+def model_of(case: HiddenStage) -> ActuatorModel:
     """Return a plain Prandtl-Ishlinskii model of the healthy ceramic, by least squares."""
     sweep = next(run for run in case.runs if run.name == "sweep")
     rows = record(replace(case.stage, acts=()), sweep)
@@ -113,93 +116,110 @@ def model_of(case: Hidden) -> ActuatorModel:
     )
     weight, _ = nnls(np.hstack([columns * 1e-6, memory_after * 1e-6]), rows.displacement_m)
     plays = PrandtlIshlinskii(threshold=THRESHOLD_V, weight=weight[: len(THRESHOLD_V)] * 1e-6)
-    known = axis_model(recordings=())
+    template = axis_model(recordings=())
     slew_V_per_s = max(
         float(np.abs(np.diff(run.command_V)).max()) * run.sampling_rate_Hz for run in case.runs
     )
     axis = replace(
-        known,
+        template,
         hysteresis=ModifiedPrandtlIshlinskii(
             plays=plays, dead_zones=LINEAR, voltage_offset_V=MIDDLE_V
         ),
         rig=Rig(),
-        certificate=replace(known.certificate, slew_V_per_s=slew_V_per_s),
+        certificate=replace(template.certificate, slew_V_per_s=slew_V_per_s),
     )
     return stage_model(axis)
 
 
-def recordings_of(rows: Sequence[Rows]) -> tuple[Recording, ...]:
-    """Return recordings as they would be read from the laboratory's files."""
+def recordings_of(recorded_rows: Sequence[Rows]) -> tuple[Recording, ...]:
+    """Return recordings as they are read from the files of the laboratory."""
     return tuple(
         from_arrays(
-            voltage_V=one.voltage_V,
-            displacement_m=one.displacement_m,
-            sampling_rate_Hz=one.run.sampling_rate_Hz,
+            voltage_V=rows.voltage_V,
+            displacement_m=rows.displacement_m,
+            sampling_rate_Hz=rows.run.sampling_rate_Hz,
             axis="x",
-            name=f"{one.run.name}.csv",
+            name=f"{rows.run.name}.csv",
         )
-        for one in rows
+        for rows in recorded_rows
     )
 
 
-def diagnosis_of(case: Hidden, findings: Sequence[Finding]) -> Diagnosis:
-    """Return a diagnosis that found these and not the rest, each from a thousandth on."""
-    known, left_m = diagnosed(*findings), 1e-3 * case.rig.stroke_m
+def diagnosis_of(case: HiddenStage, findings: Sequence[Finding]) -> Diagnosis:
+    """Return a diagnosis with these findings; other effects are bounded by a thousandth."""
+    diagnosis, residual_m = diagnosed(*findings), 1e-3 * case.rig.stroke_m
     return replace(
-        known,
+        diagnosis,
         stroke_m=case.rig.stroke_m,
-        final=HeldOut(rms_m=left_m, rms_percent=0.1),
-        envelope_rms_m=left_m,
+        final=HeldOut(rms_m=residual_m, rms_percent=0.1),
+        envelope_rms_m=residual_m,
         noise_floor_rms_m=case.rig.noise_rms_m,
         not_detected=tuple(
-            replace(absent, upper_bound_m=left_m, detection_limit_m=left_m)
-            for absent in known.not_detected
+            replace(absent, upper_bound_m=residual_m, detection_limit_m=residual_m)
+            for absent in diagnosis.not_detected
         ),
     )
 
 
-def found(
-    effect: str, *, share_percent: float, confounded: tuple[str, ...] = (), half: float = 0.1
+def finding_of_size(
+    effect: str, *, share_percent: float, confounded: tuple[str, ...] = (), half_width: float = 0.1
 ) -> Finding:
-    """Return a finding of this size, its interval ``half`` of it to both sides."""
-    ci95 = (share_percent * (1.0 - half), share_percent * (1.0 + half))
+    """Return a finding of this size and the relative half width of its interval."""
+    ci95 = (share_percent * (1.0 - half_width), share_percent * (1.0 + half_width))
     size = Size(value=share_percent, unit="percent", ci95=ci95)
     return replace(finding(effect, share_percent / 100.0, confounded), size=size)
 
 
-def change_percent(case: Hidden, name: str) -> float:
-    """Return the size of an effect in the recordings there are, rms about each one's mean."""
-    full, without = case.played(None)
-    changes = [a.noise_free_m - b.noise_free_m for a, b in zip(full, without[name], strict=True)]
+def change_percent(case: HiddenStage, name: str) -> float:
+    """Return the size of an effect in all recordings, rms about the mean of each."""
+    complete, without = case.recorded(None)
+    changes = [
+        a.noise_free_m - b.noise_free_m for a, b in zip(complete, without[name], strict=True)
+    ]
     square = np.mean([np.var(change) for change in changes])
     return 100.0 * float(np.sqrt(square)) / case.rig.stroke_m
 
 
-def really_separable(
-    case: Hidden, axis: AxisModel, names: tuple[str, str], drive: Drive | None, *, drifting: bool
+def true_separability(
+    case: HiddenStage,
+    axis: AxisModel,
+    names: tuple[str, str],
+    drive: Drive | None,
+    *,
+    is_drift: bool,
 ) -> float:
-    """Return 1 - R^2 of one effect's real change explained by the other beside the model.
+    """Return 1 - R^2 of the true effect regressed on its rival and the model.
 
-    drifting  the other is slow motion of any straight or bent kind, in each recording its own
+    is_drift  the rival is a quadratic drift of each recording instead of its true contribution
     """
-    full, without = case.played(drive)
-    one = [a.noise_free_m - b.noise_free_m for a, b in zip(full, without[names[0]], strict=True)]
-    two = [a.noise_free_m - b.noise_free_m for a, b in zip(full, without[names[1]], strict=True)]
-    picks = [np.linspace(0, len(c) - 1, 1500).astype(int) for c in one]
-    zeros = block_diag(*(np.ones((len(p), 1)) for p in picks))
-    states = [_model_columns(axis, rows)[p] for rows, p in zip(full, picks, strict=True)]
+    complete, without = case.recorded(drive)
+    effect_changes_m = [
+        a.noise_free_m - b.noise_free_m for a, b in zip(complete, without[names[0]], strict=True)
+    ]
+    rival_changes_m = [
+        a.noise_free_m - b.noise_free_m for a, b in zip(complete, without[names[1]], strict=True)
+    ]
+    rows = [np.linspace(0, len(c) - 1, 1500).astype(int) for c in effect_changes_m]
+    zeros = block_diag(*(np.ones((len(p), 1)) for p in rows))
+    states = [
+        _model_columns(axis, recorded)[p] for recorded, p in zip(complete, rows, strict=True)
+    ]
     model = np.hstack([np.vstack(states), zeros])
-    if drifting:
-        alternative = block_diag(*(np.column_stack([p / p[-1], (p / p[-1]) ** 2]) for p in picks))
+    if is_drift:
+        alternative = block_diag(*(np.column_stack([p / p[-1], (p / p[-1]) ** 2]) for p in rows))
     else:
-        alternative = np.concatenate([c[p] for c, p in zip(two, picks, strict=True)])[:, None]
-    effect = np.concatenate([c[p] for c, p in zip(one, picks, strict=True)])
-    alone = _left(effect, model)
-    return float((_left(effect, np.hstack([model, alternative])) ** 2).sum() / (alone**2).sum())
+        alternative = np.concatenate([c[p] for c, p in zip(rival_changes_m, rows, strict=True)])[
+            :, None
+        ]
+    effect = np.concatenate([c[p] for c, p in zip(effect_changes_m, rows, strict=True)])
+    residual = _residual(effect, model)
+    return float(
+        (_residual(effect, np.hstack([model, alternative])) ** 2).sum() / (residual**2).sum()
+    )
 
 
 def _model_columns(axis: AxisModel, rows: Rows) -> Array:
-    """Return states, and squares and cubes of what they make: weights and dead zones."""
+    """Return play states, and squares and cubes of their output for the dead zones."""
     drive_V = rows.voltage_V - MIDDLE_V
     history_V = np.array([MIDDLE_V, -MIDDLE_V] * 2 + [float(drive_V[0])])
     _, memory_V = play_columns(history_V, THRESHOLD_V, np.zeros(len(THRESHOLD_V)))
@@ -209,13 +229,13 @@ def _model_columns(axis: AxisModel, rows: Rows) -> Array:
     return np.hstack([states, np.column_stack([h**2, h**3])])
 
 
-def _left(values: Array, columns: Array) -> Array:
+def _residual(values: Array, columns: Array) -> Array:
     scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=1e-10)[0])
 
 
-def _chance(seed: int, part: str) -> np.random.Generator:
-    return np.random.default_rng([seed, crc32(part.encode())])
+def _rng(seed: int, purpose: str) -> np.random.Generator:
+    return np.random.default_rng([seed, crc32(purpose.encode())])
 
 
 CLOCK_Hz = 20_000.0
@@ -224,80 +244,92 @@ LATE = ("delay", "lag")
 
 
 @cache
-def _slow() -> tuple[Hidden, Diagnosis]:
-    case = hidden(3, {"creep": 0.6, "thermal_drift": 0.3}, ("sweep", "long_hold"))
+def _slow_case() -> tuple[HiddenStage, Diagnosis]:
+    case = hidden_stage(3, {"creep": 0.6, "thermal_drift": 0.3}, ("sweep", "long_hold"))
     share = change_percent(case, "creep")
-    return case, diagnosis_of(case, [found("creep", share_percent=share, confounded=SLOW[1:])])
+    return case, diagnosis_of(
+        case, [finding_of_size("creep", share_percent=share, confounded=SLOW[1:])]
+    )
 
 
 @cache
-def _planned() -> Plan:
-    case, diagnosis = _slow()
-    before = recordings_of(case.played(None)[0])
-    return plan(model_of(case), diagnosis, recordings=before, clock_Hz=CLOCK_Hz)
+def _slow_plan() -> Plan:
+    case, diagnosis = _slow_case()
+    recordings = recordings_of(case.recorded(None)[0])
+    return plan(model_of(case), diagnosis, recordings=recordings, clock_Hz=CLOCK_Hz)
 
 
-def test_creep_and_drift_after_one_hold_are_sent_to_levels_of_random_sign():
-    planned = _planned()
+def test_creep_and_drift_after_one_hold_are_separated_by_random_levels():
+    planned = _slow_plan()
     assert planned.question.kind == "separate"
     assert planned.question.effects == SLOW
     assert planned.drive.name in ("held_levels", "held_levels_mirrored")
 
 
-def test_the_laboratory_plays_the_plan_and_separates_creep_from_drift_as_promised():
-    case, _ = _slow()
-    planned, axis = _planned(), model_of(case).axes["x"]
-    before = really_separable(case, axis, SLOW, None, drifting=True)
-    after = really_separable(case, axis, SLOW, planned.drive, drifting=True)
-    assert planned.recorded is not None
-    assert planned.recorded.separability < 0.2
-    assert before < 0.2
-    assert after > 2.0 * before
-    assert planned.planned.separability / 2 < after < 2.5 * planned.planned.separability
+def test_a_planned_recording_separates_creep_from_drift_as_predicted():
+    case, _ = _slow_case()
+    slow_plan, axis = _slow_plan(), model_of(case).axes["x"]
+    recorded_separability = true_separability(case, axis, SLOW, None, is_drift=True)
+    planned_separability = true_separability(case, axis, SLOW, slow_plan.drive, is_drift=True)
+    assert slow_plan.recorded is not None
+    assert slow_plan.recorded.separability < 0.2
+    assert recorded_separability < 0.2
+    assert planned_separability > 2.0 * recorded_separability
+    assert (
+        slow_plan.planned.separability / 2
+        < planned_separability
+        < 2.5 * slow_plan.planned.separability
+    )
 
 
-def test_the_laboratory_separates_delay_from_lag_once_small_motion_is_fast():
-    case = hidden(4, {"delay": 0.5, "lag": 0.4}, ("sweep", "rates"), "bouc_wen")
+def test_a_fast_small_multisine_separates_delay_from_lag_as_predicted():
+    case = hidden_stage(4, {"delay": 0.5, "lag": 0.4}, ("sweep", "rates"), "bouc_wen")
     model = model_of(case)
-    late = found("delay", share_percent=change_percent(case, "delay"), confounded=LATE[1:])
-    before = recordings_of(case.played(None)[0])
-    diagnosis = diagnosis_of(case, [late])
-    planned = plan(model, diagnosis, recordings=before, clock_Hz=CLOCK_Hz)
+    delay_finding = finding_of_size(
+        "delay", share_percent=change_percent(case, "delay"), confounded=LATE[1:]
+    )
+    recordings = recordings_of(case.recorded(None)[0])
+    diagnosis = diagnosis_of(case, [delay_finding])
+    delay_plan = plan(model, diagnosis, recordings=recordings, clock_Hz=CLOCK_Hz)
     axis = model.axes["x"]
-    assert planned.drive.name == "small_multisine"
-    assert planned.recorded is not None
-    promised = planned.planned.separability / planned.recorded.separability
-    kept = really_separable(case, axis, LATE, planned.drive, drifting=False)
-    kept /= really_separable(case, axis, LATE, None, drifting=False)
+    assert delay_plan.drive.name == "small_multisine"
+    assert delay_plan.recorded is not None
+    promised = delay_plan.planned.separability / delay_plan.recorded.separability
+    achieved = true_separability(case, axis, LATE, delay_plan.drive, is_drift=False)
+    achieved /= true_separability(case, axis, LATE, None, is_drift=False)
     assert promised > 5.0
-    assert promised / 4 < kept < promised * 4
+    assert promised / 4 < achieved < promised * 4
 
 
-def test_a_wide_interval_is_tightened_and_a_narrow_one_left_alone():
-    case, _ = _slow()
+def test_a_wide_interval_is_tightened_and_a_narrow_one_is_not():
+    case, _ = _slow_case()
     model = model_of(case)
-    wide = diagnosis_of(case, [found("creep", share_percent=0.3, half=0.6)])
-    planned = plan(model, wide, clock_Hz=CLOCK_Hz)
-    assert (planned.question.kind, planned.question.effects) == ("tighten", ("creep",))
-    narrow = diagnosis_of(case, [found("creep", share_percent=0.3, half=0.05)])
+    wide = diagnosis_of(case, [finding_of_size("creep", share_percent=0.3, half_width=0.6)])
+    wide_plan = plan(model, wide, clock_Hz=CLOCK_Hz)
+    assert (wide_plan.question.kind, wide_plan.question.effects) == ("tighten", ("creep",))
+    narrow = diagnosis_of(case, [finding_of_size("creep", share_percent=0.3, half_width=0.05)])
     assert plan(model, narrow, clock_Hz=CLOCK_Hz).question.kind == "detect"
 
 
-def test_an_effect_the_recordings_could_not_show_is_planned_for():
-    case, _ = _slow()
+def test_an_undetectable_effect_is_planned_for():
+    case, _ = _slow_case()
     diagnosis = diagnosis_of(case, [])
-    absent = tuple(
-        replace(one, upper_bound_m=None, detection_limit_m=None) if one.effect == "delay" else one
-        for one in diagnosis.not_detected
+    not_detected = tuple(
+        replace(absent, upper_bound_m=None, detection_limit_m=None)
+        if absent.effect == "delay"
+        else absent
+        for absent in diagnosis.not_detected
     )
-    planned = plan(model_of(case), replace(diagnosis, not_detected=absent), clock_Hz=CLOCK_Hz)
+    planned = plan(
+        model_of(case), replace(diagnosis, not_detected=not_detected), clock_Hz=CLOCK_Hz
+    )
     assert planned.question.effects == ("delay",)
     assert "cannot show delay" in sentences(planned)[0]
 
 
 @pytest.mark.parametrize("slew_V_per_s", [60.0, 30_000.0])
-@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda one: one.name)
-def test_every_drive_of_the_menu_stays_inside_range_and_slew(experiment, slew_V_per_s):
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda experiment: experiment.name)
+def test_every_candidate_drive_stays_inside_range_and_slew_rate(experiment, slew_V_per_s):
     limits = DriveLimits(voltage_min_V=1.0, voltage_max_V=8.0, slew_V_per_s=slew_V_per_s)
     bench = Bench(axis="x", limits=limits, clock_Hz=CLOCK_Hz, other_limits={"y": limits})
     drive = drive_of(experiment, bench, 0)
@@ -308,27 +340,27 @@ def test_every_drive_of_the_menu_stays_inside_range_and_slew(experiment, slew_V_
     assert (drive.voltage_V[[0, -1]] == 1.0).all()
 
 
-def test_other_axes_are_asked_for_where_none_is_known():
+def test_a_drive_for_coupling_requires_another_axis():
     limits = DriveLimits(voltage_min_V=0.0, voltage_max_V=10.0, slew_V_per_s=1e3)
     bench = Bench(axis="x", limits=limits, clock_Hz=CLOCK_Hz)
     with pytest.raises(ExcitationError, match="no other axis"):
-        drive_of(next(one for one in EXPERIMENTS if one.name == "other_axis"), bench, 0)
+        drive_of(next(e for e in EXPERIMENTS if e.name == "other_axis"), bench, 0)
 
 
-def test_a_multisine_has_its_lines_at_rms_one_and_no_others(rng):
+def test_a_multisine_contains_its_lines_only_and_has_rms_one(rng):
     lines = odd_lines(20, 800, 10.0, left_out_of=4, rng=rng)
     period = multisine_period(lines, 1000, rng)
     spectrum = np.abs(np.fft.rfft(period))
-    silent = np.setdiff1d(np.arange(501), lines)
+    unexcited_lines = np.setdiff1d(np.arange(501), lines)
     assert np.ptp(spectrum[lines]) < 1e-9 * spectrum.max()
-    assert spectrum[silent].max() < 1e-9 * spectrum.max()
+    assert spectrum[unexcited_lines].max() < 1e-9 * spectrum.max()
     assert np.bincount((lines - 2) // 8)[:9].tolist() == [3] * 9  # of each four odd lines
     assert (lines % 2 == 1).all()
     assert period.std() == pytest.approx(1.0, rel=1e-9)
 
 
-def test_limits_are_those_of_lab_toml_inside_what_was_driven():
-    case, diagnosis = _slow()
+def test_limits_are_the_narrower_of_lab_toml_and_the_recordings():
+    case, diagnosis = _slow_case()
     amplifier = Amplifier(
         gain_V_per_V=15.0, output_min_V=-30.0, output_max_V=120.0, slew_V_per_s=900.0
     )
@@ -338,29 +370,29 @@ def test_limits_are_those_of_lab_toml_inside_what_was_driven():
 
 
 def test_the_files_of_a_plan_are_read_back(tmp_path):
-    planned = _planned()
+    planned = _slow_plan()
     files = plan_files(planned, model_digest="sha256:a", diagnosis_digest="sha256:b")
     content = unseal(files["plan.json"], SCHEMA, "plan.json")
     assert content["drive"]["name"] == planned.drive.name
     assert content["why"] == " ".join(sentences(planned))
     assert len(content["alternatives"]) == len(EXPERIMENTS)
-    place = tmp_path / "drive.csv"
-    place.write_bytes(files["drive.csv"])
-    (recording,) = collect([place], Lab()).recordings
+    path = tmp_path / "drive.csv"
+    path.write_bytes(files["drive.csv"])
+    (recording,) = collect([path], Lab()).recordings
     assert np.array_equal(recording.voltage_V("x"), planned.drive.voltage_V[:, 0])
-    again = plan_files(planned, model_digest="sha256:a", diagnosis_digest="sha256:b")
-    assert again == files
+    second_files = plan_files(planned, model_digest="sha256:a", diagnosis_digest="sha256:b")
+    assert second_files == files
 
 
-def test_no_drive_is_planned_for_a_fault_of_the_data_or_an_unknown_name():
-    case, diagnosis = _slow()
+def test_no_drive_is_planned_for_a_fault_of_the_data_or_an_unknown_effect():
+    case, diagnosis = _slow_case()
     with pytest.raises(ExcitationError, match="No drive helps"):
         plan(model_of(case), diagnosis, effect="outliers", clock_Hz=CLOCK_Hz)
     with pytest.raises(ExcitationError, match="Name one of these"):
         plan(model_of(case), diagnosis, effect="gremlins", clock_Hz=CLOCK_Hz)
 
 
-def test_without_any_rate_the_line_for_lab_toml_is_asked_for():
-    case, diagnosis = _slow()
+def test_a_plan_without_any_sampling_rate_names_the_line_for_lab_toml():
+    case, diagnosis = _slow_case()
     with pytest.raises(LabFileError, match="sampling_rate_Hz"):
         plan(model_of(case), diagnosis)

@@ -1,4 +1,4 @@
-"""What looks like a fault of the data or like motion in time, and is neither."""
+"""Observations that resemble a fault of the data or a dynamic effect, and are neither."""
 
 import itertools
 from collections.abc import Callable
@@ -26,7 +26,7 @@ from tests.reports.known_diagnosis import diagnosed
 from tests.reports.known_stage import axis_model
 
 from .play_stage import NOISE_m, STROKE_m, drive, recording
-from .play_stage import moved as plays
+from .play_stage import stroke_fraction as plays
 
 pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
@@ -34,23 +34,23 @@ HOLD, RAMP = 40, 6  # samples
 LEVELS = 60
 
 
-def held_levels() -> tuple[np.ndarray, np.ndarray]:
-    """Return drive and reading of levels that are held, the reading rounded to 1 nm."""
+def staircase_readings() -> tuple[np.ndarray, np.ndarray]:
+    """Return drive and readings of a staircase of held levels, rounded to 1 nm."""
     rng = np.random.default_rng(11)
     levels_V = np.concatenate([[0.0, 100.0, 0.0], rng.uniform(0.0, 100.0, LEVELS)])
     pieces = [np.full(HOLD, levels_V[0])]
-    for before_V, after_V in itertools.pairwise(levels_V):
-        ramp_V = np.linspace(before_V, after_V, RAMP + 1)[1:]
-        pieces += [ramp_V, np.full(HOLD, after_V)]
+    for start_V, end_V in itertools.pairwise(levels_V):
+        ramp_V = np.linspace(start_V, end_V, RAMP + 1)[1:]
+        pieces += [ramp_V, np.full(HOLD, end_V)]
     drive_V = np.concatenate(pieces)
     reading_um = bouc_wen_um(drive_V) + rng.normal(0.0, 2e-3, len(drive_V))
     return drive_V, np.round(reading_um, 3)
 
 
 @pytest.mark.slow
-def test_levels_that_are_held_have_neither_invalid_readings_nor_outliers():
+def test_held_levels_have_neither_invalid_readings_nor_outliers():
     """Equal readings at the end of a hold are measurements."""
-    drive_V, reading_um = held_levels()
+    drive_V, reading_um = staircase_readings()
     assert find_invalid_readings(reading_um, drive_V) == ()
     time_s = np.arange(len(drive_V)) / 5000.0
     levels = diagnose(
@@ -61,19 +61,19 @@ def test_levels_that_are_held_have_neither_invalid_readings_nor_outliers():
     assert not any("single readings" in remark for remark in levels.model.verdict.remarks)
 
 
-def test_hum_beside_a_harmonic_of_the_drive_is_a_line_and_states_the_clock(tmp_path):
+def test_hum_near_a_harmonic_of_the_drive_is_a_line_and_states_the_clock_error(tmp_path):
     time_s = np.arange(12000) / 2000.0
     drive_V = 50.0 * (1.0 - np.cos(2.0 * np.pi * time_s))
     hum_um = 0.02 * np.sin(2.0 * np.pi * 50.18 * time_s + 0.4)
     noise_um = np.random.default_rng(2).normal(0.0, 4e-3, len(time_s))
     reading_um = bouc_wen_um(drive_V) + hum_um + noise_um
-    place = tmp_path / "hum.csv"
-    write_csv(place, "time [s],voltage [V],displacement [um]", time_s, drive_V, reading_um)
-    view = view_on(read(place).recordings, axis="x", lab=Lab())
-    found = score_test(mains_interference.EFFECT, view)
-    assert found.trial.parameters["frequency_Hz"] == pytest.approx(50.18, abs=0.03)
-    assert found.cv.gain > 0.3
-    note = mains_interference.EFFECT.note(found.trial.parameters)
+    path = tmp_path / "hum.csv"
+    write_csv(path, "time [s],voltage [V],displacement [um]", time_s, drive_V, reading_um)
+    view = view_on(read(path).recordings, axis="x", lab=Lab())
+    test = score_test(mains_interference.EFFECT, view)
+    assert test.trial.parameters["frequency_Hz"] == pytest.approx(50.18, abs=0.03)
+    assert test.cv.gain > 0.3
+    note = mains_interference.EFFECT.note(test.trial.parameters)
     assert "the clock of the file is 0.3" in note
 
 
@@ -81,7 +81,7 @@ TONES_Hz = np.unique(np.round(np.geomspace(2.0, 130.0, 14)))
 
 
 def dahl(field: Array) -> Array:
-    """Return a motion that is nearly all friction: fast small tones have a gain of their own."""
+    """Return a response dominated by friction: the gain of fast small tones is different."""
     state, out = 0.0, np.empty(len(field))
     for i, (u, step) in enumerate(zip(field, np.diff(field, prepend=field[0]), strict=True)):
         state += step - 4.0 * abs(step) * state
@@ -90,25 +90,25 @@ def dahl(field: Array) -> Array:
 
 
 def driven_by_tones(law: Callable[[Array], Array], *, rings: bool) -> View:
-    """Return the view of a sweep, and of tones up to 130 Hz, of a stage with a mode at 160 Hz."""
+    """Return the view of a sweep and tones up to 130 Hz of a stage with a mode at 160 Hz."""
     rate_Hz, (_, sweep) = 4000.0, drive("sweep")
-    time_s, chance = np.arange(len(sweep)) / rate_Hz, np.random.default_rng(2)
-    phases = chance.uniform(0.0, 2.0 * np.pi, len(TONES_Hz))
+    time_s, rng = np.arange(len(sweep)) / rate_Hz, np.random.default_rng(2)
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(TONES_Hz))
     tones = (TONES_Hz**-0.5) @ np.sin(2.0 * np.pi * np.outer(TONES_Hz, time_s) + phases[:, None])
     tones *= 0.9 / np.abs(tones).max()
-    moved = law(tones)
+    response = law(tones)
     if rings:
-        moved = mode(moved, 160.0, 30.0, rate_Hz)
-    noise_m = chance.normal(0.0, NOISE_m, (2, len(sweep)))
+        response = mode(response, 160.0, 30.0, rate_Hz)
+    noise_m = rng.normal(0.0, NOISE_m, (2, len(sweep)))
     recordings = (
         recording("sweep", STROKE_m * law(sweep) + noise_m[0], sweep),
-        recording("waves", STROKE_m * moved + noise_m[1], tones),
+        recording("waves", STROKE_m * response + noise_m[1], tones),
     )
     return view_on(recordings, axis="x", lab=Lab())
 
 
 def resonance_of(view: View, ratio: float, peak_Hz: float = 130.0) -> Finding | None:
-    """Return what is said of a gain that rises to this ratio at the last tone."""
+    """Return the resonance finding of a gain that rises to this ratio at the last tone."""
     rising = BandwidthVerdict(
         kind="undecided",
         stated_Hz=None,
@@ -121,7 +121,7 @@ def resonance_of(view: View, ratio: float, peak_Hz: float = 130.0) -> Finding | 
     )
     model = replace(axis_model(), dynamics=None, bandwidth=rising)
     findings = with_modes(diagnosed(), model, (), view).findings
-    return next((one for one in findings if one.effect == "resonance"), None)
+    return next((candidate for candidate in findings if candidate.effect == "resonance"), None)
 
 
 @pytest.mark.parametrize("law", [dahl, plays], ids=["dahl", "plays"])
@@ -133,18 +133,18 @@ def test_a_gain_that_rises_to_the_end_of_the_band_is_a_resonance_beyond_it(law):
     assert finding.size.value == pytest.approx(160.0)
     assert low_Hz < 160.0 < high_Hz
     assert "320 Hz" in finding.next_experiment
-    for other in (1.1, 24.0):  # flat; noise that grows with speed
-        assert resonance_of(view, other) is None
+    for implausible_ratio in (1.1, 24.0):  # flat; noise that grows with frequency
+        assert resonance_of(view, implausible_ratio) is None
 
 
 @pytest.mark.parametrize("law", [dahl, plays], ids=["dahl", "plays"])
 def test_a_gain_that_rises_by_hysteresis_is_no_resonance(law):
-    """Behind the model's hysteresis it rises; a wider class of hysteresis follows the tones."""
+    """The gain rises relative to the model; a wider class of hysteresis represents the tones."""
     assert resonance_of(driven_by_tones(law, rings=False), 2.0) is None
 
 
-def test_a_gain_at_a_frequency_that_was_not_driven_is_no_resonance():
-    """All motion there is noise, which no hysteresis follows."""
+def test_a_gain_at_a_frequency_without_excitation_is_no_resonance():
+    """All motion at this frequency is noise, which no hysteresis represents."""
     view = driven_by_tones(dahl, rings=True)
     for peak_Hz in (171.0, 184.0, 250.0, 310.0):
         assert resonance_of(view, 1.5, peak_Hz) is None

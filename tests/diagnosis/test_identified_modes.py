@@ -1,4 +1,4 @@
-"""A mode that the fit has identified is named from the recordings it shapes."""
+"""A mode identified by the fit is named from the recordings that it affects."""
 
 from functools import cache
 
@@ -14,8 +14,8 @@ from piezoid.operators.linear import resonance, sample
 from piezoid.records.lab import Lab
 
 from .bench import causes
-from .played import RINGING_NOISE as NOISE
-from .played import HALF_STROKE_m, cycled, memory_after, moved, ringing
+from .play_recordings import RINGING_NOISE as NOISE
+from .play_recordings import HALF_STROKE_m, cycled, memory_after, play_response, ringing
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
@@ -23,7 +23,7 @@ MODE_Hz, QUALITY = 300.0, 20.0
 
 
 def drives() -> dict[tuple[str, float], np.ndarray]:
-    """Return two slow drives, and a small multisine that goes through the mode."""
+    """Return two slow drives and a small multisine that excites the mode."""
     count, time_s = np.arange(3000), np.arange(20_000) / 5000.0
     lines_Hz = np.arange(1, 1201, 3)
     phase = np.pi * lines_Hz**2 / len(lines_Hz) / 3.0
@@ -36,36 +36,46 @@ def drives() -> dict[tuple[str, float], np.ndarray]:
     }
 
 
-def rung(still: np.ndarray, rate_Hz: float) -> np.ndarray:
+def ringing_response(static: np.ndarray, rate_Hz: float) -> np.ndarray:
     mode = sample(resonance(MODE_Hz, 0.5 / QUALITY), rate_Hz)
-    return still[0] + mode.run(still - still[0])[0]
+    return static[0] + mode.run(static - static[0])[0]
 
 
 @cache
-def found() -> tuple[Diagnosis, float]:
-    """Return the diagnosis and what the mode really adds to the multisine, m rms."""
-    recordings, waves = ringing(drives(), rung, np.random.default_rng(1)), [*drives().values()][-1]
-    still, _ = moved(waves, memory_after(cycled, float(waves[0])))
-    added_m = HALF_STROKE_m * float(np.sqrt(np.mean((rung(still, 5000.0) - still) ** 2)))
+def mode_diagnosis() -> tuple[Diagnosis, float]:
+    """Return the diagnosis and the true contribution of the mode to the multisine, m rms."""
+    recordings, waves = (
+        ringing(drives(), ringing_response, np.random.default_rng(1)),
+        [*drives().values()][-1],
+    )
+    static, _ = play_response(waves, memory_after(cycled, float(waves[0])))
+    added_m = HALF_STROKE_m * float(
+        np.sqrt(np.mean((ringing_response(static, 5000.0) - static) ** 2))
+    )
     return diagnose(recordings, model=fit(recordings)), added_m
 
 
-def test_the_model_of_the_other_recordings_rings_with_the_mode():
-    """The fast triangle rings too little to tell the mode, and more than its noise."""
+def test_a_mode_also_improves_the_model_of_the_other_recordings():
+    """The fast triangle does not identify the mode but excites it above the noise."""
     fast = 0.8 * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * 8.0 * np.arange(5000) / 5000.0))
-    made = {**drives(), ("fast", 5000.0): fast}
-    recordings = ringing(made, rung, np.random.default_rng(2))
-    axis, calm = fit(recordings).axes["x"], [r for r in recordings if r.name != "multisine"]
-    scales = scales_of(calm, "x")
-    errors = refit_model(calm, (), model=axis, lab=Lab(), scales=scales, raw=calm)
+    all_drives = {**drives(), ("fast", 5000.0): fast}
+    recordings = ringing(all_drives, ringing_response, np.random.default_rng(2))
+    axis, other_recordings = (
+        fit(recordings).axes["x"],
+        [r for r in recordings if r.name != "multisine"],
+    )
+    scales = scales_of(other_recordings, "x")
+    errors = refit_model(
+        other_recordings, (), model=axis, lab=Lab(), scales=scales, raw=other_recordings
+    )
     (mode_of_model,) = [e for e in errors.model.extensions if isinstance(e, LinearMode)]
     assert errors.final_m < 0.5 * errors.without_m["resonance"]
     assert mode_of_model.frequency_Hz == pytest.approx(MODE_Hz, rel=0.01)
     assert errors.final_m < 4.0 * NOISE * HALF_STROKE_m
 
 
-def test_the_mode_is_named_once_with_its_numbers_and_the_error_that_it_adds():
-    diagnosis, added_m = found()
+def test_a_mode_is_named_once_with_its_parameters_and_the_error_that_it_causes():
+    diagnosis, added_m = mode_diagnosis()
     assert causes(diagnosis) == ("resonance",)
     finding = diagnosis.findings[0]
     low_Hz, high_Hz = finding.size.ci95
@@ -74,7 +84,7 @@ def test_the_mode_is_named_once_with_its_numbers_and_the_error_that_it_adds():
     assert abs(finding.size.value - MODE_Hz) < 2.0 * (high_Hz - low_Hz)
     assert finding.parameters["quality"] == pytest.approx(QUALITY, rel=0.1)
     assert finding.p_value < 1e-9
-    assert all(one.effect != "resonance" for one in diagnosis.not_detected)
+    assert all(absent.effect != "resonance" for absent in diagnosis.not_detected)
     assert "from multisine;" in finding.explanation
     assert finding.held_out_rms_before_m == pytest.approx(added_m, rel=0.05)
     assert finding.held_out_rms_after_m < 0.1 * added_m

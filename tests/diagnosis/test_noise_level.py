@@ -1,4 +1,4 @@
-"""Noise that is not the same everywhere is said to be, with its place and its levels."""
+"""Nonuniform noise is a finding with its coordinate and its levels."""
 
 from collections.abc import Callable, Iterable
 
@@ -22,78 +22,80 @@ from .play_stage import NOISE_m, clean, view_with
 
 pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
-LOUD_m = 60e-9  # beyond the sensor's own noise
-Level = Callable[[Recording], Array]  # (recording) -> (samples,) parts of LOUD_m
+LOUD_m = 60e-9  # in addition to the sensor noise
+Level = Callable[[Recording], Array]  # (recording) -> (samples,) as fractions of LOUD_m
 
 
-def by_place(recording: Recording) -> Array:
-    moved_m = recording.displacement_m()
-    return np.asarray((moved_m - moved_m.min()) / np.ptp(moved_m)) ** 2
+def level_by_position(recording: Recording) -> Array:
+    displacement_m = recording.displacement_m()
+    return np.asarray((displacement_m - displacement_m.min()) / np.ptp(displacement_m)) ** 2
 
 
-def by_speed(recording: Recording) -> Array:
+def level_by_speed(recording: Recording) -> Array:
     speed = np.abs(np.gradient(recording.voltage_V()))
     return np.asarray(np.minimum(speed / np.quantile(speed, 0.9), 1.0))
 
 
 def noisy_stage(level: Level) -> tuple[tuple[Recording, ...], Lab, float]:
     recordings, lab = recorded(draw_campaign(41, truth="bouc_wen", plans=("sweep", "rates")))
-    chance, noisy, more_m2 = np.random.default_rng(3), [], []
-    for one in recordings:
-        sigma_m = LOUD_m * level(one)
-        more_m2.append(np.mean(sigma_m**2))
-        noise_m = sigma_m * chance.standard_normal(len(sigma_m))
-        noisy.append(with_displacement(one, one.displacement_m() + noise_m))
-    return tuple(noisy), lab, float(np.sqrt(np.mean(more_m2)))
+    rng, noisy, added_variances_m2 = np.random.default_rng(3), [], []
+    for recording in recordings:
+        sigma_m = LOUD_m * level(recording)
+        added_variances_m2.append(np.mean(sigma_m**2))
+        noise_m = sigma_m * rng.standard_normal(len(sigma_m))
+        noisy.append(with_displacement(recording, recording.displacement_m() + noise_m))
+    return tuple(noisy), lab, float(np.sqrt(np.mean(added_variances_m2)))
 
 
 @pytest.mark.slow
-def test_noise_that_grows_with_position_is_a_finding_with_its_place():
-    noisy, lab, more_m = noisy_stage(by_place)
+def test_noise_that_grows_with_position_is_a_finding_with_its_coordinate():
+    noisy, lab, added_rms_m = noisy_stage(level_by_position)
     diagnosis = diagnose(thinned(noisy, 3), lab=lab)
     assert causes(diagnosis) == ("something_else",)
-    (finding,) = (named for named in diagnosis.findings if named.effect == "something_else")
+    (finding,) = (finding for finding in diagnosis.findings if finding.effect == "something_else")
     assert finding.coordinate in {"displacement", "reading"}
-    assert finding.size.value == pytest.approx(1e9 * more_m, rel=0.25)
+    assert finding.size.value == pytest.approx(1e9 * added_rms_m, rel=0.25)
     assert finding.held_out_gain == 0.0
     assert "noise of the readings changes along the displacement" in finding.explanation
     assert finding.seen is not None
     assert max(finding.seen.fitted_m) > 3.0 * min(finding.seen.fitted_m)
 
 
-def level_in(recordings: Iterable[Recording], lab: Lab) -> NoiseLevel | None:
+def noise_level_of(recordings: Iterable[Recording], lab: Lab) -> NoiseLevel | None:
     return noise_level(view_on(recordings, axis="x", lab=lab), 0.02)
 
 
-def test_noise_that_grows_with_speed_is_told_by_the_speed():
-    noisy, lab, _ = noisy_stage(by_speed)
-    level = level_in(noisy, lab)
+def test_noise_that_grows_with_speed_has_speed_as_its_coordinate():
+    noisy, lab, _ = noisy_stage(level_by_speed)
+    level = noise_level_of(noisy, lab)
     assert level is not None
     assert level.score.basis.coordinate == "speed"
     assert level.range[1] > 3.0 * level.range[0]
 
 
-def test_noise_that_is_the_same_everywhere_has_no_place(tmp_path):
-    """Chance signs alone would accuse the second stage; the third has few samples."""
-    noisy, lab, _ = noisy_stage(lambda one: np.full(len(one.voltage_V()), 0.3))
-    assert level_in(noisy, lab) is None
-    assert level_in(*recorded(drawn(stage("lugre", "healthy", 1, 3_300_000)))) is None
-    night = write_night(tmp_path) / "unit-1"
-    lab = read_lab(night / "lab.toml")
-    assert level_in(collect([night / "sweep.csv"], lab).recordings, lab) is None
+def test_uniform_noise_has_no_coordinate(tmp_path):
+    """Signs alone give a false alarm on the second stage; the third has few samples."""
+    noisy, lab, _ = noisy_stage(lambda recording: np.full(len(recording.voltage_V()), 0.3))
+    assert noise_level_of(noisy, lab) is None
+    assert noise_level_of(*recorded(drawn(stage("lugre", "healthy", 1, 3_300_000)))) is None
+    folder = write_night(tmp_path) / "unit-1"
+    lab = read_lab(folder / "lab.toml")
+    assert noise_level_of(collect([folder / "sweep.csv"], lab).recordings, lab) is None
 
 
-@pytest.mark.parametrize(("wave_m", "is_told"), [(0.0, True), (20 * LOUD_m, False)])
-def test_noise_is_told_where_most_of_what_is_left_is_noise(wave_m, is_told):
-    recordings, lab, _ = noisy_stage(by_place)
-    waved = []
-    for one in recordings:
-        wave = np.sin(2.0 * np.pi * 1.7 * np.arange(one.samples) / one.sampling_rate_Hz)
-        waved.append(with_displacement(one, one.displacement_m() + wave_m * wave))
-    assert (level_in(waved, lab) is not None) is is_told
+@pytest.mark.parametrize(("wave_m", "is_stated"), [(0.0, True), (20 * LOUD_m, False)])
+def test_a_noise_level_is_stated_if_most_of_the_residual_is_noise(wave_m, is_stated):
+    recordings, lab, _ = noisy_stage(level_by_position)
+    disturbed = []
+    for recording in recordings:
+        wave = np.sin(
+            2.0 * np.pi * 1.7 * np.arange(recording.samples) / recording.sampling_rate_Hz
+        )
+        disturbed.append(with_displacement(recording, recording.displacement_m() + wave_m * wave))
+    assert (noise_level_of(disturbed, lab) is not None) is is_stated
 
 
-def test_a_hum_at_every_other_sample_is_no_more_noise_than_it_leaves():
+def test_hum_at_every_other_sample_raises_the_noise_by_its_rms():
     reading_m, hum_m = clean("walk")[2], 4.0 * NOISE_m
     view = view_with(walk=reading_m + hum_m * (-1.0) ** np.arange(len(reading_m)))
     truth_m = np.sqrt(NOISE_m**2 + hum_m**2 / len(view.tracks))

@@ -1,4 +1,4 @@
-"""What is left, and every cause, is ranked among what healthy stages show."""
+"""P-values are ranks of a statistic among healthy stages."""
 
 import json
 from importlib.resources import files
@@ -21,37 +21,42 @@ def table(kind: str) -> dict[str, list[float]]:
 
 
 @pytest.mark.parametrize("draw", ["exponential", "lognormal", "standard_cauchy"])
-def test_the_chance_of_one_more_healthy_stage_is_uniform_whatever_scores_are(draw):
+def test_the_rank_p_value_of_another_healthy_stage_is_uniform_for_any_scores(draw):
     rng = np.random.default_rng(7)
-    chances = []
+    p_values = []
     for _ in range(400):
         scores = np.abs(getattr(rng, draw)(size=60))
-        chances.append(rank_p_value(scores[0], scores[1:]))
-    assert kstest(chances, "uniform").pvalue > 0.01
+        p_values.append(rank_p_value(scores[0], scores[1:]))
+    assert kstest(p_values, "uniform").pvalue > 0.01
 
 
-def test_the_more_is_left_the_smaller_the_chance_and_it_is_never_none():
-    chances = [structure_p_value(gain, 1.0, 1.0) for gain in (0.0, 0.01, 0.1, 0.5, 1.0)]
-    assert chances == sorted(chances, reverse=True)
-    assert chances[0] == 1.0
-    assert 0.0 < chances[-1] <= 0.05
+def test_a_p_value_decreases_with_the_gain_and_stays_positive():
+    p_values = [structure_p_value(gain, 1.0, 1.0) for gain in (0.0, 0.01, 0.1, 0.5, 1.0)]
+    assert p_values == sorted(p_values, reverse=True)
+    assert p_values[0] == 1.0
+    assert 0.0 < p_values[-1] <= 0.05
 
 
-def test_healthy_stages_of_a_law_are_not_accused_by_the_other_laws_table():
-    """Of n stages at most 5 % and two standard deviations have a probability of 0.05 or less."""
+def test_healthy_stages_are_not_accused_by_the_scores_of_other_laws():
+    """At most 5 % plus two standard deviations of n stages have a p-value up to 0.05."""
     strengths = table("strengths")
-    chances = []
-    for law, own in strengths.items():
-        others = [one for other, of_it in strengths.items() if other != law for one in of_it]
-        chances += [rank_p_value(one, others) for one in own]
-    count = len(chances)
+    p_values = []
+    for law, law_strengths in strengths.items():
+        other_strengths = [
+            strength
+            for other_law, values in strengths.items()
+            if other_law != law
+            for strength in values
+        ]
+        p_values += [rank_p_value(strength, other_strengths) for strength in law_strengths]
+    count = len(p_values)
     assert (
-        sum(chance <= 0.05 for chance in chances) <= 0.05 * count + 2.0 * (0.0475 * count) ** 0.5
+        sum(chance <= 0.05 for chance in p_values) <= 0.05 * count + 2.0 * (0.0475 * count) ** 0.5
     )
 
 
-def test_a_cause_is_as_sure_as_the_table_is_large_and_no_surer():
-    healthy = sum(len(of_law) for of_law in table("strengths").values())
+def test_the_size_of_the_table_limits_the_p_value():
+    healthy = sum(len(strengths) for strengths in table("strengths").values())
     assert evidence_p_value(1e9) == pytest.approx(1.0 / (1.0 + healthy))
     assert evidence_p_value(0.0) == 1.0
     assert smallest_structure_p_value() <= 0.02

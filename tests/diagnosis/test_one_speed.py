@@ -1,4 +1,4 @@
-"""What needs time is a width of the loop at one speed; a loss of sensitivity is named there."""
+"""At one speed dynamics resemble loop width; a loss of sensitivity is still named."""
 
 import re
 from pathlib import Path
@@ -24,8 +24,10 @@ GREW_percent = 5.0
 DRIFT_um = 0.6
 
 
-def late(folder: Path, cycles: int, samples: int, gain: float, drift_um: float) -> Recording:
-    """Return triangles of so many samples a cycle of a stage whose reading is late."""
+def lagging_triangles(
+    folder: Path, cycles: int, samples: int, gain: float, drift_um: float
+) -> Recording:
+    """Return triangles with this number of samples per cycle, recorded behind a lag."""
     field = triangles(cycles, samples)
     reading_um = relaxed(10.0 * gain * LAWS["preisach"](field), LAG_s, RATE_Hz)
     reading_um = reading_um + drift_um * np.linspace(0.0, 1.0, len(field)) ** 0.8
@@ -34,61 +36,61 @@ def late(folder: Path, cycles: int, samples: int, gain: float, drift_um: float) 
 
 
 @pytest.mark.slow
-def test_a_lag_is_no_cause_where_speeds_hardly_differ(tmp_path):
-    first = late(tmp_path, 16, 250, 1.0, DRIFT_um)
-    grown = late(tmp_path, 10, 180, 1.0 + GREW_percent / 100.0, 0.0)
-    found = search(view_on([first, grown], axis="x", lab=Lab()))
-    causes = {cause.effect.name: cause for cause in found.causes}
+def test_a_lag_is_not_separable_at_similar_speeds(tmp_path):
+    first = lagging_triangles(tmp_path, 16, 250, 1.0, DRIFT_um)
+    more_sensitive = lagging_triangles(tmp_path, 10, 180, 1.0 + GREW_percent / 100.0, 0.0)
+    outcome = search(view_on([first, more_sensitive], axis="x", lab=Lab()))
+    causes = {cause.effect.name: cause for cause in outcome.causes}
     assert set(causes) == {"thermal_drift", "gain_change"}
     assert size_of(causes["gain_change"]).value == pytest.approx(GREW_percent, abs=1.0)
-    for name, others in (("lag", "delay"), ("delay", "lag"), ("rate_dependence", "lag")):
-        unseen = not_detected(effect_named(name), found)
-        assert unseen.upper_bound_m is None
-        assert unseen.reason.startswith("not separable from hysteresis")
-        assert others in unseen.reason
-        assert "half the speed" in unseen.next_experiment
+    for name, rival in (("lag", "delay"), ("delay", "lag"), ("rate_dependence", "lag")):
+        absent = not_detected(effect_named(name), outcome)
+        assert absent.upper_bound_m is None
+        assert absent.reason.startswith("not separable from hysteresis")
+        assert rival in absent.reason
+        assert "half the speed" in absent.next_experiment
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_order")
-def test_loop_shape_of_a_single_loop_is_not_told_from_a_lag(tmp_path):
+def test_loop_shape_of_a_single_loop_is_not_separable_from_a_lag(tmp_path):
     ramp = np.linspace(-1.0, 1.0, 1000)
     field = np.concatenate([ramp, ramp[-2::-1]])
     cycled = np.concatenate([field, field])
     reading_um = relaxed(10.0 * LAWS["preisach"](cycled)[len(field) :], LAG_s, RATE_Hz)
     reading_um = reading_um + 0.002 * np.random.default_rng(3).standard_normal(len(field))
-    found = diagnose(collect([write(tmp_path / "loop.csv", field, reading_um)]).recordings)
-    (shape,) = [one for one in found.findings if one.effect == "loop_shape"]
+    diagnosis = diagnose(collect([write(tmp_path / "loop.csv", field, reading_um)]).recordings)
+    (shape,) = [finding for finding in diagnosis.findings if finding.effect == "loop_shape"]
     assert {"lag", "creep", "thermal_drift", "initial_state"} <= set(shape.not_separable_from)
     assert "ten times slower" in shape.next_experiment
 
 
-CYCLES, SAMPLES, CYCLES_RATE_Hz = 60, 60, 60.0  # one cycle in a second
+CYCLES, SAMPLES, CYCLES_RATE_Hz = 60, 60, 60.0  # one cycle per second
 LOSS = 0.013  # of the sensitivity, over all cycles
 NOISE_M = 5e-9
 LAG_S = 0.02
 
 
-def lagged(moved_m: Array) -> Array:
-    share, slow_m = 1.0 - np.exp(-1.0 / (CYCLES_RATE_Hz * LAG_S)), moved_m.copy()
-    for k in range(1, len(moved_m)):
-        slow_m[k] = slow_m[k - 1] + share * (moved_m[k] - slow_m[k - 1])
-    return slow_m
+def lagged(displacement_m: Array) -> Array:
+    share, lagged_m = 1.0 - np.exp(-1.0 / (CYCLES_RATE_Hz * LAG_S)), displacement_m.copy()
+    for k in range(1, len(displacement_m)):
+        lagged_m[k] = lagged_m[k - 1] + share * (displacement_m[k] - lagged_m[k - 1])
+    return lagged_m
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_order")
-def test_a_loss_of_sensitivity_is_named_beside_dropouts_and_a_lag():
+def test_a_loss_of_sensitivity_is_named_with_dropouts_and_a_lag():
     rng, field = np.random.default_rng(3), triangles(CYCLES + 3, SAMPLES)
-    moved_m = 2e-5 * LAWS["bouc_wen"](field)[3 * SAMPLES :]
-    moved_m = moved_m * (1.0 - LOSS * np.linspace(0.0, 1.0, len(moved_m)))
-    moved_m = lagged(moved_m) + NOISE_M * rng.standard_normal(len(moved_m))
-    moved_m[rng.integers(0, len(moved_m), 12)] = 0.0
+    displacement_m = 2e-5 * LAWS["bouc_wen"](field)[3 * SAMPLES :]
+    displacement_m = displacement_m * (1.0 - LOSS * np.linspace(0.0, 1.0, len(displacement_m)))
+    displacement_m = lagged(displacement_m) + NOISE_M * rng.standard_normal(len(displacement_m))
+    displacement_m[rng.integers(0, len(displacement_m), 12)] = 0.0
     diagnosis = diagnose(
         [
             from_arrays(
                 voltage_V=50.0 + 50.0 * field[3 * SAMPLES :],
-                displacement_m=moved_m,
+                displacement_m=displacement_m,
                 sampling_rate_Hz=CYCLES_RATE_Hz,
                 axis="x",
                 name="cycles",

@@ -1,4 +1,4 @@
-"""A plan says where no drive answers, which limit forbids more, and never promises the absurd."""
+"""A plan states where no drive helps and which limit prevents it; its predictions are sound."""
 
 import re
 from dataclasses import replace
@@ -34,27 +34,27 @@ from tests.reports.known_stage import axis_model, stage_model
 
 MODEL = stage_model(axis_model("x"), axis_model("y"))
 CLOCK_Hz = 1000.0
-HIGH_m = 2e-8  # a limit of detection that leaves something to be asked
+HIGH_m = 2e-8  # detection limit that leaves an open question
 
 
-def _open(**limit_m: float) -> Diagnosis:
-    """Return a diagnosis that found nothing, and shows effects from these sizes, others well."""
-    found = diagnosed()
-    absent = tuple(
-        replace(one, detection_limit_m=limit_m.get(one.effect, 1e-12), upper_bound_m=1e-12)
-        for one in found.not_detected
+def _diagnosis_with_limits(**limit_m: float) -> Diagnosis:
+    """Return a diagnosis without findings; only these effects have a high detection limit."""
+    diagnosis = diagnosed()
+    not_detected = tuple(
+        replace(absent, detection_limit_m=limit_m.get(absent.effect, 1e-12), upper_bound_m=1e-12)
+        for absent in diagnosis.not_detected
     )
-    return replace(found, not_detected=absent)
+    return replace(diagnosis, not_detected=not_detected)
 
 
-def _planned(diagnosis: Diagnosis, slew_V_per_s: float | None = None, **asked: str) -> Plan:
+def _plan_of(diagnosis: Diagnosis, slew_V_per_s: float | None = None, **request: str) -> Plan:
     lab = Lab(amplifier=Amplifier(slew_V_per_s=slew_V_per_s))
-    return plan(MODEL, diagnosis, lab=lab, clock_Hz=CLOCK_Hz, **asked)
+    return plan(MODEL, diagnosis, lab=lab, clock_Hz=CLOCK_Hz, **request)
 
 
 @cache
-def _too_slow() -> Plan:
-    return _planned(_open(delay=HIGH_m), 2.0, effect="delay")
+def _slow_plan() -> Plan:
+    return _plan_of(_diagnosis_with_limits(delay=HIGH_m), 2.0, effect="delay")
 
 
 @cache
@@ -65,93 +65,99 @@ def _table() -> CandidateTable:
 
 
 @pytest.mark.parametrize(
-    "effect", [one.name for one in EFFECTS if isinstance(one.tangent, Tangent)]
+    "effect", [effect.name for effect in EFFECTS if isinstance(effect.tangent, Tangent)]
 )
-def test_nothing_is_promised_to_show_below_what_the_diagnosis_names(effect):
-    diagnosis = _open(**{effect: HIGH_m})
-    (asked,) = questions_of(diagnosis, effect)
-    best = _table().choice(asked).best
-    if best.estimate is not None and best.score > 0.0:
-        assert expected_limit_m(asked, None, best.estimate) >= MINIMUM_SHARE * diagnosis.stroke_m
+def test_the_predicted_limit_is_not_below_what_the_diagnosis_can_name(effect):
+    diagnosis = _diagnosis_with_limits(**{effect: HIGH_m})
+    (question,) = questions_of(diagnosis, effect)
+    alternative = _table().choice(question).best
+    if alternative.estimate is not None and alternative.score > 0.0:
+        assert (
+            expected_limit_m(question, None, alternative.estimate)
+            >= MINIMUM_SHARE * diagnosis.stroke_m
+        )
 
 
-def test_a_coupling_that_no_recording_excites_has_a_size_along_the_drive_that_would():
-    found = diagnosed()
-    absent = tuple(
-        replace(one, detection_limit_m=None, upper_bound_m=None)
-        if one.effect == "cross_coupling"
-        else one
-        for one in found.not_detected
+def test_an_unexcited_coupling_is_planned_with_a_drive_of_the_other_axis():
+    diagnosis = diagnosed()
+    not_detected = tuple(
+        replace(absent, detection_limit_m=None, upper_bound_m=None)
+        if absent.effect == "cross_coupling"
+        else absent
+        for absent in diagnosis.not_detected
     )
-    (asked,) = questions_of(replace(found, not_detected=absent), "cross_coupling")
-    best = _table().choice(asked).best
-    assert best.name == "other_axis"
-    assert best.estimate is not None
-    assert 1e-6 < best.estimate.errors[0] < 1.0
+    (question,) = questions_of(replace(diagnosis, not_detected=not_detected), "cross_coupling")
+    alternative = _table().choice(question).best
+    assert alternative.name == "other_axis"
+    assert alternative.estimate is not None
+    assert 1e-6 < alternative.estimate.errors[0] < 1.0
 
 
-def test_other_axes_that_reach_their_loops_late_are_waited_for():
+def test_a_drive_waits_for_slower_axes():
     slow = DriveLimits(voltage_min_V=0.0, voltage_max_V=10.0, slew_V_per_s=1.0)
     fast = replace(slow, slew_V_per_s=50.0)
     bench = Bench(axis="x", limits=fast, clock_Hz=CLOCK_Hz, other_limits={"y": slow, "z": fast})
-    drive = drive_of(next(one for one in EXPERIMENTS if one.name == "other_axis"), bench, 0)
-    still_V = drive.voltage_V[:, 0] == 5.0
+    drive = drive_of(next(e for e in EXPERIMENTS if e.name == "other_axis"), bench, 0)
+    is_constant = drive.voltage_V[:, 0] == 5.0
     for k in (1, 2):
         moving = np.abs(np.diff(drive.voltage_V[:, k])) > 0.0
         loops = moving & (drive.voltage_V[1:, k] > 1.0)
-        assert still_V[1:][loops].mean() > 0.7
+        assert is_constant[1:][loops].mean() > 0.7
 
 
-def test_where_speed_is_what_is_missing_the_plan_says_so_and_is_right():
-    slow = _too_slow()
-    assert not slow.answers
-    assert "No drive answers this within these limits" in sentences(slow)[1]
-    said = re.search(
+def test_a_plan_names_the_speed_limit_and_the_speed_that_it_needs():
+    slow_plan = _slow_plan()
+    assert not slow_plan.answers
+    assert "No drive answers this within these limits" in sentences(slow_plan)[1]
+    match = re.search(
         r"The limit is the speed, 2 V/s .*slew_V_per_s.* leave (\d+) % .* not (\d+) %",
-        slow.forbids,
+        slow_plan.forbids,
     )
-    assert said is not None
-    faster = _planned(_open(delay=HIGH_m), 8.0, effect="delay")
-    left = faster.remaining_share
-    assert 100 * left == pytest.approx(float(said[1]), abs=0.6)
-    assert left < slow.remaining_share
+    assert match is not None
+    faster_plan = _plan_of(_diagnosis_with_limits(delay=HIGH_m), 8.0, effect="delay")
+    remaining_share = faster_plan.remaining_share
+    assert 100 * remaining_share == pytest.approx(float(match[1]), abs=0.6)
+    assert remaining_share < slow_plan.remaining_share
 
 
-def test_a_question_that_no_drive_answers_gives_way_to_one_that_is_answered():
-    both = _open(delay=HIGH_m, thermal_drift=1e-8)
-    planned = _planned(both, 2.0)
-    assert planned.answers
-    assert planned.question.effects == ("thermal_drift",)
-    assert [one.effects for one in planned.set_aside] == [("delay",)]
-    assert "More important, but answered by no drive" in sentences(planned)[-1]
-    assert "whether there is delay" in sentences(planned)[-1]
+def test_a_question_without_a_suitable_drive_is_replaced_by_another():
+    diagnosis = _diagnosis_with_limits(delay=HIGH_m, thermal_drift=1e-8)
+    plan_within_speed = _plan_of(diagnosis, 2.0)
+    assert plan_within_speed.answers
+    assert plan_within_speed.question.effects == ("thermal_drift",)
+    assert [question.effects for question in plan_within_speed.set_aside] == [("delay",)]
+    assert "More important, but answered by no drive" in sentences(plan_within_speed)[-1]
+    assert "whether there is delay" in sentences(plan_within_speed)[-1]
 
 
-def test_a_stage_of_one_axis_is_not_asked_for_coupling():
-    found = _open(cross_coupling=HIGH_m, thermal_drift=1e-8)
-    alone = plan(stage_model(axis_model("x")), found, clock_Hz=CLOCK_Hz)
-    assert (alone.question.effects, alone.set_aside) == (("thermal_drift",), ())
-    assert _planned(found).question.effects == ("cross_coupling",)
+def test_no_coupling_is_planned_for_a_stage_of_one_axis():
+    diagnosis = _diagnosis_with_limits(cross_coupling=HIGH_m, thermal_drift=1e-8)
+    plan_for_one_axis = plan(stage_model(axis_model("x")), diagnosis, clock_Hz=CLOCK_Hz)
+    assert (plan_for_one_axis.question.effects, plan_for_one_axis.set_aside) == (
+        ("thermal_drift",),
+        (),
+    )
+    assert _plan_of(diagnosis).question.effects == ("cross_coupling",)
 
 
-def test_what_shows_already_from_the_least_that_is_named_needs_no_recording():
-    planned = _planned(_open(), effect="delay")
-    assert not planned.answers
-    assert not planned.forbids
-    assert "no recording is needed" in sentences(planned)[0]
+def test_an_effect_with_a_low_detection_limit_needs_no_recording():
+    delay_plan = _plan_of(_diagnosis_with_limits(), effect="delay")
+    assert not delay_plan.answers
+    assert not delay_plan.forbids
+    assert "no recording is needed" in sentences(delay_plan)[0]
 
 
-def test_a_diagnosis_that_leaves_nothing_open_asks_for_nothing():
+def test_a_diagnosis_without_open_questions_has_no_plan():
     with pytest.raises(ExcitationError, match="no open question"):
-        _planned(_open())
+        _plan_of(_diagnosis_with_limits())
 
 
 @pytest.mark.parametrize(("errors", "is_answered"), [((2.0, 0.1), False), ((0.1, 0.1), True)])
-def test_two_that_stay_lost_in_their_errors_are_not_told_apart_however_unlike_they_are(
-    errors, is_answered
-):
-    asked = questions_of(diagnosed(finding("creep", rivals=("thermal_drift",))), "creep")[0]
-    unlike = SeparationEstimate(separability=0.9, errors=errors)
-    best = Alternative(name="drive", why="", estimate=unlike, score=1.0)
-    choice = Choice(question=asked, alternatives=(best,), best=best, recorded=None)
+def test_two_effects_below_their_errors_are_not_separated(errors, is_answered):
+    question = questions_of(diagnosed(finding("creep", rivals=("thermal_drift",))), "creep")[0]
+    dissimilar = SeparationEstimate(separability=0.9, errors=errors)
+    alternative = Alternative(name="drive", why="", estimate=dissimilar, score=1.0)
+    choice = Choice(
+        question=question, alternatives=(alternative,), best=alternative, recorded=None
+    )
     assert choice.answers is is_answered

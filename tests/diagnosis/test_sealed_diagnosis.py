@@ -1,4 +1,4 @@
-"""diagnosis.json is taken only as it could have been written: every entry with its type."""
+"""diagnosis.json is read only if every entry has its type."""
 
 import copy
 import json
@@ -13,60 +13,64 @@ from piezoid.errors import ParameterFileError
 from tests.reports.known_diagnosis import diagnosed, finding
 
 WRONG: tuple[Any, ...] = ("x", [[]], {"x": []}, True, None, 7.5)
-KNOWN = diagnosed(finding("creep", 0.3), finding("lag", 0.1))
-KNOWN = replace(KNOWN, not_detected=KNOWN.not_detected[:2])
-WRITTEN = json.loads(write_diagnosis(KNOWN))
-NOT_READ = {"schema", "digest", "unit"}
+DIAGNOSIS = diagnosed(finding("creep", 0.3), finding("lag", 0.1))
+DIAGNOSIS = replace(DIAGNOSIS, not_detected=DIAGNOSIS.not_detected[:2])
+WRITTEN = json.loads(write_diagnosis(DIAGNOSIS))
+UNCHECKED = {"schema", "digest", "unit"}
 
 
-def entries(record: Any, above: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Return the way to every entry."""
+def entries(record: Any, parent: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Return the path of every entry."""
     if isinstance(record, dict):
-        ways = [(name, held) for name, held in record.items() if name not in NOT_READ]
+        children = [(name, value) for name, value in record.items() if name not in UNCHECKED]
     elif isinstance(record, list):
-        ways = list(enumerate(record))
+        children = list(enumerate(record))
     else:
-        return [above]
-    deeper = [way for name, held in ways for way in entries(held, (*above, name))]
-    return [above, *deeper] if above else deeper
+        return [parent]
+    descendants = [path for name, value in children for path in entries(value, (*parent, name))]
+    return [parent, *descendants] if parent else descendants
 
 
-def kind(value: Any) -> str:
+def type_name(value: Any) -> str:
     if isinstance(value, bool):
         return "truth"
     return "number" if isinstance(value, int | float) else type(value).__name__
 
 
-def test_an_entry_of_another_kind_is_refused():
-    tried = 0
-    for way in entries(WRITTEN):
-        for wrong in WRONG:
+def test_an_entry_of_another_type_is_refused():
+    refused = 0
+    for path in entries(WRITTEN):
+        for replacement in WRONG:
             record = copy.deepcopy(WRITTEN)
-            holder = record
-            for name in way[:-1]:
-                holder = holder[name]
-            was, holder[way[-1]] = holder[way[-1]], wrong
+            parent = record
+            for name in path[:-1]:
+                parent = parent[name]
+            original, parent[path[-1]] = parent[path[-1]], replacement
             optional = ("upper_bound", "detection_limit", "unexplained", "explained_rms_m")
-            may_be_none = way[-1] in optional and (
-                wrong is None or (was is None and kind(wrong) == "number")
+            is_optional = path[-1] in optional and (
+                replacement is None or (original is None and type_name(replacement) == "number")
             )
             if (
-                kind(was) == kind(wrong) and kind(was) in ("str", "number", "truth")
-            ) or may_be_none:
+                type_name(original) == type_name(replacement)
+                and type_name(original) in ("str", "number", "truth")
+            ) or is_optional:
                 continue
-            content = {name: held for name, held in record.items() if name not in NOT_READ}
+            content = {name: value for name, value in record.items() if name not in UNCHECKED}
             with pytest.raises(ParameterFileError, match="with its type"):
                 read_diagnoses(seal(SCHEMA, content))
-            tried += 1
-    assert tried > 100
+            refused += 1
+    assert refused > 100
 
 
-def test_what_was_written_is_read_back_the_same_for_every_axis():
-    assert read_diagnoses(write_diagnosis(KNOWN, further_axes=(KNOWN,))) == (KNOWN, KNOWN)
+def test_a_diagnosis_of_several_axes_survives_its_file():
+    assert read_diagnoses(write_diagnosis(DIAGNOSIS, further_axes=(DIAGNOSIS,))) == (
+        DIAGNOSIS,
+        DIAGNOSIS,
+    )
 
 
-def test_an_effect_that_nobody_knows_is_refused():
-    strange = replace(KNOWN.not_detected[0], effect="gremlins")
-    content = write_diagnosis(replace(KNOWN, not_detected=(strange,)))
+def test_an_unknown_effect_is_refused():
+    unknown = replace(DIAGNOSIS.not_detected[0], effect="gremlins")
+    content = write_diagnosis(replace(DIAGNOSIS, not_detected=(unknown,)))
     with pytest.raises(ParameterFileError, match="gremlins"):
         read_diagnoses(content)

@@ -1,4 +1,4 @@
-"""What a search keeps, takes back, and says of the rest."""
+"""Selection of effects: confirmed, dismissed, and not separable."""
 
 from collections.abc import Iterable
 from functools import cache
@@ -15,11 +15,18 @@ from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
 from .bench import causes, view_of_recordings
-from .played import NOISE, cycled, forgotten, recordings_after, with_another_axis, wobbling
+from .play_recordings import (
+    NOISE,
+    cycled,
+    forgotten,
+    recordings_after,
+    with_another_axis,
+    wobbling,
+)
 
 pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
-DRIFT = 10.0 * NOISE * np.sqrt(3.0)  # of the stroke, at either end: ten times the noise, rms
+DRIFT = 10.0 * NOISE * np.sqrt(3.0)  # of the stroke, at either end: rms of ten times the noise
 
 
 def nearly_cycled(_: float) -> tuple[float, float]:
@@ -27,26 +34,26 @@ def nearly_cycled(_: float) -> tuple[float, float]:
 
 
 def drifting() -> tuple[Recording, ...]:
-    """Return recordings that all drift along a straight line."""
-    found = []
-    for one in recordings_after(cycled, cycled, cycled):
-        moved_m = one.displacement_m()
-        line_m = DRIFT * float(np.ptp(moved_m)) * np.linspace(-1.0, 1.0, one.samples)
-        found.append(with_displacement(one, moved_m + line_m))
-    return tuple(found)
+    """Return recordings with a linear drift."""
+    drifted = []
+    for recording in recordings_after(cycled, cycled, cycled):
+        displacement_m = recording.displacement_m()
+        line_m = DRIFT * float(np.ptp(displacement_m)) * np.linspace(-1.0, 1.0, recording.samples)
+        drifted.append(with_displacement(recording, displacement_m + line_m))
+    return tuple(drifted)
 
 
 def creeping(recordings: Iterable[Recording], share: float) -> tuple[Recording, ...]:
-    return tuple(creep.EFFECT.inject(one, share) for one in recordings)
+    return tuple(creep.EFFECT.inject(recording, share) for recording in recordings)
 
 
 def finding_of(diagnosis: Diagnosis, name: str) -> Finding:
-    return next(one for one in diagnosis.findings if one.effect == name)
+    return next(finding for finding in diagnosis.findings if finding.effect == name)
 
 
 @cache
-def creep_and_an_unknown_memory(share: float) -> Diagnosis:
-    """Diagnose creep in recordings of which the second began from turns that nobody knows."""
+def creep_with_unknown_initial_state(share: float) -> Diagnosis:
+    """Diagnose creep in recordings of which the second has an unknown history."""
     return diagnose.diagnose(creeping(recordings_after(cycled, forgotten, cycled), share))
 
 
@@ -56,22 +63,22 @@ def drift_alone() -> Diagnosis:
 
 
 @pytest.mark.slow
-def test_structure_is_no_name_where_much_else_is_left_and_may_be_what_causes_are():
-    """A gain that wobbles leaves more than this memory, and the class that leaves it is none."""
+def test_an_initial_state_below_other_structure_is_dismissed_and_not_separable():
+    """A modulated gain leaves more than this initial state; no class represents it."""
     stage = recordings_after(cycled, nearly_cycled, cycled)
-    wrong = map(with_another_axis, creeping(wobbling(stage, 0.006), 0.01))
-    coupled = tuple(cross_coupling.EFFECT.inject(one, 0.004) for one in wrong)
-    found = search.search(view_of_recordings(coupled, Lab()))
-    assert [cause.effect.name for cause in found.causes] == ["cross_coupling", "creep"]
-    assert found.inseparable == ("initial_state",)
-    assert "initial_state" in {one.effect.name for one in found.dismissed}
-    assert found.final.rms > 2.0 * found.final.noise
-    # a memory looks like creep, and not like the drive of another axis
-    assert found.confounded == {"cross_coupling": (), "creep": ("initial_state",)}
+    disturbed = map(with_another_axis, creeping(wobbling(stage, 0.006), 0.01))
+    coupled = tuple(cross_coupling.EFFECT.inject(recording, 0.004) for recording in disturbed)
+    outcome = search.search(view_of_recordings(coupled, Lab()))
+    assert [cause.effect.name for cause in outcome.causes] == ["cross_coupling", "creep"]
+    assert outcome.inseparable == ("initial_state",)
+    assert "initial_state" in {candidate.effect.name for candidate in outcome.dismissed}
+    assert outcome.final.rms > 2.0 * outcome.final.noise
+    # An initial state resembles creep, but not the drive of another axis.
+    assert outcome.confounded == {"cross_coupling": (), "creep": ("initial_state",)}
 
 
 @pytest.mark.slow
-def test_a_cause_that_may_be_another_cause_keeps_its_size_and_its_experiment():
+def test_a_cause_confounded_with_another_effect_keeps_its_size_and_experiment():
     drift = finding_of(drift_alone(), "thermal_drift")
     assert drift.not_separable_from == ("creep",)
     assert drift.size.ci95[0] > 0.5 * drift.size.value
@@ -80,10 +87,10 @@ def test_a_cause_that_may_be_another_cause_keeps_its_size_and_its_experiment():
 
 
 @pytest.mark.slow
-def test_a_doubtful_cause_beside_structure_that_was_found_may_be_a_part_of_it():
-    found = creep_and_an_unknown_memory(0.004)
-    assert causes(found) == ("initial_state", "creep")
-    doubtful = finding_of(found, "creep")
+def test_a_doubtful_cause_is_not_separable_from_structure():
+    diagnosis = creep_with_unknown_initial_state(0.004)
+    assert causes(diagnosis) == ("initial_state", "creep")
+    doubtful = finding_of(diagnosis, "creep")
     assert doubtful.not_separable_from == ("initial_state",)
     assert doubtful.size.ci95[0] == 0.0
     assert doubtful.size.ci95[1] > doubtful.size.value
@@ -94,15 +101,15 @@ def test_a_doubtful_cause_beside_structure_that_was_found_may_be_a_part_of_it():
 
 
 @pytest.mark.slow
-def test_a_sure_cause_beside_structure_that_was_found_is_no_part_of_it():
-    found = creep_and_an_unknown_memory(0.02)
-    assert set(causes(found)) == {"initial_state", "creep"}
-    sure, memory = finding_of(found, "creep"), finding_of(found, "initial_state")
-    assert (sure.not_separable_from, memory.not_separable_from) == ((), ())
-    assert sure.size.ci95[0] > 0.5 * sure.size.value
-    assert "Not separable" not in sure.explanation
-    assert sure.next_experiment == creep.EFFECT.experiment
-    for one in (sure, memory):
-        assert one.held_out_rms_after_m < one.held_out_rms_before_m
-        ratio = one.held_out_rms_after_m / one.held_out_rms_before_m
-        assert one.held_out_gain == pytest.approx(1.0 - ratio)
+def test_a_certain_cause_is_separable_from_structure():
+    diagnosis = creep_with_unknown_initial_state(0.02)
+    assert set(causes(diagnosis)) == {"initial_state", "creep"}
+    certain, initial = finding_of(diagnosis, "creep"), finding_of(diagnosis, "initial_state")
+    assert (certain.not_separable_from, initial.not_separable_from) == ((), ())
+    assert certain.size.ci95[0] > 0.5 * certain.size.value
+    assert "Not separable" not in certain.explanation
+    assert certain.next_experiment == creep.EFFECT.experiment
+    for finding in (certain, initial):
+        assert finding.held_out_rms_after_m < finding.held_out_rms_before_m
+        ratio = finding.held_out_rms_after_m / finding.held_out_rms_before_m
+        assert finding.held_out_gain == pytest.approx(1.0 - ratio)

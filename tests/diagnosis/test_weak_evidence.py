@@ -1,4 +1,4 @@
-"""What the model of the stage does not need, or cannot miss, is not named."""
+"""Causes that the model does not need are not named."""
 
 from dataclasses import replace
 from functools import cache
@@ -74,21 +74,21 @@ def test_a_doubtful_cause_is_named_only_if_the_model_needs_it(
     assert all("the model predicts left-out data about as well" in reason for reason in reasons)
 
 
-def test_an_end_of_the_range_that_the_model_does_not_miss_is_not_stated(monkeypatch):
-    """The class of the search misses readings that the model follows."""
+def test_an_end_of_the_range_that_the_model_explains_is_not_named(monkeypatch):
+    """The class of the search does not represent readings that the model represents."""
     find_structure = residual_structure._sensor_range_structure
 
-    def find_wrong_end(view, _):
+    def false_range_end(view, _):
         error = [np.zeros(len(track.response)) for track in view.tracks]
         error[0][-150:] = -1.0
         return SensorRangeEnd(error=tuple(error), level=0.5, side=1)
 
-    def missed_by_the_class(outcome):
+    def unexplained_structure(outcome):
         structure = find_structure(outcome)
         return replace(structure, residual=structure.residual + structure.score.fitted)
 
-    monkeypatch.setattr(residual_structure, "find_sensor_range_end", find_wrong_end)
-    monkeypatch.setattr(residual_structure, "_sensor_range_structure", missed_by_the_class)
+    monkeypatch.setattr(residual_structure, "find_sensor_range_end", false_range_end)
+    monkeypatch.setattr(residual_structure, "_sensor_range_structure", unexplained_structure)
     monkeypatch.setattr(residual_structure, "MIN_NOISE_RATIO", 0.0)
     monkeypatch.setattr(residual_structure, "MAX_SECOND_RATIO", 10.0)
     assert SOMETHING_ELSE not in diagnose_module.diagnose(recorded(10)).names

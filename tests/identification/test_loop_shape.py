@@ -1,4 +1,4 @@
-"""Loop shape: what plays with dead zones leave is followed, stored, and never invented."""
+"""Loop shape: structure that plays with dead zones cannot represent is fitted and stored."""
 
 import json
 from dataclasses import replace
@@ -30,7 +30,7 @@ from tests.laws import LAWS, Law
 
 NOISE_M = 8e-9
 RATE_Hz = 400.0
-BEGINNING = 250  # samples of the cycle that wipes out the initial state
+BEGINNING = 250  # samples of the cycle that erases the initial state
 
 
 def path_through(levels: Array) -> Array:
@@ -64,15 +64,15 @@ def recorded(
     polarity: float = 1.0,
     mode: LinearMode | None = None,
 ) -> Recording:
-    before = np.tile(path_through(np.array([0.0, 1.0, -1.0, 1.0, -1.0])), 2)
-    moved_m = 2e-5 * law_of(law)(np.concatenate([before, field]))[len(before) :]
+    history = np.tile(path_through(np.array([0.0, 1.0, -1.0, 1.0, -1.0])), 2)
+    displacement_m = 2e-5 * law_of(law)(np.concatenate([history, field]))[len(history) :]
     if mode is not None:
-        moved_m = mode.response(moved_m, Where(recording=name, rate_Hz=RATE_Hz))
+        displacement_m = mode.response(displacement_m, Where(recording=name, rate_Hz=RATE_Hz))
     noise_m = NOISE_M * np.random.default_rng(len(field)).standard_normal(len(field))
-    return read_as(5.0 * field, polarity * moved_m + noise_m, name)
+    return recording_of(5.0 * field, polarity * displacement_m + noise_m, name)
 
 
-def read_as(voltage_V: Array, displacement_m: Array, name: str) -> Recording:
+def recording_of(voltage_V: Array, displacement_m: Array, name: str) -> Recording:
     return from_arrays(
         voltage_V=voltage_V,
         displacement_m=displacement_m,
@@ -84,19 +84,19 @@ def read_as(voltage_V: Array, displacement_m: Array, name: str) -> Recording:
 
 @cache
 def fitted(law: str, polarity: float) -> tuple[tuple[Recording, ...], AxisModel, AxisModel]:
-    """Return recordings, the axis as plays describe it, and the axis with loop shape."""
+    """Return recordings, the axis of plays alone, and the axis with loop shape."""
     recordings = (
         recorded(law, SWEEP, "sweep", polarity),
         recorded(law, walk(3), "walk", polarity),
     )
-    plain = estimate_axis(recordings, "x", Rig(), orders=((8, 2),))
-    return recordings, plain, with_loop_shape(plain, recordings)
+    plays = estimate_axis(recordings, "x", Rig(), orders=((8, 2),))
+    return recordings, plays, with_loop_shape(plays, recordings)
 
 
 @pytest.mark.parametrize(("law", "polarity"), [("dahl", 1.0), ("bouc_wen", -1.0)])
-def test_a_law_that_is_no_sum_of_plays_is_explained_to_the_noise(law, polarity):
-    recordings, plain, axis = fitted(law, polarity)
-    assert plain.quality.rms_m > 3.0 * NOISE_M
+def test_a_law_other_than_plays_is_explained_to_the_noise(law, polarity):
+    recordings, plays, axis = fitted(law, polarity)
+    assert plays.quality.rms_m > 3.0 * NOISE_M
     assert axis.quality.explained_rms_m < 1.2 * NOISE_M
     assert axis.quality.held_out_rms_m < 2.0 * NOISE_M
     errors_m = [
@@ -109,70 +109,72 @@ def test_a_law_that_is_no_sum_of_plays_is_explained_to_the_noise(law, polarity):
     assert abs(axis.loop_shape.plays_weight) < 0.2  # without the kinks of plays
 
 
-def test_a_recording_that_was_not_fitted_is_predicted_better():
-    _, plain, axis = fitted("dahl", 1.0)
+def test_loop_shape_improves_the_prediction_of_a_new_recording():
+    _, plays, axis = fitted("dahl", 1.0)
     unseen = recorded("dahl", walk(4), "unseen")
-    plain_m, wide_m = (
-        float(np.std(compare(model, unseen).error_m[BEGINNING:])) for model in (plain, axis)
+    plays_m, wide_m = (
+        float(np.std(compare(model, unseen).error_m[BEGINNING:])) for model in (plays, axis)
     )
-    assert wide_m < 0.5 * plain_m
+    assert wide_m < 0.5 * plays_m
 
 
 @pytest.mark.parametrize(("law", "polarity"), [("dahl", 1.0), ("bouc_wen", -1.0)])
-def test_the_inverse_leads_the_law_along_a_reference_that_was_never_recorded(law, polarity):
-    _, plain, axis = fitted(law, polarity)
-    turn = np.linspace(0.0, 1.0, 2000)
-    begin_m = axis.zero_m - polarity * np.linspace(1e-5, 0.0, 200)
-    tones_m = 4e-6 * np.sin(10.0 * np.pi * turn) + 3e-6 * np.sin(26.0 * np.pi * turn)
-    reference_m = np.concatenate([begin_m, axis.zero_m + tones_m])
+def test_the_inverse_with_loop_shape_follows_a_new_reference(law, polarity):
+    _, plays, axis = fitted(law, polarity)
+    phase = np.linspace(0.0, 1.0, 2000)
+    approach_m = axis.zero_m - polarity * np.linspace(1e-5, 0.0, 200)
+    tones_m = 4e-6 * np.sin(10.0 * np.pi * phase) + 3e-6 * np.sin(26.0 * np.pi * phase)
+    reference_m = np.concatenate([approach_m, axis.zero_m + tones_m])
     cycle = np.array([0.0, 1.0, -1.0, 1.0, -1.0])
-    before = np.tile(path_through(cycle), 2)
+    history = np.tile(path_through(cycle), 2)
     errors_m = []
-    for model in (plain, axis):
+    for model in (plays, axis):
         voltage_V = model.inverse(reference_m, model.memory_after(5.0 * cycle))
-        path = np.concatenate([before, voltage_V / 5.0])
-        reached_m = polarity * 2e-5 * law_of(law)(path)[len(before) :]
+        path = np.concatenate([history, voltage_V / 5.0])
+        reached_m = polarity * 2e-5 * law_of(law)(path)[len(history) :]
         errors_m.append(float(np.std((reached_m - reference_m)[BEGINNING:])))
     assert errors_m[1] < 0.35 * errors_m[0]
     assert errors_m[1] < 5.0 * NOISE_M
 
 
-def test_the_inverse_stays_near_that_of_plays_beyond_the_recorded_range():
-    _, plain, axis = fitted("bouc_wen", -1.0)
+def test_beyond_the_recorded_range_the_inverse_stays_close_to_that_of_plays():
+    _, plays, axis = fitted("bouc_wen", -1.0)
     reach_m = 1.05e-5  # of a range of 10 um about the zero
     reference_m = axis.zero_m + reach_m * np.sin(np.linspace(-0.5, 7.5, 1000) * np.pi)
-    memory_V = plain.memory_after(5.0 * np.array([1.0, -1.0, 1.0, -1.0]))
-    plain_V, voltage_V = (model.inverse(reference_m, memory_V) for model in (plain, axis))
-    assert 5.0 < np.abs(voltage_V).max() < 1.05 * np.abs(plain_V).max()
+    memory_V = plays.memory_after(5.0 * np.array([1.0, -1.0, 1.0, -1.0]))
+    plays_V, voltage_V = (model.inverse(reference_m, memory_V) for model in (plays, axis))
+    assert 5.0 < np.abs(voltage_V).max() < 1.05 * np.abs(plays_V).max()
 
 
-def test_loops_of_three_sizes_predict_a_fourth():
+def test_loops_of_three_sizes_predict_a_fourth_size():
     def loops(size: float) -> Array:
         return path_through(np.tile([-1.0, 2.0 * size - 1.0], 4))
 
     recordings = [recorded("bouc_wen", loops(size), f"{size}.csv") for size in (1.0, 0.6, 0.3)]
     plays = estimate_axis(recordings, "x", Rig())
     axis = with_loop_shape(plays, recordings)
-    between = recorded("bouc_wen", loops(0.8), "0.8.csv")
+    fourth = recorded("bouc_wen", loops(0.8), "0.8.csv")
     assert axis.loop_shape is not None
-    assert compare(axis, between).rms_m < 1.5 * compare(plays, between).rms_m
+    assert compare(axis, fourth).rms_m < 1.5 * compare(plays, fourth).rms_m
 
 
-def test_recordings_with_other_initial_states_are_simulated_from_their_beginning():
-    """Solves that ignored the initial states in the columns left 2.2 times the noise there."""
+def test_initial_states_of_recordings_are_fitted_with_loop_shape():
+    """A solution that neglected the initial states in the columns left 2.2 times the noise."""
     decay = np.linspace(1.0, 0.1, 20) * (-1.0) ** np.arange(20)
     turns = np.random.default_rng(4).uniform(-1.0, 1.0, 24)
     recordings = []
-    for name, before, levels in (
+    for name, reversals, levels in (
         ("decay", [0.0, 1.0, -1.0, 0.5, -0.4], [-0.4, 0.3, -0.6, 0.7, -0.8, 0.9, -1.0, *decay]),
         ("walk", [-1.0, 0.49, -1.0, 0.2], [0.2, -0.3, 0.5, -0.7, 0.8, -0.95, *turns]),
     ):
-        past, field = path_through(np.array(before)), path_through(np.array(levels))
-        moved_m = 2e-5 * law_of("preisach")(np.concatenate([past, field]))[len(past) :]
-        moved_m += NOISE_M * np.random.default_rng(len(field)).standard_normal(len(field))
-        recordings.append(read_as(5.0 * field, moved_m, name))
-    plain = estimate_axis(recordings, "x", Rig(), orders=((8, 2),))
-    axis = with_loop_shape(plain, recordings)
+        history, field = path_through(np.array(reversals)), path_through(np.array(levels))
+        displacement_m = (
+            2e-5 * law_of("preisach")(np.concatenate([history, field]))[len(history) :]
+        )
+        displacement_m += NOISE_M * np.random.default_rng(len(field)).standard_normal(len(field))
+        recordings.append(recording_of(5.0 * field, displacement_m, name))
+    plays = estimate_axis(recordings, "x", Rig(), orders=((8, 2),))
+    axis = with_loop_shape(plays, recordings)
     for recording, start in zip(recordings, axis.starts, strict=True):
         error_m = (recording.displacement_m("x") - simulate_recording(axis, recording))[
             start.first : start.last
@@ -180,151 +182,153 @@ def test_recordings_with_other_initial_states_are_simulated_from_their_beginning
         assert np.sqrt(np.mean(error_m[: len(error_m) // 5] ** 2)) < 1.5 * NOISE_M
 
 
-def test_a_zero_that_wanders_within_a_left_out_block_is_no_error_of_the_class():
-    """Of 25 knots of the zero, each lies in one block: the others say nothing of it."""
-    recordings, plain, _ = fitted("dahl", 1.0)
-    starts = [replace(start, zero_m=np.full(25, start.zero_m.mean())) for start in plain.starts]
-    shaped = with_loop_shape(replace(plain, starts=tuple(starts)), recordings)
+def test_a_drifting_zero_in_a_held_out_block_is_no_model_error():
+    """Each of 25 knots of the zero lies in one block; other blocks do not determine it."""
+    recordings, plays, _ = fitted("dahl", 1.0)
+    starts = [replace(start, zero_m=np.full(25, start.zero_m.mean())) for start in plays.starts]
+    shaped = with_loop_shape(replace(plays, starts=tuple(starts)), recordings)
     assert shaped.quality.explained_rms_m < 1.2 * NOISE_M
     assert shaped.quality.held_out_rms_m < 2.0 * NOISE_M
 
 
-def test_many_recordings_are_simulated_with_fewer_histories_each():
-    """Beyond ten pieces not all histories of the drive are weighed."""
+def test_many_recordings_use_fewer_drive_histories_each():
+    """Beyond ten pieces, only some histories of the drive are weighted."""
     levels = np.array([-1.0, 1.0, -1.0, 0.6, -0.7])
     recordings = [
         recorded("dahl", path_through(k * levels), f"{k}") for k in np.linspace(1, 0.9, 11)
     ]
-    plain = estimate_axis(recordings, "x", Rig(), orders=((6, 2),))
-    axis = with_loop_shape(plain, recordings)
+    plays = estimate_axis(recordings, "x", Rig(), orders=((6, 2),))
+    axis = with_loop_shape(plays, recordings)
     assert axis.loop_shape is not None
     assert any(np.any(start.history_weight) for start in axis.starts)
     error_m = simulate_recording(axis, recordings[5]) - recordings[5].displacement_m("x")
-    assert np.std(error_m) < plain.quality.rms_m
+    assert np.std(error_m) < plays.quality.rms_m
 
 
-def test_a_sum_of_plays_is_predicted_no_worse():
-    _, plain, axis = fitted("plays", 1.0)
-    assert axis.quality.held_out_rms_m <= plain.quality.held_out_rms_m
+def test_loop_shape_does_not_worsen_the_prediction_of_plays():
+    _, plays, axis = fitted("plays", 1.0)
+    assert axis.quality.held_out_rms_m <= plays.quality.held_out_rms_m
     assert axis.quality.explained_rms_m < 1.5 * NOISE_M
 
 
-def test_a_periodic_error_is_fitted_beside_loop_shape():
-    """Beside plays its numbers stand for loop shape as well, and stayed as they were.
+def test_a_periodic_error_is_fitted_together_with_loop_shape():
+    """Plays alone distort its parameters.
 
-    The zero of one recording was set anew: the same error at another place of the reading.
+    One recording has a different zero: the same error at another phase of the reading.
     """
-    recordings, plain, _ = fitted("dahl", 1.0)
+    recordings, plays, _ = fitted("dahl", 1.0)
     phases = (Phase(recording=recordings[1].name, angle=2.6),)
-    true = PeriodicError(wavelength_m=1.5e-6, cosine_m=(2e-8,), sine_m=(3e-8,), phases=phases)
-    read = tuple(with_extension(recording, true) for recording in recordings)
+    expected = PeriodicError(wavelength_m=1.5e-6, cosine_m=(2e-8,), sine_m=(3e-8,), phases=phases)
+    readings = tuple(with_extension(recording, expected) for recording in recordings)
     unknown = tuple(Phase(recording=r.name, angle=0.0) for r in recordings[1:])
-    began = replace(true, wavelength_m=1.502e-6, cosine_m=(1e-8,), sine_m=(2e-8,), phases=unknown)
-    axis = with_loop_shape(replace(plain, extensions=(began,)), read)
+    initial = replace(
+        expected, wavelength_m=1.502e-6, cosine_m=(1e-8,), sine_m=(2e-8,), phases=unknown
+    )
+    axis = with_loop_shape(replace(plays, extensions=(initial,)), readings)
     (error,) = axis.extensions
-    assert error.wavelength_m == pytest.approx(true.wavelength_m, rel=1e-3)
-    assert error.amplitude_m == pytest.approx(true.amplitude_m, rel=0.05)
+    assert error.wavelength_m == pytest.approx(expected.wavelength_m, rel=1e-3)
+    assert error.amplitude_m == pytest.approx(expected.amplitude_m, rel=0.05)
     assert axis.quality.explained_rms_m < 1.3 * NOISE_M
 
 
 def test_a_steep_periodic_error_and_unknown_histories_are_fitted_together():
-    """Solves of the linearised reading overshot: 75 times the noise were left."""
+    """Linearised solutions overshot and left 75 times the noise."""
     count = np.arange(2000)
     fields = {
         "loops": 0.9 * np.sin(2 * np.pi * count / 700) * np.linspace(1.0, 0.7, 2000),
         "small": 0.04 * np.sin(count / np.linspace(40.0, 4.0, 2000)) - 0.3,
         "noise": 0.4 * np.sin(count / 31.0) * np.sin(count / 83.0),
     }
-    still = [recorded("dahl", field, name) for name, field in fields.items()]
-    true = PeriodicError(
+    recordings = [recorded("dahl", field, name) for name, field in fields.items()]
+    expected = PeriodicError(
         wavelength_m=7e-7,
         cosine_m=(6e-8, 1e-8),
         sine_m=(8e-8, 1e-8),
         phases=tuple(Phase(recording=name, angle=0.5) for name in ("small", "noise")),
     )
-    read = tuple(with_extension(recording, true) for recording in still)
-    plain = estimate_axis(read, "x", Rig(), orders=((8, 2),))
-    began = replace(true, wavelength_m=7.007e-7, cosine_m=(5e-8, 0.0), sine_m=(7e-8, 0.0))
-    shaped = with_loop_shape(replace(plain, extensions=(began,)), read)
+    readings = tuple(with_extension(recording, expected) for recording in recordings)
+    plays = estimate_axis(readings, "x", Rig(), orders=((8, 2),))
+    initial = replace(expected, wavelength_m=7.007e-7, cosine_m=(5e-8, 0.0), sine_m=(7e-8, 0.0))
+    shaped = with_loop_shape(replace(plays, extensions=(initial,)), readings)
     assert shaped.loop_shape is not None
     assert shaped.quality.explained_rms_m < 2.0 * NOISE_M
 
 
-def test_loop_shape_is_fitted_behind_a_mode_that_is_not_only_a_delay():
-    """A delay in its place misses 1 % of the quick motion: less than its hysteresis, not noise."""
+def test_loop_shape_is_fitted_with_a_mode():
+    """A delay instead of the mode leaves 1 % of fast motion: below hysteresis, above noise."""
     mode = LinearMode(frequency_Hz=60.0, quality=20.0)
-    quick = 0.6 * np.sin(np.arange(3000) / 15.0)
-    fields = {"sweep": SWEEP, "walk": walk(3), "quick": quick}
-    calm = tuple(recorded("dahl", field, name) for name, field in fields.items())
-    heard = tuple(recorded("dahl", field, name, 1.0, mode) for name, field in fields.items())
-    plain = estimate_axis(calm, "x", Rig(), orders=((8, 2),))
-    shaped = with_loop_shape(replace(plain, extensions=(mode,)), heard)
+    fast = 0.6 * np.sin(np.arange(3000) / 15.0)
+    fields = {"sweep": SWEEP, "walk": walk(3), "quick": fast}
+    static = tuple(recorded("dahl", field, name) for name, field in fields.items())
+    ringing = tuple(recorded("dahl", field, name, 1.0, mode) for name, field in fields.items())
+    plays = estimate_axis(static, "x", Rig(), orders=((8, 2),))
+    shaped = with_loop_shape(replace(plays, extensions=(mode,)), ringing)
     assert shaped.loop_shape is not None
     assert shaped.quality.explained_rms_m < 1.5 * NOISE_M
 
 
-def test_a_hum_with_harmonics_is_fitted_to_more_rows_than_are_used(monkeypatch):
+def test_a_hum_with_harmonics_is_fitted_to_a_subset_of_rows(monkeypatch):
     monkeypatch.setattr("piezoid.identification.loop_shape_columns.MAX_ROWS", 3000)
     field = np.interp(np.linspace(0.0, len(SWEEP) - 1.0, 4000), np.arange(len(SWEEP)), SWEEP)
-    quiet = recorded("dahl", field, "sweep")
-    turn = 2.0 * np.pi * 50.0 * np.arange(len(field)) / quiet.sampling_rate_Hz
-    hum_m = 4e-8 * np.cos(turn + 0.3) + 2e-8 * np.cos(3.0 * turn)
-    heard = with_displacement(quiet, quiet.displacement_m("x") + hum_m)
-    plain = estimate_axis((heard,), "x", Rig(), orders=((8, 2),))
-    silent = (0.0, 0.0)
-    hum = Hum(recording="sweep", first=0, harmonic=(1, 3), cosine_m=silent, sine_m=silent)
+    silent = recorded("dahl", field, "sweep")
+    phase = 2.0 * np.pi * 50.0 * np.arange(len(field)) / silent.sampling_rate_Hz
+    hum_m = 4e-8 * np.cos(phase + 0.3) + 2e-8 * np.cos(3.0 * phase)
+    humming = with_displacement(silent, silent.displacement_m("x") + hum_m)
+    plays = estimate_axis((humming,), "x", Rig(), orders=((8, 2),))
+    zeros = (0.0, 0.0)
+    hum = Hum(recording="sweep", first=0, harmonic=(1, 3), cosine_m=zeros, sine_m=zeros)
     lines = MainsLines(frequency_Hz=50.0, hums=(hum,))
-    shaped = with_loop_shape(replace(plain, extensions=(lines,)), (heard,))
+    shaped = with_loop_shape(replace(plays, extensions=(lines,)), (humming,))
     assert shaped.loop_shape is not None
-    error_m = heard.displacement_m("x") - simulate_recording(shaped, heard)
+    error_m = humming.displacement_m("x") - simulate_recording(shaped, humming)
     assert np.sqrt(np.nanmean(error_m**2)) < 1.2 * NOISE_M
 
 
-def test_a_step_of_the_zero_is_not_taken_for_hysteresis():
+def test_a_step_of_the_zero_is_not_absorbed_by_loop_shape():
     step_m = 5e-7
     cycles = np.concatenate([np.ones(4), np.linspace(1.0, 0.3, 8)])
     field = path_through(np.append(np.repeat(cycles, 2) * np.tile([-1.0, 1.0], 12), -1.0))
     middle = len(field) // 2 + 40
-    moved_m = 2e-5 * law_of("dahl")(np.concatenate([field, field]))[len(field) :]
-    moved_m[middle:] += step_m
+    displacement_m = 2e-5 * law_of("dahl")(np.concatenate([field, field]))[len(field) :]
+    displacement_m[middle:] += step_m
     noise_m = 6e-8 * np.random.default_rng(1).standard_normal(len(field))
-    recording = read_as(5.0 * field, moved_m + noise_m, "jump")
+    recording = recording_of(5.0 * field, displacement_m + noise_m, "jump")
     assert len(recording.pieces) == 1
-    plain = estimate_axis([recording], "x", Rig(), orders=((8, 2),))
-    axis = with_loop_shape(plain, [recording])
+    plays = estimate_axis([recording], "x", Rig(), orders=((8, 2),))
+    axis = with_loop_shape(plays, [recording])
     assert axis.loop_shape is not None
     error_m = recording.displacement_m("x") - simulate_recording(axis, recording)
     jump_m = np.mean(error_m[middle : middle + 300]) - np.mean(error_m[middle - 300 : middle])
     assert jump_m == pytest.approx(step_m, rel=0.2)
 
 
-def test_of_a_single_loop_the_error_in_sample_decides():
+def test_the_in_sample_error_decides_for_a_single_loop():
     ramp = np.linspace(-1.0, 1.0, 900)
     loop = recorded("coleman_hodgdon", np.concatenate([ramp, ramp[-2::-1]]), "loop")
-    plain = estimate_axis([loop], "x", Rig(), orders=((8, 2),))
-    axis = with_loop_shape(plain, [loop])
+    plays = estimate_axis([loop], "x", Rig(), orders=((8, 2),))
+    axis = with_loop_shape(plays, [loop])
     assert axis.loop_shape is not None
-    assert axis.quality.rms_m < 1.05 * NOISE_M < plain.quality.rms_m
+    assert axis.quality.rms_m < 1.05 * NOISE_M < plays.quality.rms_m
     assert not axis.quality.is_tested
 
 
-def test_loop_shape_comes_back_from_a_file_to_the_last_bit():
+def test_loop_shape_survives_its_file_bit_by_bit():
     recordings, _, axis = fitted("dahl", 1.0)
     stage = ActuatorModel(stage="s", axes={"x": axis}, sources={}, lab=None, tunnelling=None)
-    read = read_model(write_model(stage)).axes["x"]
+    restored = read_model(write_model(stage)).axes["x"]
     assert np.array_equal(
-        simulate_recording(read, recordings[0]), simulate_recording(axis, recordings[0])
+        simulate_recording(restored, recordings[0]), simulate_recording(axis, recordings[0])
     )
-    assert read.quality == axis.quality
+    assert restored.quality == axis.quality
 
 
-def test_loop_shape_is_fitted_once_and_without_it_the_axis_is_what_it_was():
-    recordings, plain, axis = fitted("dahl", 1.0)
-    before = axis.without_loop_shape()
-    assert before.loop_shape is None
-    assert before.quality == plain.quality
+def test_loop_shape_can_be_removed_and_is_not_fitted_twice():
+    recordings, plays, axis = fitted("dahl", 1.0)
+    restored = axis.without_loop_shape()
+    assert restored.loop_shape is None
+    assert restored.quality == plays.quality
     np.testing.assert_array_equal(
-        simulate_recording(before, recordings[1]), simulate_recording(plain, recordings[1])
+        simulate_recording(restored, recordings[1]), simulate_recording(plays, recordings[1])
     )
     with pytest.raises(ValueError, match="has loop shape already"):
         with_loop_shape(axis, recordings)
@@ -335,6 +339,6 @@ def test_a_model_with_coefficients_of_another_class_is_refused():
     stage = ActuatorModel(stage="s", axes={"x": axis}, sources={}, lab=None, tunnelling=None)
     record = json.loads(write_model(stage))
     record["axes"]["x"]["loop_shape"]["smooth_m"].pop()
-    earlier = {key: value for key, value in record.items() if key not in ("schema", "digest")}
+    content = {key: value for key, value in record.items() if key not in ("schema", "digest")}
     with pytest.raises(ParameterFileError, match="coefficients"):
-        read_model(seal(SCHEMA, earlier))
+        read_model(seal(SCHEMA, content))

@@ -1,4 +1,4 @@
-"""Two piezos, two displacements, modes that soften with the level: all known."""
+"""A stage of two coupled piezos with known modes whose frequencies depend on the level."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ NOISE_M = 2e-9
 
 
 def shift(level_V: float) -> np.ndarray:
-    """Half the change at the ends, a straight line in the logarithm between."""
+    """Return the logarithmic change of the frequencies, linear in the logarithm of the level."""
     return SOFTER * np.log(level_V / np.sqrt(LOW_V * HIGH_V)) / np.log(HIGH_V / LOW_V)
 
 
@@ -43,25 +43,29 @@ def multisine(level_V: float, rng: np.random.Generator) -> np.ndarray:
 def record(level_V: float, seed: int, realisations: int = REALISATIONS) -> piezoid.PeriodicData:
     rng = np.random.default_rng(seed)
     drives = np.stack([multisine(level_V, rng) for _ in range(realisations)], axis=2)
-    moved = np.stack([displacement(drives[:, :, r], level_V) for r in range(realisations)], axis=2)
-    noisy = moved[..., None] + NOISE_M * rng.standard_normal((*moved.shape, 2))
+    displacements_m = np.stack(
+        [displacement(drives[:, :, r], level_V) for r in range(realisations)], axis=2
+    )
+    readings_m = displacements_m[..., None] + NOISE_M * rng.standard_normal(
+        (*displacements_m.shape, 2)
+    )
     return piezoid.PeriodicData(
         sampling_rate_Hz=RATE_HZ,
         inputs=("a", "b"),
         outputs=("x", "y"),
         voltage_V=np.repeat(drives[..., None], 2, axis=3),
-        displacement_m=noisy,
+        displacement_m=readings_m,
     )
 
 
 def error(model: piezoid.CoupledStage, data: piezoid.PeriodicData) -> float:
-    left, size = 0.0, 0.0
+    residual_power, power = 0.0, 0.0
     for r in range(data.voltage_V.shape[2]):
-        found = model.simulate(data.voltage_V[:, :, r, 0], periodic=True)
-        moved = data.displacement_m[:, :, r].mean(axis=2)
-        left += np.sum((moved - moved.mean(axis=0) - found) ** 2)
-        size += np.sum(moved**2)
-    return float(np.sqrt(left / size))
+        simulated_m = model.simulate(data.voltage_V[:, :, r, 0], periodic=True)
+        displacement_m = data.displacement_m[:, :, r].mean(axis=2)
+        residual_power += np.sum((displacement_m - displacement_m.mean(axis=0) - simulated_m) ** 2)
+        power += np.sum(displacement_m**2)
+    return float(np.sqrt(residual_power / power))
 
 
 @pytest.fixture(scope="module")
@@ -74,12 +78,12 @@ def model(levels: list[piezoid.PeriodicData]) -> piezoid.CoupledStage:
     return piezoid.fit_coupled(levels, modes=3)
 
 
-def test_modes_and_how_they_move_with_the_level_are_found_within_finite_intervals(model):
-    near = [int(np.argmin(np.abs(model.mode_frequency_Hz(0.17) - f))) for f in MODE_HZ]
-    true_Hz = MODE_HZ * np.exp(shift(LOW_V))
-    np.testing.assert_allclose(model.mode_frequency_Hz(LOW_V)[near], true_Hz, rtol=2e-3)
-    np.testing.assert_allclose(model.mode_damping(HIGH_V)[near], DAMPING, rtol=0.05)
-    change = model.frequency_change()[near]
+def test_modes_and_their_level_dependence_are_identified_with_finite_intervals(model):
+    indices = [int(np.argmin(np.abs(model.mode_frequency_Hz(0.17) - f))) for f in MODE_HZ]
+    expected_Hz = MODE_HZ * np.exp(shift(LOW_V))
+    np.testing.assert_allclose(model.mode_frequency_Hz(LOW_V)[indices], expected_Hz, rtol=2e-3)
+    np.testing.assert_allclose(model.mode_damping(HIGH_V)[indices], DAMPING, rtol=0.05)
+    change = model.frequency_change()[indices]
     np.testing.assert_allclose(change[:, 0], np.expm1(SOFTER), atol=1.5e-3)
     low_Hz, high_Hz = model.mode_frequency_interval_Hz(HIGH_V).T
     assert (
@@ -88,27 +92,27 @@ def test_modes_and_how_they_move_with_the_level_are_found_within_finite_interval
     assert (high_Hz < 1.05 * low_Hz).any()
 
 
-def test_drives_of_any_level_within_the_data_are_followed_from_the_drive_alone(model):
+def test_a_new_drive_of_any_level_within_the_data_is_predicted(model):
     for level_V, seed in ((LOW_V, 11), (0.2, 13), (HIGH_V, 12)):
         assert error(model, record(level_V, seed, realisations=2)) < 0.003
 
 
-def test_one_level_alone_can_be_fitted(levels):
-    alone = piezoid.fit_coupled(levels[1:], modes=3, intervals=False)
-    assert error(alone, record(HIGH_V, 14, realisations=1)) < 0.003
-    assert np.isinf(alone.frequency_change()[:, 2]).all()
+def test_a_single_level_can_be_fitted(levels):
+    single_level = piezoid.fit_coupled(levels[1:], modes=3, intervals=False)
+    assert error(single_level, record(HIGH_V, 14, realisations=1)) < 0.003
+    assert np.isinf(single_level.frequency_change()[:, 2]).all()
 
 
-def test_from_rest_the_answer_settles_into_the_steady_one(model):
+def test_the_response_from_rest_settles_to_the_steady_state(model):
     drive = multisine(HIGH_V, np.random.default_rng(5))
     steady = model.simulate(drive, periodic=True)
-    began = model.simulate(np.tile(drive, (4, 1)))[3 * SAMPLES :]
-    assert np.std(began - steady) < 0.02 * np.std(steady)
+    settled = model.simulate(np.tile(drive, (4, 1)))[3 * SAMPLES :]
+    assert np.std(settled - steady) < 0.02 * np.std(steady)
 
 
 def test_the_same_records_give_the_same_model(levels, model):
-    again = piezoid.fit_coupled(levels[::-1], modes=3, intervals=False)
-    np.testing.assert_array_equal(again.residue_m_per_V, model.residue_m_per_V)
+    refit = piezoid.fit_coupled(levels[::-1], modes=3, intervals=False)
+    np.testing.assert_array_equal(refit.residue_m_per_V, model.residue_m_per_V)
 
 
 def test_drives_of_other_levels_and_widths_are_refused(model):
@@ -122,11 +126,11 @@ def test_drives_of_other_levels_and_widths_are_refused(model):
         model.simulate(np.ones((100, 3)))
 
 
-def test_records_that_cannot_answer_are_refused(levels):
+def test_insufficient_records_are_refused(levels):
     with pytest.raises(ExcitationError, match="2 realisations for 2 drives"):
         piezoid.fit_coupled([levels[0].select([0, 1])])
-    other = replace(levels[0], sampling_rate_Hz=2 * RATE_HZ)
+    other_rate = replace(levels[0], sampling_rate_Hz=2 * RATE_HZ)
     with pytest.raises(ExcitationError, match="the same drives, sensors, rate"):
-        piezoid.fit_coupled([levels[0], other])
+        piezoid.fit_coupled([levels[0], other_rate])
     with pytest.raises(ExcitationError, match="no record"):
         piezoid.fit_coupled([])

@@ -1,4 +1,4 @@
-"""A simulated stage whose truth is known: two modes, a delay, an amplifier, a little of a play."""
+"""Simulated stage with two modes, a delay, an amplifier and a small play."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ DELAY_S = 83e-6
 
 
 def truth(output: int = 0, drive: int = 0, axes: int = 1) -> LinearDynamics:
-    """One path of a stage: every path has both modes, with gains of its own."""
+    """Return one path of a stage: all paths share the modes and have different gains."""
     coupling = np.eye(axes) + 0.2 * np.arange(axes * axes).reshape(axes, axes)
     gains = np.array([1e-6 * coupling[output, drive], 0.2e-6 * coupling[drive, output]])
     return LinearDynamics(
@@ -81,18 +81,18 @@ def record(
 ) -> PeriodicData:
     """Record odd multisines of 0.5 V rms up to 4 kHz behind a zero-order hold, in steady state.
 
-    play_weight  share of a play of half-width 0.1 V in the drive, of what hysteresis does
-    cubic        share of a cubic term
+    play_weight  weight of a play of half-width 0.1 V in the drive
+    cubic        coefficient of a cubic term
     """
     lines = odd_lines(30, 4000, RATE_HZ / PERIOD, left_out_of=0, rng=rng)
     drive_V = 0.5 * np.concatenate(
         [_orthogonal_block(lines, len(inputs), rng) for _ in range(realisations // len(inputs))],
         axis=2,
     )
-    bent_V = np.apply_along_axis(_bent, 0, drive_V, play_weight, cubic)
+    distorted_V = np.apply_along_axis(_distorted, 0, drive_V, play_weight, cubic)
     G = all_paths(np.arange(PERIOD // 2 + 1) * RATE_HZ / PERIOD, len(inputs))
-    moved = np.einsum("koi,kir->kor", G, np.fft.rfft(bent_V, axis=0))
-    steady_m = np.fft.irfft(moved, PERIOD, axis=0)[..., None]
+    spectrum = np.einsum("koi,kir->kor", G, np.fft.rfft(distorted_V, axis=0))
+    steady_m = np.fft.irfft(spectrum, PERIOD, axis=0)[..., None]
     noise = noise_m * rng.standard_normal((*steady_m.shape[:3], periods))
     return PeriodicData(
         sampling_rate_Hz=RATE_HZ,
@@ -104,16 +104,16 @@ def record(
 
 
 def _orthogonal_block(lines: Array, axes: int, rng: np.random.Generator) -> Array:
-    """Return multisines of several axes of which the spectra are orthogonal at every line.
+    """Return multisines of several axes with orthogonal spectra at every line.
 
-    In realisation r the drive of axis c is turned by exp(2 pi j r c / axes); (PERIOD, axes, axes).
+    The drive of axis c in realisation r has the phase 2 pi r c / axes; (PERIOD, axes, axes).
     """
     spectra = np.fft.rfft([multisine_period(lines, PERIOD, rng) for _ in range(axes)])
     turn = np.exp(2j * np.pi * np.outer(np.arange(axes), np.arange(axes)) / axes)
     return np.asarray(np.fft.irfft(np.einsum("ck,cr->kcr", spectra, turn), PERIOD, axis=0))
 
 
-def _bent(period_V: Array, play_weight: float, cubic: float) -> Array:
-    """The second period of a play, when its memory is that of the drive."""
+def _distorted(period_V: Array, play_weight: float, cubic: float) -> Array:
+    """Return a distorted period with a play in its periodic state."""
     twice, _ = play_columns(np.tile(period_V, 2), np.array([0.1]), np.zeros(1))
     return np.asarray(period_V + play_weight * twice[PERIOD:, 0] + cubic * period_V**3)

@@ -1,4 +1,4 @@
-"""Dynamics behind a known hysteresis: found where they are excited, and only there."""
+"""Dynamics behind a known hysteresis are identified where they are excited, and only there."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ from piezoid.records.recording import Recording
 from piezoid.statement import Level
 from piezoid_reports.page import Page
 from piezoid_reports.render import render
-from tests.identification.hysteresis.stages import recording as made_recording
+from tests.identification.hysteresis.stages import recording as recording_of
 from tests.reports.known_stage import HYSTERESIS, axis_model, stage_model
 
 RATE_Hz = 5000.0
@@ -38,16 +38,16 @@ def chirp(amplitude_V: float = 2.0, samples: int = 30000) -> Array:
 
 
 def recorded(voltage_V: Array, rng: np.random.Generator, name: str = "chirp.csv") -> Recording:
-    """Hysteresis, then one mode behind a hold, then 5 nm of noise."""
-    moved_m, _ = HYSTERESIS.run(voltage_V, HYSTERESIS.virgin_memory())
+    """Record hysteresis, one mode behind a hold, and 5 nm of noise."""
+    static_m, _ = HYSTERESIS.run(voltage_V, HYSTERESIS.virgin_memory())
     mode = sample(resonance(MODE_Hz, DAMPING), RATE_Hz)
-    rest_m = moved_m[0]
-    state, out = np.zeros(len(mode.A)), np.empty(len(moved_m))
-    for k, value in enumerate(moved_m - rest_m):
-        out[k] = (mode.C @ state + mode.D[:, 0] * value)[0]
+    rest_m = static_m[0]
+    state, ringing_m = np.zeros(len(mode.A)), np.empty(len(static_m))
+    for k, value in enumerate(static_m - rest_m):
+        ringing_m[k] = (mode.C @ state + mode.D[:, 0] * value)[0]
         state = mode.A @ state + mode.B[:, 0] * value
-    displacement_m = rest_m + out + 5e-9 * rng.standard_normal(len(out))
-    return made_recording(voltage_V, displacement_m, name, RATE_Hz)
+    displacement_m = rest_m + ringing_m + 5e-9 * rng.standard_normal(len(ringing_m))
+    return recording_of(voltage_V, displacement_m, name, RATE_Hz)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def axis(chirped: Recording) -> AxisModel:
     return with_dynamics(axis_model(), [chirped], stated_Hz=400.0)
 
 
-def test_a_mode_behind_hysteresis_of_large_amplitude_is_found(axis):
+def test_a_mode_behind_large_hysteresis_is_identified(axis):
     dynamics = axis.dynamics
     assert dynamics is not None
     strongest = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
@@ -75,27 +75,27 @@ def test_a_mode_behind_hysteresis_of_large_amplitude_is_found(axis):
     )
 
 
-def test_the_mode_is_told_where_a_generator_drives_the_stage_between_samples():
-    """The stage seems early where a hold is assumed."""
-    finer, rig = 16, Rig(amplifier_bandwidth_Hz=2600.0, sensor_bandwidth_Hz=7700.0)
-    fine_Hz = finer * RATE_Hz
-    time_s, last_s = np.arange(29_999 * finer + 1) / fine_Hz, 29_999 / RATE_Hz
-    rate = np.log(1500.0 / 5.0) / last_s
+def test_a_mode_is_identified_with_a_drive_that_is_not_held():
+    """With an assumed hold, the stage would respond too early."""
+    oversampling, rig = 16, Rig(amplifier_bandwidth_Hz=2600.0, sensor_bandwidth_Hz=7700.0)
+    fine_Hz = oversampling * RATE_Hz
+    time_s, duration_s = np.arange(29_999 * oversampling + 1) / fine_Hz, 29_999 / RATE_Hz
+    rate = np.log(1500.0 / 5.0) / duration_s
     voltage_V = 5.0 + 2.0 * np.sin(2 * np.pi * 5.0 * np.expm1(rate * time_s) / rate)
     driven_V = behind_pole(voltage_V, rig.amplifier_bandwidth_Hz, fine_Hz)
-    moved_m, _ = HYSTERESIS.run(driven_V, HYSTERESIS.virgin_memory())
-    rung_m = moved_m[0] + through_mode(moved_m - moved_m[0], MODE_Hz, 0.5 / DAMPING, fine_Hz)
-    read_m = behind_pole(rung_m, rig.sensor_bandwidth_Hz, fine_Hz)[::finer]
-    noise_m = 5e-9 * np.random.default_rng(3).standard_normal(len(read_m))
-    recording = made_recording(voltage_V[::finer], read_m + noise_m, "chirp.csv", RATE_Hz)
+    static_m, _ = HYSTERESIS.run(driven_V, HYSTERESIS.virgin_memory())
+    ringing_m = static_m[0] + through_mode(static_m - static_m[0], MODE_Hz, 0.5 / DAMPING, fine_Hz)
+    reading_m = behind_pole(ringing_m, rig.sensor_bandwidth_Hz, fine_Hz)[::oversampling]
+    noise_m = 5e-9 * np.random.default_rng(3).standard_normal(len(reading_m))
+    recording = recording_of(voltage_V[::oversampling], reading_m + noise_m, "chirp.csv", RATE_Hz)
     dynamics = with_dynamics(replace(axis_model(), rig=rig), [recording]).dynamics
     assert dynamics is not None
     assert dynamics.mode_frequency_Hz == pytest.approx([MODE_Hz], rel=0.01)
     assert dynamics.delay_s < 2e-6
 
 
-def swept(low_Hz: float, high_Hz: float, amplitude_V: float, samples: int = 30000) -> Array:
-    """A linear sweep about 5 V."""
+def linear_sweep(low_Hz: float, high_Hz: float, amplitude_V: float, samples: int = 30000) -> Array:
+    """Return a linear sweep about 5 V."""
     time_s = np.arange(samples) / RATE_Hz
     rate = (high_Hz - low_Hz) / time_s[-1]
     return 5.0 + amplitude_V * np.sin(2 * np.pi * (low_Hz + 0.5 * rate * time_s) * time_s)
@@ -106,10 +106,10 @@ LOOP = 5.0 - 4.5 * np.sin(2 * np.pi * 1.5 * np.arange(10000) / RATE_Hz)
 
 @pytest.mark.parametrize(
     "drive_V",
-    [swept(180.0, 900.0, 2.0), np.concatenate([LOOP, swept(5.0, 1500.0, 0.3)])],
-    ids=["through the resonance alone", "small, behind a slow loop"],
+    [linear_sweep(180.0, 900.0, 2.0), np.concatenate([LOOP, linear_sweep(5.0, 1500.0, 0.3)])],
+    ids=["through the resonance only", "small, after a slow loop"],
 )
-def test_a_sweep_excites_the_mode_it_passes(drive_V, rng):
+def test_a_sweep_excites_a_mode_in_its_band(drive_V, rng):
     sweep = recorded(drive_V, rng, "sweep.csv")
     assert [recording.name for recording, _ in excites_dynamics([sweep], "x")] == ["sweep.csv"]
     dynamics = with_dynamics(axis_model(), [sweep]).dynamics
@@ -119,7 +119,7 @@ def test_a_sweep_excites_the_mode_it_passes(drive_V, rng):
 
 
 @pytest.mark.parametrize("levels", [12, 40])
-def test_neither_stairs_nor_a_noisy_slow_drive_nor_one_fast_sine_are_sweeps(levels, rng):
+def test_stairs_noise_and_single_sines_are_no_sweeps(levels, rng):
     time_s = np.arange(30000) / RATE_Hz
     climb = 1.0 - np.abs(1.0 - np.arange(30000) / 15000.0)
     slow = 5.0 + 4.0 * np.sin(2 * np.pi * 2.0 * time_s)
@@ -137,28 +137,28 @@ def test_neither_stairs_nor_a_noisy_slow_drive_nor_one_fast_sine_are_sweeps(leve
     assert slow_axis.dynamics_remarks == ()
 
 
-def test_where_noise_covers_everything_it_is_said_that_nothing_was_fitted(chirped, rng):
-    drive, moved = chirped.channels
-    noise = replace(moved, values=1e-6 * rng.standard_normal(chirped.samples))
-    found = with_dynamics(axis_model(), [replace(chirped, channels=(drive, noise))])
-    assert found.dynamics is None
-    assert len(found.dynamics_remarks) == 1
-    assert "0 of 2046 lines are coherent" in found.dynamics_remarks[0]
+def test_a_response_hidden_by_noise_is_not_fitted_and_the_reason_is_stated(chirped, rng):
+    drive, displacement = chirped.channels
+    noise = replace(displacement, values=1e-6 * rng.standard_normal(chirped.samples))
+    fitted = with_dynamics(axis_model(), [replace(chirped, channels=(drive, noise))])
+    assert fitted.dynamics is None
+    assert len(fitted.dynamics_remarks) == 1
+    assert "0 of 2046 lines are coherent" in fitted.dynamics_remarks[0]
 
 
-def test_a_resonance_that_cannot_be_fitted_is_stated_with_the_reason(chirped):
-    drive, moved = chirped.channels
-    early = replace(moved, values=np.roll(moved.values, -1))  # no held drive is ahead of itself
-    found = with_dynamics(axis_model(), [replace(chirped, channels=(drive, early))])
-    assert found.dynamics is None
-    assert found.unfitted_resonance_Hz == pytest.approx(MODE_Hz, rel=0.02)
-    (statement,) = [fact for fact in fit_statements(found) if fact.quantity == "dynamics"]
+def test_a_resonance_that_cannot_be_fitted_is_stated_with_its_reason(chirped):
+    drive, displacement = chirped.channels
+    advanced = replace(displacement, values=np.roll(displacement.values, -1))  # not causal
+    fitted = with_dynamics(axis_model(), [replace(chirped, channels=(drive, advanced))])
+    assert fitted.dynamics is None
+    assert fitted.unfitted_resonance_Hz == pytest.approx(MODE_Hz, rel=0.02)
+    (statement,) = [fact for fact in fit_statements(fitted) if fact.quantity == "dynamics"]
     assert statement.level is Level.ACTION
     for words in ("shows a resonance", "could not be fitted", "delay lies on 0"):
         assert words in statement.text
 
 
-def test_the_model_with_dynamics_comes_back_to_the_last_bit(axis):
+def test_a_model_with_dynamics_survives_its_file_bit_by_bit(axis):
     content = write_model(stage_model(axis))
     assert write_model(read_model(content)) == content
     assert read_model(content)["x"].dynamics is not None
@@ -177,11 +177,11 @@ def test_the_report_shows_gain_phase_coherence_and_poles(axis, chirped):
 
 
 @pytest.mark.usefixtures("one_order")
-def test_sines_that_determine_no_mode_are_said_to_determine_none():
+def test_sines_that_determine_no_mode_are_named():
     lab = read_lab(piezoid_datasets.LAB)
     (rates,) = collect(piezoid_datasets.recordings()[2:3], lab).recordings
     axis = estimate_axis([rates], "x", rig_of(lab, "x"), orders=((4, 1),))
-    found = with_dynamics(axis, [rates])
-    assert found.dynamics is None
-    assert found.dynamics_remarks
-    assert all(rates.name in remark for remark in found.dynamics_remarks)
+    fitted = with_dynamics(axis, [rates])
+    assert fitted.dynamics is None
+    assert fitted.dynamics_remarks
+    assert all(rates.name in remark for remark in fitted.dynamics_remarks)

@@ -1,4 +1,4 @@
-"""A stated bandwidth of 630 Hz: pole or resonance, said with phase and peak."""
+"""A stated bandwidth of 630 Hz is a pole or a resonance, decided by phase and peak."""
 
 from dataclasses import replace
 
@@ -20,25 +20,29 @@ from tests.identification.dynamics.stage import (
 from tests.identification.dynamics.test_axis_dynamics import recorded
 from tests.reports.known_stage import axis_model
 
-KNOWN = (0.0, 0.0)
+NO_DELAY = (0.0, 0.0)
 
 
-def seen(rng: np.random.Generator, system: ContinuousSystem, sign: int = 1) -> FrequencyResponse:
-    """What a multisine up to 4 kHz shows of a stage behind hold and declared amplifier."""
+def response_of(
+    rng: np.random.Generator, system: ContinuousSystem, sign: int = 1
+) -> FrequencyResponse:
+    """Return the response of a stage to a multisine up to 4 kHz behind hold and amplifier."""
     measured = first_response(record(rng, noise_m=2e-9))
-    whole = sample(cascade(AMPLIFIER.system(), system), RATE_HZ)
-    return replace(measured, response=1e-6 * sign * whole.response(measured.frequency_Hz)[:, 0, 0])
+    sampled = sample(cascade(AMPLIFIER.system(), system), RATE_HZ)
+    return replace(
+        measured, response=1e-6 * sign * sampled.response(measured.frequency_Hz)[:, 0, 0]
+    )
 
 
-def late(system: ContinuousSystem, delay_s: float) -> ContinuousSystem:
+def with_delay(system: ContinuousSystem, delay_s: float) -> ContinuousSystem:
     return replace(system, delay_s=delay_s)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("stated_Hz", [None, 630.0])
-def test_a_pole_is_called_a_pole(rng, sign, stated_Hz):
-    measured = seen(rng, first_order(630), sign)
-    verdict = decide_bandwidth(measured, DECLARATION, delay_s=KNOWN, stated_Hz=stated_Hz)
+def test_a_pole_is_identified_as_a_pole(rng, sign, stated_Hz):
+    measured = response_of(rng, first_order(630), sign)
+    verdict = decide_bandwidth(measured, DECLARATION, delay_s=NO_DELAY, stated_Hz=stated_Hz)
     assert verdict.kind == "first_order"
     assert verdict.fallen_Hz == pytest.approx(630, rel=0.01)
     assert verdict.phase_interval_deg is not None
@@ -47,58 +51,60 @@ def test_a_pole_is_called_a_pole(rng, sign, stated_Hz):
 
 
 @pytest.mark.parametrize("damping", [0.02, 0.1, 0.4, 0.7])
-def test_a_mode_is_called_a_resonance_with_or_without_a_peak(rng, damping):
-    verdict = decide_bandwidth(seen(rng, resonance(630, damping)), DECLARATION, delay_s=KNOWN)
+def test_a_mode_is_identified_as_a_resonance_with_or_without_a_peak(rng, damping):
+    verdict = decide_bandwidth(
+        response_of(rng, resonance(630, damping)), DECLARATION, delay_s=NO_DELAY
+    )
     assert verdict.kind == "resonance"
     assert verdict.phase_interval_deg is not None
     assert verdict.phase_interval_deg[1] < -88.0
 
 
-def test_an_unknown_delay_leaves_a_steep_phase_undecided_and_a_peak_decisive(rng):
-    """A pole with 140 us has the phase of a mode; a peak no delay can make."""
-    pole = seen(rng, late(first_order(630), 140e-6))
+def test_with_an_unknown_delay_only_a_peak_is_decisive(rng):
+    """A pole with a delay of 140 us has the phase of a mode; no delay produces a peak."""
+    pole = response_of(rng, with_delay(first_order(630), 140e-6))
     assert decide_bandwidth(pole, DECLARATION).kind == "undecided"
     assert decide_bandwidth(pole, DECLARATION, delay_s=(130e-6, 150e-6)).kind == "first_order"
-    assert decide_bandwidth(seen(rng, resonance(630, 0.7)), DECLARATION).kind == "undecided"
-    assert decide_bandwidth(seen(rng, resonance(630, 0.1)), DECLARATION).kind == "resonance"
+    assert decide_bandwidth(response_of(rng, resonance(630, 0.7)), DECLARATION).kind == "undecided"
+    assert decide_bandwidth(response_of(rng, resonance(630, 0.1)), DECLARATION).kind == "resonance"
 
 
 @pytest.mark.parametrize("system", [first_order(630), resonance(630, 0.05), resonance(630, 0.7)])
-def test_lines_that_show_no_gain_at_rest_or_end_before_it_falls_decide_nothing(rng, system):
-    short = lines_between(seen(rng, system), 30.0, 200.0)
-    verdict = decide_bandwidth(short, DECLARATION, delay_s=KNOWN, stated_Hz=630.0)
+def test_a_response_without_static_gain_or_roll_off_is_undecided(rng, system):
+    short = lines_between(response_of(rng, system), 30.0, 200.0)
+    verdict = decide_bandwidth(short, DECLARATION, delay_s=NO_DELAY, stated_Hz=630.0)
     assert verdict.kind == "undecided"
     assert verdict.fallen_Hz is None
     assert "lab.toml states a bandwidth of 630 Hz" in verdict.text
-    without_rest = lines_between(seen(rng, system), 500.0, 4000.0)
-    assert decide_bandwidth(without_rest, DECLARATION, delay_s=KNOWN).kind == "undecided"
+    without_rest = lines_between(response_of(rng, system), 500.0, 4000.0)
+    assert decide_bandwidth(without_rest, DECLARATION, delay_s=NO_DELAY).kind == "undecided"
 
 
-def test_a_stated_bandwidth_no_recording_reaches_is_said_to_be_open():
-    slow = recorded(5.0 + np.sin(np.arange(5000) / 500.0), np.random.default_rng(41))
-    found = with_dynamics(axis_model(), [slow], stated_Hz=630.0)
-    assert found.bandwidth is not None
-    assert found.bandwidth.kind == "undecided"
-    assert found.bandwidth.text in found.dynamics_remarks
+def test_a_stated_bandwidth_beyond_the_recordings_is_undecided():
+    recording = recorded(5.0 + np.sin(np.arange(5000) / 500.0), np.random.default_rng(41))
+    axis = with_dynamics(axis_model(), [recording], stated_Hz=630.0)
+    assert axis.bandwidth is not None
+    assert axis.bandwidth.kind == "undecided"
+    assert axis.bandwidth.text in axis.dynamics_remarks
 
 
 def slewed(frequency_Hz: np.ndarray, limited_from_Hz: float) -> np.ndarray:
-    """Fundamental that a slew limit leaves of sines of one amplitude, one for each frequency."""
-    steps = 400  # of a period
-    most = 2.0 * np.pi / steps * limited_from_Hz / frequency_Hz
-    output, left = np.zeros_like(frequency_Hz), np.zeros(len(frequency_Hz), dtype=complex)
+    """Return the fundamental of slew-limited sines of unit amplitude, one for each frequency."""
+    steps = 400  # per period
+    max_step = 2.0 * np.pi / steps * limited_from_Hz / frequency_Hz
+    output, fundamental = np.zeros_like(frequency_Hz), np.zeros(len(frequency_Hz), dtype=complex)
     for k in range(4 * steps):
-        turn = 2.0 * np.pi * k / steps
-        output = output + np.clip(np.sin(turn) - output, -most, most)
-        if k >= 3 * steps:  # settled
-            left += 2j / steps * output * np.exp(-1j * turn)
-    return left
+        phase = 2.0 * np.pi * k / steps
+        output = output + np.clip(np.sin(phase) - output, -max_step, max_step)
+        if k >= 3 * steps:  # steady state
+            fundamental += 2j / steps * output * np.exp(-1j * phase)
+    return fundamental
 
 
 def test_a_slew_limit_is_no_pole(rng):
-    """It turns 29 degrees where a pole turns 45: by 3 dB the gain falls behind both."""
+    """The phase is -29 degrees and not -45, and 3 dB of the gain are lost later."""
     for delay_s in ((0.0, 0.0), (0.0, np.inf)):
-        measured = seen(rng, first_order(1e6))
+        measured = response_of(rng, first_order(1e6))
         f = measured.frequency_Hz
         limited = replace(measured, response=measured.response * slewed(f, 300.0))
         verdict = decide_bandwidth(limited, DECLARATION, delay_s=delay_s)
@@ -107,7 +113,7 @@ def test_a_slew_limit_is_no_pole(rng):
         assert verdict.phase_interval_deg[0] == pytest.approx(-29.0, abs=3.0)
 
 
-def test_a_gain_that_peaks_where_the_response_ends_is_a_resonance_there_or_above():
+def test_a_peak_at_the_end_of_a_response_is_a_resonance_there_or_above():
     peak = BandwidthVerdict(
         kind="resonance", stated_Hz=None, peak_ratio=2.4, peak_Hz=125.0, highest_Hz=127.0, text=""
     )

@@ -1,4 +1,4 @@
-"""The parametric fit: modes, damping and delay come back, within what it says of them."""
+"""Parametric fit: modes, damping and delay are recovered within their intervals."""
 
 from dataclasses import replace
 
@@ -21,10 +21,10 @@ from tests.identification.dynamics.stage import (
     truth,
 )
 
-EXACT = 1e-6  # relative: where the fit stops without noise
+EXACT = 1e-6  # relative: convergence without noise
 
 
-def test_without_noise_the_truth_comes_back(rng):
+def test_without_noise_the_truth_is_recovered(rng):
     model = fit_dynamics(first_response(record(rng, noise_m=0.0)), STRUCTURE, DECLARATION)
     np.testing.assert_allclose(model.mode_frequency_Hz, FREQUENCY_HZ, rtol=EXACT)
     np.testing.assert_allclose(model.mode_damping, DAMPING, rtol=100 * EXACT)
@@ -32,20 +32,20 @@ def test_without_noise_the_truth_comes_back(rng):
     np.testing.assert_allclose(model.mode_gain_m_per_V, truth().mode_gain_m_per_V, rtol=1e-4)
 
 
-def test_a_mode_that_is_not_there_is_not_called_resolved(rng):
+def test_a_superfluous_mode_is_not_resolved(rng):
     measured = first_response(record(rng, noise_m=1e-8))
     assert resolved_modes(fit_dynamics(measured, STRUCTURE, DECLARATION)).all()
     too_many = fit_dynamics(measured, Structure(modes=3), DECLARATION)
-    near = [np.argmin(np.abs(too_many.mode_frequency_Hz - f)) for f in FREQUENCY_HZ]
-    assert resolved_modes(too_many)[near].all()
-    assert not np.delete(resolved_modes(too_many), near).any()
+    indices = [np.argmin(np.abs(too_many.mode_frequency_Hz - f)) for f in FREQUENCY_HZ]
+    assert resolved_modes(too_many)[indices].all()
+    assert not np.delete(resolved_modes(too_many), indices).any()
 
 
-def test_stated_intervals_hold_the_truth_as_often_as_they_say(rng):
+def test_stated_intervals_have_their_coverage(rng):
     """At least 93 % of five parameters in 100 draws, none below 90, with noise, play and cubic.
 
-    The play is small: at one level hysteresis also delays a little, which no linear model tells
-    from a delay (a play of 2 % of the drive counts as 0.2 us here).
+    A small play of 2 % of the drive also delays by 0.2 us, which no linear model distinguishes
+    from a delay.
     """
     exact = np.array([*FREQUENCY_HZ, *DAMPING, DELAY_S])
     inside = np.zeros(len(exact))
@@ -57,7 +57,7 @@ def test_stated_intervals_hold_the_truth_as_often_as_they_say(rng):
     assert inside.min() >= 90
 
 
-def test_the_realisation_has_the_response_of_the_record(rng):
+def test_the_realisation_has_the_response_of_the_model(rng):
     frequency_Hz = np.linspace(5, 20_000, 77)
     model = replace(
         truth(),
@@ -67,17 +67,19 @@ def test_the_realisation_has_the_response_of_the_record(rng):
         shape_covariance=np.zeros((6, 6)),
     )
     expected = model.response(frequency_Hz)
-    found = model.realised().response(frequency_Hz)[:, 0, 0]
-    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-20)
+    response = model.realised().response(frequency_Hz)[:, 0, 0]
+    np.testing.assert_allclose(response, expected, rtol=1e-8, atol=1e-20)
 
 
-def test_a_first_order_stage_is_found_as_a_lag(rng):
+def test_a_first_order_stage_is_identified_as_a_lag(rng):
     measured = first_response(record(rng, noise_m=1e-10))
     lag = 2 * np.pi * 630 / (2j * np.pi * measured.frequency_Hz + 2 * np.pi * 630)
-    slow = type(measured)(**{**vars(measured), "response": 1e-6 * lag})
-    found = fit_dynamics(slow, Structure(modes=0, lags=1), Declaration(hold="band_limited"))
-    np.testing.assert_allclose(found.lag_frequency_Hz, 630, rtol=1e-6)
-    assert found.delay_s < 1e-9
+    first_order_response = type(measured)(**{**vars(measured), "response": 1e-6 * lag})
+    model = fit_dynamics(
+        first_order_response, Structure(modes=0, lags=1), Declaration(hold="band_limited")
+    )
+    np.testing.assert_allclose(model.lag_frequency_Hz, 630, rtol=1e-6)
+    assert model.delay_s < 1e-9
 
 
 def test_more_parameters_than_values_are_refused(rng):
@@ -86,7 +88,7 @@ def test_more_parameters_than_values_are_refused(rng):
         fit_dynamics(narrow, Structure(modes=6, direct=True), DECLARATION)
 
 
-def test_a_declared_filter_is_not_blamed_on_the_delay(rng):
+def test_a_declared_filter_does_not_count_as_delay(rng):
     measured = first_response(record(rng, noise_m=1e-10))
     without = fit_dynamics(measured, STRUCTURE, Declaration())
     declared = fit_dynamics(measured, STRUCTURE, DECLARATION)

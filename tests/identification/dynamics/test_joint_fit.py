@@ -1,4 +1,4 @@
-"""Hysteresis and dynamics of a known stage in one fit."""
+"""Joint fit of hysteresis and dynamics of a known stage."""
 
 from dataclasses import replace
 
@@ -34,13 +34,13 @@ def axis() -> AxisModel:
     return replace(axis_model(), starts=(start,))
 
 
-def rough(known: AxisModel) -> LinearDynamics:
-    """What a windowed estimate may give: every number a little off."""
+def rough_dynamics(axis_model: AxisModel) -> LinearDynamics:
+    """Return dynamics with errors typical of a windowed estimate."""
     return replace(
         truth(),
         mode_frequency_Hz=np.array([1.01 * MODE_Hz]),
         mode_damping=np.array([1.2 * DAMPING]),
-        mode_gain_m_per_V=np.array([middle_slope_m_per_V(known)]),
+        mode_gain_m_per_V=np.array([middle_slope_m_per_V(axis_model)]),
         delay_s=50e-6,
         declared=(),
         shape_covariance=np.eye(3),
@@ -50,26 +50,26 @@ def rough(known: AxisModel) -> LinearDynamics:
 
 
 @pytest.fixture(scope="module")
-def together() -> tuple[LinearDynamics, JointFit]:
+def joint_fit() -> tuple[LinearDynamics, JointFit]:
     chirped = recorded(chirp(samples=SAMPLES), np.random.default_rng(41))
-    found = fit_jointly(axis(), rough(axis()), chirped, [chirped])
-    assert found is not None
-    return found
+    joint = fit_jointly(axis(), rough_dynamics(axis()), chirped, [chirped])
+    assert joint is not None
+    return joint
 
 
-def test_mode_and_damping_converge_from_a_rough_start(together):
-    dynamics, _ = together
+def test_frequency_and_damping_converge_from_a_rough_start(joint_fit):
+    dynamics, _ = joint_fit
     assert dynamics.mode_frequency_Hz[0] == pytest.approx(MODE_Hz, rel=1e-3)
     assert dynamics.mode_damping[0] == pytest.approx(DAMPING, rel=0.01)
     low, high = dynamics.mode_frequency_interval_Hz()[0]
     assert high - low < 0.01 * MODE_Hz
 
 
-def test_the_joint_fit_leaves_less_than_two_separate_fits(together):
-    _, record = together
+def test_a_joint_fit_has_a_smaller_error_than_separate_fits(joint_fit):
+    _, record = joint_fit
     assert record.joint_rms_m[0] < 0.2 * record.separate_rms_m[0]
 
 
-def test_a_recording_without_a_known_memory_is_not_fitted_jointly():
+def test_a_recording_without_a_known_initial_state_is_not_fitted_jointly():
     chirped = recorded(chirp(samples=SAMPLES), np.random.default_rng(41), "other.csv")
-    assert fit_jointly(axis(), rough(axis()), chirped, [chirped]) is None
+    assert fit_jointly(axis(), rough_dynamics(axis()), chirped, [chirped]) is None

@@ -1,4 +1,4 @@
-"""A recorded 3 x 3 mirror: mains stands out of its response where the drive is small."""
+"""A recorded 3 x 3 mirror: mains interference is visible at small drives."""
 
 from pathlib import Path
 
@@ -18,9 +18,9 @@ def read(folder: Path, level: str) -> PeriodicData:
     )
 
 
-def test_mains_is_found_at_the_low_level_only(realdata):
+def test_mains_interference_is_found_at_the_low_level_only(realdata):
     low = estimate_response(read(realdata, "100mV"))
     high = estimate_response(read(realdata, "300mV"))
-    hum_Hz = low[0].frequency_Hz[np.any([one.is_interference for one in low], axis=0)]
+    hum_Hz = low[0].frequency_Hz[np.any([path.is_interference for path in low], axis=0)]
     assert {100.0, 150.0, 200.0, 250.0, 300.0, 400.0} <= set(hum_Hz)
-    assert sum(one.is_interference.sum() for one in high) <= 3
+    assert sum(path.is_interference.sum() for path in high) <= 3

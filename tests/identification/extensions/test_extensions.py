@@ -1,4 +1,4 @@
-"""Promises of the family: registered, silent where nothing is there, back from JSON, checked."""
+"""Contract of extensions: registered, without side effects, restored from JSON, bounded."""
 
 import json
 from dataclasses import replace
@@ -23,19 +23,19 @@ def test_every_file_of_the_folder_is_registered():
     folder = Path(family.__file__).parent
     files = {path.stem for path in folder.glob("*.py")}
     assert files - {"__init__", "extension"} == {
-        known.__module__.rpartition(".")[2] for known in EXTENSIONS
+        extension_class.__module__.rpartition(".")[2] for extension_class in EXTENSIONS
     }
-    assert len({known.kind for known in EXTENSIONS}) == len(EXTENSIONS)
+    assert len({extension_class.kind for extension_class in EXTENSIONS}) == len(EXTENSIONS)
     assert {type(extension) for extension in one_of_each()} == set(EXTENSIONS)
 
 
-def test_a_kind_nobody_knows_is_refused_by_name():
+def test_an_unknown_kind_is_refused_by_name():
     with pytest.raises(ValueError, match="'warp_drive'"):
         from_json(Extension, {"kind": "warp_drive"}, LAYOUTS)
 
 
 @pytest.mark.parametrize("extension", one_of_each(), **ids)
-def test_an_extension_comes_back_from_json_and_from_its_own_numbers(extension):
+def test_an_extension_survives_json_and_its_parameter_vector(extension):
     written = json.loads(json.dumps(to_json(extension, LAYOUTS)))
     assert from_json(Extension, written, LAYOUTS) == extension
     free = extension.free()
@@ -47,28 +47,28 @@ def test_an_extension_comes_back_from_json_and_from_its_own_numbers(extension):
 
 
 def outputs_of(extension: Extension, drive_V: Array, piece: Where) -> dict[str, Array]:
-    """Return what an extension makes of a drive, and of a micrometre a volt."""
-    moved_m = 1e-6 * drive_V
-    moved_m.setflags(write=False)
+    """Return the outputs of an extension for a drive, and for a displacement of 1 um/V."""
+    input_m = 1e-6 * drive_V
+    input_m.setflags(write=False)
     return {
         "drive": extension.drive(drive_V, RATE_Hz),
-        "irreversible": extension.irreversible(moved_m, RATE_Hz),
-        "response": extension.response(moved_m, piece),
-        "reading": extension.reading(moved_m, piece),
-        "added": moved_m + extension.added(piece),
-        "gain": moved_m * extension.gain(piece),
+        "irreversible": extension.irreversible(input_m, RATE_Hz),
+        "response": extension.response(input_m, piece),
+        "reading": extension.reading(input_m, piece),
+        "added": input_m + extension.added(piece),
+        "gain": input_m * extension.gain(piece),
     }
 
 
 @pytest.mark.parametrize("extension", one_of_each(), **ids)
-def test_no_extension_changes_its_input_and_each_acts_somewhere(extension):
-    here = where()
-    drive_V = 5.0 + 5.0 * np.sin(2 * np.pi * 7.0 * here.time_s)
-    before = drive_V.copy()
-    outputs = outputs_of(extension, drive_V, here)
-    inputs = {name: before if name == "drive" else 1e-6 * before for name in outputs}
+def test_an_extension_changes_an_output_but_not_its_input(extension):
+    piece = where()
+    drive_V = 5.0 + 5.0 * np.sin(2 * np.pi * 7.0 * piece.time_s)
+    original = drive_V.copy()
+    outputs = outputs_of(extension, drive_V, piece)
+    inputs = {name: original if name == "drive" else 1e-6 * original for name in outputs}
     assert any(np.any(outputs[name] != inputs[name]) for name in outputs)
-    np.testing.assert_array_equal(drive_V, before)
+    np.testing.assert_array_equal(drive_V, original)
 
 
 @pytest.mark.parametrize("samples", [0, 1, 2, 3, 40])
@@ -82,29 +82,29 @@ def test_short_and_constant_signals_have_finite_outputs_of_their_length(extensio
 
 
 @pytest.mark.parametrize("extension", one_of_each(), **ids)
-def test_a_stage_at_rest_stays_at_rest_behind_every_response(extension):
-    still_m = np.full(3000, 2e-6)
-    answered_m = extension.response(still_m, where(3000, "other.csv"))
-    np.testing.assert_allclose(answered_m, answered_m[0], rtol=1e-12)
+def test_a_stage_at_rest_stays_at_rest(extension):
+    constant_m = np.full(3000, 2e-6)
+    response_m = extension.response(constant_m, where(3000, "other.csv"))
+    np.testing.assert_allclose(response_m, response_m[0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("extension", [e for e in one_of_each() if e.is_fast], **ids)
-def test_a_slow_ramp_comes_later_by_what_the_extension_says(extension):
+def test_a_slow_ramp_is_delayed_by_the_stated_group_delay(extension):
     time_s = where().time_s
-    behind = time_s - extension.response(time_s, where())
-    assert behind[-1] == pytest.approx(extension.group_delay_s(RATE_Hz), rel=1e-3)
+    delay_s = time_s - extension.response(time_s, where())
+    assert delay_s[-1] == pytest.approx(extension.group_delay_s(RATE_Hz), rel=1e-3)
 
 
-@pytest.mark.parametrize("way", [-1.0, 1.0])
-@pytest.mark.parametrize("extension", one_of_each(), ids=lambda one: one.kind)
-def test_the_end_of_however_wide_an_interval_is_an_extension(extension, way):
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("extension", one_of_each(), ids=lambda extension: extension.kind)
+def test_a_corner_of_a_wide_interval_is_an_extension(extension, sign):
     free = extension.free()
     for value in (free.lower, free.value, free.upper):
-        there = extension.moved_to(np.clip(value, free.lower, free.upper))
-        wide = replace(there, std=tuple(10.0 * np.abs(free.value) + 1.0))
-        assert wide.at_corner(way, way).kind == extension.kind
+        bound = extension.moved_to(np.clip(value, free.lower, free.upper))
+        wide = replace(bound, std=tuple(10.0 * np.abs(free.value) + 1.0))
+        assert wide.at_corner(sign, sign).kind == extension.kind
 
 
-def test_a_mode_in_which_nothing_takes_part_is_no_state_of_a_loop():
+def test_a_mode_without_participation_is_no_state_of_a_loop():
     mode = LinearMode(frequency_Hz=240.0, quality=4.0, participation=0.0)
     assert mode.loop_effect(RATE_Hz) is NOTHING
