@@ -15,7 +15,7 @@ from piezoid.records.collection import collect
 from piezoid.records.lab import Lab, read_lab
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
-from tests.journeys.test_batch import write_night
+from tests.journeys.test_batch import write_stages
 
 from .bench import causes, recorded, thinned
 from .play_stage import NOISE_m, clean, view_with
@@ -78,7 +78,7 @@ def test_uniform_noise_has_no_coordinate(tmp_path):
     noisy, lab, _ = noisy_stage(lambda recording: np.full(len(recording.voltage_V()), 0.3))
     assert noise_level_of(noisy, lab) is None
     assert noise_level_of(*recorded(drawn(stage("lugre", "healthy", 1, 3_300_000)))) is None
-    folder = write_night(tmp_path) / "unit-1"
+    folder = write_stages(tmp_path) / "unit-1"
     lab = read_lab(folder / "lab.toml")
     assert noise_level_of(collect([folder / "sweep.csv"], lab).recordings, lab) is None
 

@@ -1,4 +1,4 @@
-"""The command line as somebody types it: in this process, or in a process of its own."""
+"""The command line, run in this process or in a separate process."""
 
 import os
 import subprocess
@@ -18,16 +18,18 @@ def piezoid(*words: str | Path) -> Result:
 
 
 def run(*words: str | Path) -> tuple[int, str]:
-    """Return the status of a command, and what it showed."""
+    """Return exit status and output of a command."""
     result = piezoid(*words)
     return result.exit_code, result.output
 
 
-def started(*words: str | Path, place: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run a command in a process of its own and in a folder."""
+def run_process(
+    *words: str | Path, folder: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a command in a separate process, in a folder."""
     return subprocess.run(
         [*PIEZOID, *map(str, words)],
-        cwd=place,
+        cwd=folder,
         env={**os.environ, "COLUMNS": "4000"},
         capture_output=True,
         text=True,

@@ -1,6 +1,6 @@
-"""`piezoid fit` names a clock that slips in a stage whose loops are no sum of plays.
+"""`piezoid fit` names clock slips in a stage whose loops are no sum of plays.
 
-The other effects of the catalogue are hidden in the same stage in tests/diagnosis.
+Other effects are hidden in the same stage in tests/diagnosis/test_hidden_effects.py.
 """
 
 from pathlib import Path
@@ -11,8 +11,8 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
 from piezoid.numerics.arrays import Array
 from tests.diagnosis.bench import causes
-from tests.diagnosis.play_stage import slipped
-from tests.diagnosis.test_hidden_effects import ONE_SPEED, RATE_Hz, Reading, as_it_is, recorded
+from tests.diagnosis.play_stage import with_slip
+from tests.diagnosis.test_hidden_effects import ONE_SPEED, RATE_Hz, Reading, recorded, unchanged
 from tests.journeys.command import run
 from tests.laws import write
 
@@ -22,12 +22,12 @@ INSTANT, LOST = 1400, 9  # samples
 
 
 def with_lost_samples(name: str, _: Array, response: Array) -> Array:
-    """Lose samples of one recording: all later readings come early."""
-    return slipped(response, INSTANT, -LOST) if name == "loops" else response
+    """Remove samples of one recording: all later readings are too early."""
+    return with_slip(response, INSTANT, -LOST) if name == "loops" else response
 
 
 def diagnosed(folder: Path, read: Reading) -> tuple[Diagnosis, str]:
-    """Return the diagnosis that `piezoid fit` writes, and what it prints."""
+    """Return the diagnosis written by `piezoid fit`, and its output."""
     files = [
         write(
             folder / f"{recording.name}.csv",
@@ -37,24 +37,26 @@ def diagnosed(folder: Path, read: Reading) -> tuple[Diagnosis, str]:
         )
         for recording in recorded(ONE_SPEED, read)
     ]
-    status, shown = run("fit", *files, "--out", folder / "stage", "--processes", "1")
-    assert status == 0, shown
+    status, output = run("fit", *files, "--out", folder / "stage", "--processes", "1")
+    assert status == 0, output
     (diagnosis,) = read_diagnoses((folder / "stage/diagnosis.json").read_bytes())
-    return diagnosis, " ".join(shown.split())
+    return diagnosis, " ".join(output.split())
 
 
 def test_a_clock_that_loses_samples_is_named_with_their_number(tmp_path):
-    diagnosis, shown = diagnosed(tmp_path, with_lost_samples)
+    diagnosis, output = diagnosed(tmp_path, with_lost_samples)
     assert causes(diagnosis) == ("timestamp_fault",)
-    finding = next(one for one in diagnosis.findings if one.effect == "timestamp_fault")
+    finding = next(
+        candidate for candidate in diagnosis.findings if candidate.effect == "timestamp_fault"
+    )
     assert finding.size.unit == "samples"
     assert finding.size.value == -LOST
     assert finding.size.ci95[0] < -LOST < finding.size.ci95[1]
     assert diagnosis.final.rms_m < 0.3 * diagnosis.baseline.rms_m
-    assert "timestamp fault" in shown
+    assert "timestamp fault" in output
 
 
-def test_the_healthy_twin_of_a_stage_with_a_clock_fault_is_not_accused(tmp_path):
-    diagnosis, shown = diagnosed(tmp_path, as_it_is)
+def test_the_same_stage_without_a_clock_fault_has_no_findings(tmp_path):
+    diagnosis, output = diagnosed(tmp_path, unchanged)
     assert causes(diagnosis) == ()
-    assert "timestamp fault" not in shown
+    assert "timestamp fault" not in output

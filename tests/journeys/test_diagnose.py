@@ -1,4 +1,4 @@
-"""`piezoid diagnose`: today against last month, a diagnosis that stumbles, and no drive at all."""
+"""`piezoid diagnose`: with an earlier model, with a crashing effect, and without a drive."""
 
 import json
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from piezoid.records.collection import collect
 from piezoid_cli.main import app
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.write import write_campaign
-from tests.journeys.readme_walk import shortened
+from tests.journeys.readme_walk import first_rows
 from tests.plays_alone import fit_one_order, fit_plays_alone
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, stage_model
@@ -32,17 +32,17 @@ COLUMNS = 'columns = { time = "time [s]", voltage = "voltage [V]", displacement 
 
 @pytest.fixture(scope="module")
 def sweeps(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four loops of each of two axes, read by sensors with coarse steps, and an older model."""
+    """Write four loops of each of two axes with coarse sensors, and an earlier model."""
     folder = tmp_path_factory.mktemp("sweeps")
     k = np.arange(240)
     drive_V = 5.0 * (1.0 - np.cos(2.0 * np.pi * k / 60.0))
-    late_V = np.concatenate([np.repeat(drive_V[:1], 3), drive_V[:-3]])
+    delayed_V = np.concatenate([np.repeat(drive_V[:1], 3), drive_V[:-3]])
     lines = ['[rig]\nname = "two axes"']
     for axis, step_um in STEP_um.items():
         noise_um = 0.005 * np.random.default_rng(1).standard_normal(len(k))
-        moved_um = 4.0 * step_um * (drive_V + 0.05 * late_V) + noise_um
-        read_um = np.round(moved_um / step_um) * step_um
-        rows = zip(k / 100.0, drive_V, read_um, strict=True)
+        displacement_um = 4.0 * step_um * (drive_V + 0.05 * delayed_V) + noise_um
+        reading_um = np.round(displacement_um / step_um) * step_um
+        rows = zip(k / 100.0, drive_V, reading_um, strict=True)
         text = "".join(f"{t},{u:.5f},{y:.5f}\n" for t, u, y in rows)
         (folder / f"{axis}.csv").write_text(f"time [s],voltage [V],pos [um]\n{text}")
         lines.append(f'[[recording]]\nfile = "{axis}.csv"\naxis = "{axis}"\n{COLUMNS}')
@@ -51,43 +51,45 @@ def sweeps(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def ran(verb: str, folder: Path, *files: str, out: str) -> Result:
-    given = [file if file[0] == "-" else str(folder / file) for file in files]
-    rest = ["--lab", str(folder / "lab.toml"), "--out", str(folder / out)]
+def run_verb(verb: str, folder: Path, *files: str, out: str) -> Result:
+    arguments = [file if file[0] == "-" else str(folder / file) for file in files]
+    options = ["--lab", str(folder / "lab.toml"), "--out", str(folder / out)]
     with pytest.MonkeyPatch.context() as patch:
         fit_plays_alone(patch)
         fit_one_order(patch)
-        return CliRunner(env={"COLUMNS": "200"}).invoke(app, [verb, *given, *rest])
+        return CliRunner(env={"COLUMNS": "200"}).invoke(app, [verb, *arguments, *options])
 
 
 @pytest.fixture(scope="module")
 def today(sweeps: Path) -> Result:
-    """What is said of axis x, with a model of last month in front."""
-    return ran("diagnose", sweeps, "model.json", "x.csv", out="today")
+    """Diagnose axis x with an earlier model."""
+    return run_verb("diagnose", sweeps, "model.json", "x.csv", out="today")
 
 
 @pytest.fixture(scope="module")
-def plain(sweeps: Path) -> Result:
-    """What is said of both axes' recordings, without any model."""
-    return ran("diagnose", sweeps, "x.csv", "y.csv", out="plain")
+def without_model(sweeps: Path) -> Result:
+    """Diagnose the recordings of both axes without a model."""
+    return run_verb("diagnose", sweeps, "x.csv", "y.csv", out="plain")
 
 
-def test_a_model_in_front_of_the_recordings_says_what_changed(sweeps, today):
+def test_a_diagnosis_with_a_model_states_what_changed(sweeps, today):
     assert today.exit_code == 0, today.output
     content = (sweeps / "today/diagnosis.json").read_bytes()
-    since = json.loads(content)["since_model"]
-    assert since["model_digest"] == json.loads((sweeps / "model.json").read_text())["digest"]
-    assert since["refitted_rms_m"] <= since["as_it_was_rms_m"]
-    assert " ".join(since["explanation"].split()) in " ".join(today.output.split())
+    change = json.loads(content)["since_model"]
+    assert change["model_digest"] == json.loads((sweeps / "model.json").read_text())["digest"]
+    assert change["refitted_rms_m"] <= change["as_it_was_rms_m"]
+    assert " ".join(change["explanation"].split()) in " ".join(today.output.split())
     (diagnosis,) = read_diagnoses(content)
     assert set(diagnosis.names) <= {"quantisation", "loop_shape"}
     assert "quantisation" in diagnosis.names
 
 
-def test_without_a_model_the_axis_is_fitted_and_its_budget_adds_up(sweeps, plain):
-    assert plain.exit_code == 0, plain.output
+def test_without_a_model_the_axis_is_fitted_and_its_budget_adds_up(sweeps, without_model):
+    assert without_model.exit_code == 0, without_model.output
     (diagnosis,) = read_diagnoses((sweeps / "plain/diagnosis.json").read_bytes())
-    finding = next(one for one in diagnosis.findings if one.effect == "quantisation")
+    finding = next(
+        candidate for candidate in diagnosis.findings if candidate.effect == "quantisation"
+    )
     assert finding.size.value == pytest.approx(1e3 * STEP_um["x"])
     power_m2 = sum(part.rms_m**2 for part in diagnosis.budget)
     assert power_m2 == pytest.approx(diagnosis.baseline.rms_m**2)
@@ -96,23 +98,23 @@ def test_without_a_model_the_axis_is_fitted_and_its_budget_adds_up(sweeps, plain
     assert not page.all("p", "alarm")
 
 
-def test_recordings_that_tell_nothing_of_the_axis_are_named(today, plain):
-    said = " ".join(plain.output.split())
-    assert "not used: y.csv (axis x does not move or was not recorded" in said
+def test_recordings_without_data_of_the_axis_are_named(today, without_model):
+    output = " ".join(without_model.output.split())
+    assert "not used: y.csv (axis x does not move or was not recorded" in output
     assert "not used" not in today.output
 
 
-def test_a_model_without_recordings_is_a_wrong_use(tmp_path):
+def test_a_model_without_recordings_is_a_usage_error(tmp_path):
     (tmp_path / "model.json").write_bytes(write_model(stage_model(axis_model())))
-    done = CliRunner().invoke(
+    result = CliRunner().invoke(
         app, ["diagnose", str(tmp_path / "model.json"), "--out", str(tmp_path / "o")]
     )
-    assert done.exit_code == 2
-    assert "name recordings after it" in done.output
+    assert result.exit_code == 2
+    assert "name recordings after it" in result.output
 
 
-def stumbling(view: View) -> str:
-    """Somebody's effect, with a mistake that only a long stroke shows: that of axis x."""
+def crashing(view: View) -> str:
+    """Crash for strokes as long as that of axis x."""
     if view.half_stroke_m > 8e-6:
         raise RuntimeError("an index too far")
     return "it was not looked for"
@@ -120,47 +122,45 @@ def stumbling(view: View) -> str:
 
 @pytest.fixture
 def crashed_run(sweeps: Path) -> Iterator[Result]:
-    """What a fit says whose catalogue holds that effect, all of it in this process."""
-    known = effects.effect_named("outliers")
-    added = replace(known, name="stumbling", untestable=stumbling)
+    """Fit with a catalogue that contains the crashing effect."""
+    outliers = effects.effect_named("outliers")
+    crashing_effect = replace(outliers, name="stumbling", untestable=crashing)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(effects, "EFFECTS", (*effects.EFFECTS, added))
-        yield ran("fit", sweeps, "x.csv", "y.csv", "--processes=1", out="stage")
+        patch.setattr(effects, "EFFECTS", (*effects.EFFECTS, crashing_effect))
+        yield run_verb("fit", sweeps, "x.csv", "y.csv", "--processes=1", out="stage")
 
 
-def test_a_fault_of_ours_in_a_diagnosis_leaves_model_and_report_and_ends_with_status_1(
-    sweeps, crashed_run
-):
+def test_a_crashing_effect_leaves_model_and_report_and_ends_with_status_1(sweeps, crashed_run):
     assert crashed_run.exit_code == 1, crashed_run.output
-    said = "axis x is not diagnosed: internal error (RuntimeError: an index too far)"
-    assert said in " ".join(crashed_run.output.split())
+    message = "axis x is not diagnosed: internal error (RuntimeError: an index too far)"
+    assert message in " ".join(crashed_run.output.split())
     assert set(read_model((sweeps / "stage/model.json").read_bytes()).axes) == {"x", "y"}
     page = Anatomy((sweeps / "stage/report.html").read_text())
-    assert any(said in cell.text for cell in (*page.all("td"), *page.all("span", "sentence")))
-    (other,) = read_diagnoses((sweeps / "stage/diagnosis.json").read_bytes())
-    assert other.axis == "y"
+    assert any(message in cell.text for cell in (*page.all("td"), *page.all("span", "sentence")))
+    (diagnosis,) = read_diagnoses((sweeps / "stage/diagnosis.json").read_bytes())
+    assert diagnosis.axis == "y"
     assert "error budget y:" in crashed_run.output
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_tone_of_no_grid_is_told_first_with_its_frequency_and_drawn(tmp_path):
+def test_an_unknown_tone_is_named_with_its_frequency_and_plotted(tmp_path):
     campaign = draw_campaign(91, plans=("sweep", "check"), uncatalogued={"tone": 0.6})
     write_campaign(campaign, tmp_path)
-    made = tmp_path / "recordings"
-    files = [str(file) for file in sorted(made.glob("*.csv"))]
+    recordings = tmp_path / "recordings"
+    files = [str(file) for file in sorted(recordings.glob("*.csv"))]
     for file in map(Path, files):
-        file.write_text(shortened(file, rows=8000))
+        file.write_text(first_rows(file, rows=8000))
     out = tmp_path / "diag"
-    done = CliRunner().invoke(
-        app, ["diagnose", *files, "--lab", str(made / "lab.toml"), "--out", str(out)]
+    result = CliRunner().invoke(
+        app, ["diagnose", *files, "--lab", str(recordings / "lab.toml"), "--out", str(out)]
     )
-    assert done.exit_code == 0, done.output
+    assert result.exit_code == 0, result.output
     record = json.loads((out / "diagnosis.json").read_text())
     (finding,) = record["findings"]
     assert (finding["effect"], finding["coordinate"]) == ("something_else", "frequency")
     assert finding["size"]["value"] == pytest.approx(6e6 * campaign.rig.stroke_m, rel=0.05)
-    assert f"{finding['parameters']['frequency_Hz']:.5g} Hz" in " ".join(done.output.split())
+    assert f"{finding['parameters']['frequency_Hz']:.5g} Hz" in " ".join(result.output.split())
     assert record["unexplained"]["p_value"] < 0.05
     assert "something_else" not in {absent["effect"] for absent in record["not_detected"]}
     page = (out / "diagnosis.html").read_text()
@@ -169,45 +169,47 @@ def test_a_tone_of_no_grid_is_told_first_with_its_frequency_and_drawn(tmp_path):
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
 def test_a_sweep_a_thousand_times_slower_is_fitted_and_diagnosed(tmp_path):
-    """Hours for what took seconds: what one block alone determines is nothing but rounding."""
+    """Hours instead of seconds: a parameter that one block determines is dominated by rounding."""
     lines = piezoid_datasets.recordings()[0].read_text().splitlines()[:1501]
     rows = [line.partition(",") for line in lines[1:]]
     text = "".join(f"{1000.0 * float(time):.0f},{rest}\n" for time, _, rest in rows)
     (tmp_path / "slow.csv").write_text(f"{lines[0]}\n{text}")
     words = ["diagnose", str(tmp_path / "slow.csv"), "--out", str(tmp_path / "out"), "--quiet"]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, (done.output, done.exception)
-    (found,) = read_diagnoses((tmp_path / "out/diagnosis.json").read_bytes())
-    assert found.axis == "x"
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, (result.output, result.exception)
+    (diagnosis,) = read_diagnoses((tmp_path / "out/diagnosis.json").read_bytes())
+    assert diagnosis.axis == "x"
 
 
 NO_DRIVE = "Time (s)\tZ (m)"
 SPECTROSCOPY = "Z rel (m)\tCurrent (A)"
 
 
-def write(place: Path, experiment: str, names: str) -> Path:
-    """Write a Nanonis file of two columns: the first rises, the second wanders."""
+def write(path: Path, experiment: str, names: str) -> Path:
+    """Write a Nanonis file of two columns."""
     rows = np.column_stack([np.linspace(0.0, 10.0, 400), np.linspace(0.0, 1e-9, 400)])
     lines = ["\t".join(f"{value:.9e}" for value in row) for row in rows]
-    place.write_text(
+    path.write_text(
         f"Experiment\t{experiment}\t\nBias>Bias (V)\t0E+0\t\n\n[DATA]\n"
         + "\n".join([names, *lines])
         + "\n"
     )
-    return place
+    return path
 
 
 @pytest.mark.parametrize(
-    ("experiment", "names", "told"),
+    ("experiment", "names", "message"),
     [("history", NO_DRIVE, "only displacement"), ("Z spectroscopy", SPECTROSCOPY, "no recording")],
 )
-def test_a_file_without_a_drive_is_refused_with_what_is_missing(tmp_path, experiment, names, told):
-    held = collect([write(tmp_path / "drift.dat", experiment, names)])
-    with pytest.raises(ExcitationError, match=f"{told}.*a drive voltage and a displacement"):
-        diagnose(held.recordings)
+def test_a_file_without_a_drive_is_refused_with_the_missing_quantity(
+    tmp_path, experiment, names, message
+):
+    recordings = collect([write(tmp_path / "drift.dat", experiment, names)])
+    with pytest.raises(ExcitationError, match=f"{message}.*a drive voltage and a displacement"):
+        diagnose(recordings.recordings)
 
 
-def test_an_axis_that_is_not_there_is_refused_by_its_name():
-    held = collect([Path("datasets/x_check.csv")])
+def test_an_unknown_axis_is_refused_by_its_name():
+    recordings = collect([Path("datasets/x_check.csv")])
     with pytest.raises(ExcitationError, match="displacement of axis y"):
-        diagnose(held.recordings, axis="y")
+        diagnose(recordings.recordings, axis="y")

@@ -1,4 +1,4 @@
-"""Nothing of a user's is lost: every verb that writes, in a home, a repository, beside others."""
+"""Every verb that writes keeps a user's files: in a home, a repository, and foreign folders."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -21,13 +21,13 @@ pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 DRIVE = [min(k % 80, 80 - k % 80) / 4 for k in range(320)]
 ROWS = "".join(f"{k / 100},{u},{2 * u + 0.03 * u * u}\n" for k, u in enumerate(DRIVE))
-# A butterfly, to which no model applies: soon fitted by a worker, which tries every order.
+# A butterfly, to which no model applies; a worker fits it quickly, although it tries every order.
 BUTTERFLY = "".join(f"{k / 100},{u},{0.1 * (u - 5) ** 2}\n" for k, u in enumerate(DRIVE[:160]))
 STAGE = {
     "model.json": write_model(stage_model(axis_model())),
     "diagnosis.json": write_diagnosis(diagnosed()),
 }
-# Verbs, with the folder that they write; others: tests/verification/test_stage_verbs.py.
+# Verbs and the folders that they write. Other verbs: tests/verification/test_stage_verbs.py.
 VERBS = {
     "fit s.csv --out made --force": "made",
     "diagnose s.csv --out made --force": "made",
@@ -40,14 +40,14 @@ VERBS = {
 }
 
 
-def write_recording(place: Path, rows: str = ROWS) -> None:
-    place.parent.mkdir(parents=True, exist_ok=True)
-    place.write_text("time [s],voltage [V],position [um]\n" + rows)
+def write_recording(path: Path, rows: str = ROWS) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("time [s],voltage [V],position [um]\n" + rows)
 
 
 @pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The working directory, in an invented home."""
+def work_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the working directory, in a simulated home."""
     home = tmp_path / "home"
     write_recording(home / "work/s.csv")
     write_recording(home / "work/night/st1/s.csv", BUTTERFLY)
@@ -60,51 +60,53 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def piezoid(words: str) -> Result:
-    done = CliRunner().invoke(app, words.split())
-    assert done.exception is None or isinstance(done.exception, SystemExit | PiezoidError), done
-    return done
+    result = CliRunner().invoke(app, words.split())
+    assert result.exception is None or isinstance(result.exception, SystemExit | PiezoidError), (
+        result
+    )
+    return result
 
 
-# Only what has shipped can be learned of: tests/cli/test_learn.py
+# Learning requires a shipped stage: tests/cli/test_learn.py.
 @pytest.mark.parametrize("words", [words for words in VERBS if not words.startswith("learn")])
-def test_a_verb_leaves_objects_of_all_kinds_in_its_folder_as_they_are(words, place):
-    folder = place / VERBS[words]
+def test_a_verb_keeps_foreign_objects_of_all_kinds_in_its_folder(words, work_folder):
+    folder = work_folder / VERBS[words]
     add_to_folder(folder, {"old.json": b"ours"})
     for sub in ("", "bundle", "mine"):
         for kind in KINDS:
-            plant(kind, folder / sub / kind, place / "beyond")
-    others = [folder / sub / kind for sub in ("", "bundle", "mine") for kind in KINDS]
-    before = [look(other) for other in (*others, place / "beyond")]
+            plant(kind, folder / sub / kind, work_folder / "beyond")
+    foreign_paths = [folder / sub / kind for sub in ("", "bundle", "mine") for kind in KINDS]
+    original = [look(path) for path in (*foreign_paths, work_folder / "beyond")]
     manifest = (folder / MANIFEST).read_bytes()
-    done = piezoid(words)
-    assert (folder / MANIFEST).read_bytes() != manifest, (done.output, done.exception)
-    assert [look(other) for other in (*others, place / "beyond")] == before
+    result = piezoid(words)
+    assert (folder / MANIFEST).read_bytes() != manifest, (result.output, result.exception)
+    assert [look(path) for path in (*foreign_paths, work_folder / "beyond")] == original
     is_added_to = VERBS[words] == "stage" or words.startswith("batch")
     assert (folder / "old.json").exists() == is_added_to
 
 
 @pytest.mark.parametrize("words", [words for words in VERBS if VERBS[words] == "made"])
-def test_a_verb_refuses_a_home_folder_a_repository_and_a_folder_of_others_with_force(words, place):
-    (place / "code/.git").mkdir(parents=True)
-    (place / "others").mkdir()
-    (place / "others/thesis.tex").write_text("precious")
-    (place / "link").symlink_to(place / "others")
-    (place.parent / ".ssh").mkdir(mode=0o700)
-    (place.parent / ".ssh/id").write_text("precious")
-    before = look(place.parent)
-    for out in (str(place.parent), "code", "others", "link", ".", ".."):
-        done = piezoid(words.replace("--out made", f"--out {out}"))
-        assert done.exit_code == 2, (out, done.stderr)
-    assert look(place.parent) == before
+def test_a_verb_refuses_a_home_a_repository_and_a_foreign_folder_with_force(words, work_folder):
+    (work_folder / "code/.git").mkdir(parents=True)
+    (work_folder / "others").mkdir()
+    (work_folder / "others/thesis.tex").write_text("precious")
+    (work_folder / "link").symlink_to(work_folder / "others")
+    (work_folder.parent / ".ssh").mkdir(mode=0o700)
+    (work_folder.parent / ".ssh/id").write_text("precious")
+    original = look(work_folder.parent)
+    for out in (str(work_folder.parent), "code", "others", "link", ".", ".."):
+        result = piezoid(words.replace("--out made", f"--out {out}"))
+        assert result.exit_code == 2, (out, result.stderr)
+    assert look(work_folder.parent) == original
 
 
-def test_a_verb_that_adds_refuses_an_edited_file_and_replaces_it_with_force(place):
+def test_a_verb_refuses_an_edited_file_and_replaces_it_with_force(work_folder):
     assert piezoid("report stage --quiet").exit_code == 0
-    page = place / "stage/report.html"
+    page = work_folder / "stage/report.html"
     page.write_text("my notes")
-    done = piezoid("report stage")
-    assert done.exit_code == 2
-    assert "--force" in done.stderr
+    result = piezoid("report stage")
+    assert result.exit_code == 2
+    assert "--force" in result.stderr
     assert page.read_text() == "my notes"
     assert piezoid("report stage --quiet --force").exit_code == 0
     assert "my notes" not in page.read_text()
@@ -120,45 +122,45 @@ def test_a_verb_that_adds_refuses_an_edited_file_and_replaces_it_with_force(plac
         "plan stage --rate 1000 --out . --force",
     ],
 )
-def test_a_verb_does_not_replace_the_folder_that_it_reads(words, place):
-    before = look(place)
+def test_a_verb_does_not_replace_its_input_folder(words, work_folder):
+    original = look(work_folder)
     assert piezoid(words).exit_code == 2
-    assert look(place) == before
+    assert look(work_folder) == original
 
 
 @pytest.mark.parametrize("linked", ["", "o", "o/stages", "o/stages/st1"])
-def test_a_batch_keeps_what_lies_where_its_results_would(linked, place):
-    """Also behind a symbolic link, and with ``--force``."""
-    theirs = place / "theirs/stages/st1"
-    theirs.mkdir(parents=True)
-    (theirs / "keep.txt").write_text("x")
+def test_a_batch_keeps_foreign_files_in_its_result_folder(linked, work_folder):
+    """The folder may be a symbolic link, with and without ``--force``."""
+    foreign_folder = work_folder / "theirs/stages/st1"
+    foreign_folder.mkdir(parents=True)
+    (foreign_folder / "keep.txt").write_text("x")
     if linked:
-        (place / linked).parent.mkdir(parents=True, exist_ok=True)
-        (place / linked).symlink_to(place / "theirs" / linked[2:])
+        (work_folder / linked).parent.mkdir(parents=True, exist_ok=True)
+        (work_folder / linked).symlink_to(work_folder / "theirs" / linked[2:])
     else:
-        (place / "theirs").rename(place / "o")
-    before = look(place)
+        (work_folder / "theirs").rename(work_folder / "o")
+    original = look(work_folder)
     for force in ("", "--force"):
-        done = piezoid(f"batch night --out o --workers 1 {force}")
-        assert done.exit_code == 2, done.stderr
-    assert look(place) == before
+        result = piezoid(f"batch night --out o --workers 1 {force}")
+        assert result.exit_code == 2, result.stderr
+    assert look(work_folder) == original
 
 
-def test_a_batch_whose_results_lie_among_its_stages_does_again_what_was_removed(place):
+def test_a_batch_with_results_among_its_stages_repeats_a_removed_result(work_folder):
     words = "batch night --out night/res --workers 1 --json"
-    first = piezoid(words)
-    model = place / "night/res/stages/st1/model.json"
+    first_run = piezoid(words)
+    model = work_folder / "night/res/stages/st1/model.json"
     written = model.read_bytes()
     model.unlink()
-    again = piezoid(words)
-    for done in (first, again):
-        assert done.stdout.count('"state"') == 1, done.stderr
-        assert "night/res" not in done.stderr
+    second_run = piezoid(words)
+    for result in (first_run, second_run):
+        assert result.stdout.count('"state"') == 1, result.stderr
+        assert "night/res" not in result.stderr
     assert model.read_bytes() == written
 
 
-def test_a_diagnosis_that_was_put_into_the_folder_is_left_out_of_the_report(place):
+def test_the_report_omits_a_foreign_diagnosis(work_folder):
     assert "left out" not in piezoid("report stage").output
-    other = replace(diagnosed(), explained_fraction=0.5)
-    (place / "stage/diagnosis.json").write_bytes(write_diagnosis(other))
+    another_diagnosis = replace(diagnosed(), explained_fraction=0.5)
+    (work_folder / "stage/diagnosis.json").write_bytes(write_diagnosis(another_diagnosis))
     assert "out of date: diagnosis.json" in piezoid("report stage").output

@@ -1,4 +1,4 @@
-"""A slow sweep and the response of an analyser in, a fast loop out that is stable on the stage."""
+"""A slow sweep and a measured frequency response give a fast and stable control loop."""
 
 import json
 import re
@@ -36,8 +36,8 @@ sampling_rate_Hz = {RATE_Hz}
 HEADING = "Frequency (Hz),Magnitude (dB re 1 um/V),Phase (deg),Coherence"
 
 
-def moved(drive_V: Array) -> Array:
-    """What the ceramic makes of a drive, m: a play sum whose reversible share is 0.76."""
+def play_displacement_m(drive_V: Array) -> Array:
+    """Return the displacement of a sum of plays with a reversible fraction of 0.76."""
     plays, _ = play_columns(drive_V, THRESHOLDS_V, np.zeros(len(THRESHOLDS_V)))
     return np.asarray(GAIN_m_per_V * (0.76 * drive_V + plays @ WEIGHTS))
 
@@ -46,7 +46,7 @@ def write_sweep(path: Path, rng: np.random.Generator) -> None:
     time_s = np.arange(4500) / 250.0
     size = np.interp(time_s, [0.0, 6.0, 12.0, 18.0], [1.0, 1.0, 0.6, 0.3])
     drive_V = 50.0 - 45.0 * size * np.cos(2.0 * np.pi * (0.3 + 0.04 * time_s) * time_s)
-    reading_m = moved(drive_V) + 2e-9 * rng.standard_normal(len(drive_V))
+    reading_m = play_displacement_m(drive_V) + 2e-9 * rng.standard_normal(len(drive_V))
     write_csv(path, "time [s],voltage [V],position [um]", time_s, drive_V, reading_m * 1e6)
 
 
@@ -55,36 +55,36 @@ def write_response(path: Path, rng: np.random.Generator) -> None:
     exact = response(f, ((MODE_Hz, QUALITY, 1.0),), gain_m_per_V=0.76 * GAIN_m_per_V, delay_s=5e-5)
     exact /= (1.0 + 1j * f / AMPLIFIER_Hz) * (1.0 + 1j * f / SENSOR_Hz)
     values, coherence = noisy(rng, exact, 0.003), np.full(len(f), 0.9995)
-    hole = (f > 90.0) & (f < 120.0)
-    values[hole] *= 1.0 + rng.standard_normal(hole.sum())
-    coherence[hole] = 0.3
+    is_incoherent = (f > 90.0) & (f < 120.0)
+    values[is_incoherent] *= 1.0 + rng.standard_normal(is_incoherent.sum())
+    coherence[is_incoherent] = 0.3
     decibel, degrees = 20.0 * np.log10(np.abs(values) * 1e6), np.degrees(np.angle(values))
     write_csv(path, HEADING, f, decibel, degrees, coherence)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    place, rng = tmp_path_factory.mktemp("stage"), np.random.default_rng(12)
-    write_sweep(place / "sweep.csv", rng)
-    write_response(place / "response.csv", rng)
-    (place / "lab.toml").write_text(LAB)
-    return place
+    path, rng = tmp_path_factory.mktemp("stage"), np.random.default_rng(12)
+    write_sweep(path / "sweep.csv", rng)
+    write_response(path / "response.csv", rng)
+    (path / "lab.toml").write_text(LAB)
+    return path
 
 
 @pytest.fixture(scope="module")
 def fitted(folder: Path) -> None:
-    """Fit, diagnose and design in the folder, by the plays alone."""
+    """Fit, diagnose and design in the folder, with plays alone."""
     files = (folder / "sweep.csv", folder / "response.csv")
     with pytest.MonkeyPatch.context() as patch:
         fit_plays_alone(patch)
         fit_one_order(patch)
         words = ("fit", *files, "--lab", folder / "lab.toml", "--out", folder / "stage")
-        status, shown = run(*words)
-    assert status == 0, shown
+        status, output = run(*words)
+    assert status == 0, output
 
 
 @pytest.mark.usefixtures("fitted")
-def test_model_and_diagnosis_hold_what_the_response_shows(folder):
+def test_model_and_diagnosis_contain_the_mode_of_the_response(folder):
     axis = read_model((folder / "stage" / "model.json").read_bytes())["x"]
     assert axis.dynamics is not None
     low_Hz, high_Hz = axis.dynamics.mode_frequency_interval_Hz()[0]
@@ -92,102 +92,104 @@ def test_model_and_diagnosis_hold_what_the_response_shows(folder):
     assert axis.response is not None
     assert axis.response.used <= 400 - 10
     missing = json.loads((folder / "stage" / "diagnosis.json").read_text())["not_detected"]
-    (resonance_said,) = [one["reason"] for one in missing if one["effect"] == "resonance"]
-    said_Hz = re.search(r"response.csv shows it at (\S+) Hz", resonance_said)
-    assert said_Hz is not None
-    assert float(said_Hz[1]) == pytest.approx(MODE_Hz, rel=2e-3)
+    (reason,) = [absent["reason"] for absent in missing if absent["effect"] == "resonance"]
+    stated_Hz = re.search(r"response.csv shows it at (\S+) Hz", reason)
+    assert stated_Hz is not None
+    assert float(stated_Hz[1]) == pytest.approx(MODE_Hz, rel=2e-3)
 
 
 @pytest.mark.usefixtures("fitted")
-def test_the_report_draws_the_response_and_draws_it_again(folder):
+def test_the_report_plots_the_response_and_is_reproducible(folder):
     page = (folder / "stage" / "report.html").read_text()
     assert "gain as measured, response.csv" in page
     assert "not fitted" in page
     files = (folder / name for name in ("stage", "sweep.csv", "response.csv"))
-    status, shown = run("report", *files)
-    assert status == 0, shown
+    status, output = run("report", *files)
+    assert status == 0, output
     assert (folder / "stage" / "report.html").read_text() == page
 
 
 @pytest.mark.usefixtures("fitted", "plays_alone", "one_order")
-def test_a_notebook_takes_the_response_as_the_command_line_does(folder):
+def test_a_notebook_uses_the_response_like_the_command_line(folder):
     lab = folder / "lab.toml"
-    held = read(folder / "sweep.csv", folder / "response.csv", lab=lab)
-    model = fit(held, lab=lab)
-    (here,), (there,) = (
+    recordings = read(folder / "sweep.csv", folder / "response.csv", lab=lab)
+    model = fit(recordings, lab=lab)
+    (notebook_axis,), (command_axis,) = (
         json.loads(content)["axes"].values()
         for content in (write_model(model), (folder / "stage" / "model.json").read_bytes())
     )
-    for part in ("dynamics", "response"):  # the hysteresis of the command line is diagnosed
-        assert here[part] == there[part]
-    assert "gain as measured, response.csv" in report(model, held, lab=lab)
+    for entry in ("dynamics", "response"):  # the command line also diagnoses the hysteresis
+        assert notebook_axis[entry] == command_axis[entry]
+    assert "gain as measured, response.csv" in report(model, recordings, lab=lab)
 
 
 @pytest.mark.usefixtures("fitted", "plays_alone", "one_order")
-def test_the_loop_is_fast_and_stable_on_the_stage_itself(folder):
+def test_the_designed_loop_is_fast_and_stable_on_the_simulated_stage(folder):
     lab = folder / "lab.toml"
-    alone = fit(read(folder / "sweep.csv", lab=lab), lab=lab)
-    without = design(alone, lab=lab).axes[0].loops[0]
-    with_it = json.loads((folder / "stage" / "design.json").read_text())["axes"][0]["loops"][0]
-    assert with_it["bandwidth_Hz"] > 5.0 * without.bandwidth_Hz
+    sweep_model = fit(read(folder / "sweep.csv", lab=lab), lab=lab)
+    sweep_loop = design(sweep_model, lab=lab).axes[0].loops[0]
+    response_loop = json.loads((folder / "stage" / "design.json").read_text())["axes"][0]["loops"][
+        0
+    ]
+    assert response_loop["bandwidth_Hz"] > 5.0 * sweep_loop.bandwidth_Hz
     shipped = from_json((folder / "stage" / "params.json").read_bytes(), "params.json").axes[0]
     low_m, high_m = (float(shipped.values[f"reference_{end}_m"]) for end in ("minimum", "maximum"))
     middle_m, reach_m = 0.5 * (low_m + high_m), 0.3 * (high_m - low_m)
     time_s = np.arange(6000) / RATE_Hz
-    wanted_m = middle_m + reach_m * np.sin(2.0 * np.pi * 10.0 * time_s) * np.minimum(
+    reference_m = middle_m + reach_m * np.sin(2.0 * np.pi * 10.0 * time_s) * np.minimum(
         time_s / 0.1, 1.0
     )
-    shown_m = driven(shipped.values, wanted_m)
-    error_m = shown_m[-2000:] - wanted_m[-2000:]
+    reading_m = closed_loop_m(shipped.values, reference_m)
+    error_m = reading_m[-2000:] - reference_m[-2000:]
     assert float(np.sqrt(np.mean(error_m**2))) < 0.03 * reach_m
 
 
-def driven(values: dict, wanted_m: Array) -> Array:  # type: ignore[type-arg]
+def closed_loop_m(values: dict, reference_m: Array) -> Array:  # type: ignore[type-arg]
     """Run the shipped controller on the stage: plays, mode, poles, a delay of one sample."""
     poles = (first_order(AMPLIFIER_Hz), first_order(SENSOR_Hz))
-    whole = sample(cascade(resonance(MODE_Hz, 0.5 / QUALITY), *poles), RATE_Hz)
+    plant = sample(cascade(resonance(MODE_Hz, 0.5 / QUALITY), *poles), RATE_Hz)
     rest_V = 50.0
     play = np.zeros(len(THRESHOLDS_V))
     play = np.maximum(rest_V - THRESHOLDS_V, np.minimum(rest_V + THRESHOLDS_V, play))
     rest_m = GAIN_m_per_V * (0.76 * rest_V + float(play @ WEIGHTS))
     controller = Controller(values)
     controller.start(rest_V, rest_m)
-    state = np.zeros(len(whole.A))
-    given_V, reading_m, shown = rest_V, rest_m, np.empty(len(wanted_m))
-    for k, wanted in enumerate(wanted_m.tolist()):
-        play = np.maximum(given_V - THRESHOLDS_V, np.minimum(given_V + THRESHOLDS_V, play))
-        push_m = GAIN_m_per_V * (0.76 * given_V + float(play @ WEIGHTS)) - rest_m
-        state = whole.A @ state + whole.B[:, 0] * push_m
-        reading_m = rest_m + float(whole.C[0] @ state)
-        shown[k] = reading_m
-        given_V = controller.step(wanted, reading_m)
-    return shown
+    state = np.zeros(len(plant.A))
+    voltage_V, reading_m, readings_m = rest_V, rest_m, np.empty(len(reference_m))
+    for k, reference in enumerate(reference_m.tolist()):
+        play = np.maximum(voltage_V - THRESHOLDS_V, np.minimum(voltage_V + THRESHOLDS_V, play))
+        force_m = GAIN_m_per_V * (0.76 * voltage_V + float(play @ WEIGHTS)) - rest_m
+        state = plant.A @ state + plant.B[:, 0] * force_m
+        reading_m = rest_m + float(plant.C[0] @ state)
+        readings_m[k] = reading_m
+        voltage_V = controller.step(reference, reading_m)
+    return readings_m
 
 
-def test_a_response_alone_is_refused_by_fit_and_told_by_inspect(folder):
+def test_fit_refuses_a_response_alone_and_inspect_describes_it(folder):
     response, lab = folder / "response.csv", folder / "lab.toml"
-    done = piezoid("fit", response, "--lab", lab, "--out", folder / "no")
-    assert isinstance(done.exception, ExcitationError)
-    assert "no recording over time shows its hysteresis" in str(done.exception)
-    status, shown = run("inspect", response)
+    result = piezoid("fit", response, "--lab", lab, "--out", folder / "no")
+    assert isinstance(result.exception, ExcitationError)
+    assert "no recording over time shows its hysteresis" in str(result.exception)
+    status, output = run("inspect", response)
     assert status == 0
-    assert "a frequency response, 500 mHz to 5.00 kHz, 400 lines" in shown
-    assert "possible resonances at 6" in shown
+    assert "a frequency response, 500 mHz to 5.00 kHz, 400 lines" in output
+    assert "possible resonances at 6" in output
 
 
-def test_a_matrix_is_told_with_its_coupling(tmp_path):
+def test_inspect_states_the_coupling_of_a_matrix(tmp_path):
     f = np.geomspace(1.0, 3000.0, 300)
     write_matlab(tmp_path / "stage.mat", f_Hz=f, H_m_per_V=matrix())
-    status, shown = run("inspect", tmp_path / "stage.mat")
-    assert status == 0, shown
-    assert "x moves by 2.0 % of y when y is driven" in shown
-    assert "coupling is reported, not controlled" in shown
+    status, output = run("inspect", tmp_path / "stage.mat")
+    assert status == 0, output
+    assert "x moves by 2.0 % of y when y is driven" in output
+    assert "coupling is reported, not controlled" in output
 
 
 def test_a_response_of_an_axis_without_recording_or_name_is_refused(folder):
     text = LAB + '[[recording]]\nfile = "response.csv"\naxis = "y"\n'
     (folder / "y.toml").write_text(text)
     files = (folder / "sweep.csv", folder / "response.csv")
-    done = piezoid("fit", *files, "--lab", folder / "y.toml", "--out", folder / "no")
-    assert isinstance(done.exception, PiezoidError)
-    assert "a frequency response of axis y, and no recording of axis y" in str(done.exception)
+    result = piezoid("fit", *files, "--lab", folder / "y.toml", "--out", folder / "no")
+    assert isinstance(result.exception, PiezoidError)
+    assert "a frequency response of axis y, and no recording of axis y" in str(result.exception)

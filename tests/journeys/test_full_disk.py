@@ -1,4 +1,4 @@
-"""A disk that is full or read only: one message, status 3, and what was there is still there."""
+"""On a full or read-only disk a verb prints one message, exits with 3 and keeps existing files."""
 
 import ast
 import os
@@ -23,7 +23,7 @@ ROOM_FOR_100_BYTES = """
 from resource import RLIMIT_FSIZE, getrlimit, setrlimit
 setrlimit(RLIMIT_FSIZE, (100, getrlimit(RLIMIT_FSIZE)[1]))
 """
-# Root may write anywhere; what root starts here may not: PR_CAPBSET_DROP of CAP_DAC_OVERRIDE.
+# Root may write anywhere, so the process drops CAP_DAC_OVERRIDE by PR_CAPBSET_DROP.
 NO_RIGHTS_OF_ROOT = """
 import ctypes, os
 os.geteuid() or ctypes.CDLL(None).prctl(24, 1)
@@ -31,39 +31,41 @@ os.geteuid() or ctypes.CDLL(None).prctl(24, 1)
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Iterator[Path]:
-    """A recording, a stage, and results of before."""
-    for folder in ("stage", "night/unit"):
-        (tmp_path / folder).mkdir(parents=True)
+def folder(tmp_path: Path) -> Iterator[Path]:
+    """Write a recording, a stage, and earlier results."""
+    for subfolder in ("stage", "night/unit"):
+        (tmp_path / subfolder).mkdir(parents=True)
     write_folder(tmp_path / "made", {"kept.txt": b"what was there"})
     (tmp_path / "s.csv").write_text("time [s],voltage [V],position [um]\n" + ROWS)
     (tmp_path / "stage/model.json").write_bytes(write_model(stage_model(axis_model())))
     yield tmp_path
-    for folder in (tmp_path, tmp_path / "made"):
-        folder.chmod(0o755)
+    for subfolder in (tmp_path, tmp_path / "made"):
+        subfolder.chmod(0o755)
 
 
-def held(folder: Path) -> dict[str, bytes]:
+def contents_of(folder: Path) -> dict[str, bytes]:
     paths = [path for path in folder.rglob("*") if path.is_file()]
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
-def ended(words: str, place: Path, prepare: str) -> tuple[int, str]:
-    """Return the status of a command and what it said of its end.
+def exit_of(words: str, folder: Path, prepare: str) -> tuple[int, str]:
+    """Return exit status and error message of a command.
 
-    prepare  what its process does to itself before the command takes its place
+    prepare  statements that its process executes first
     """
     command = ["-m", "piezoid_cli.main", *words.split(), "--quiet"]
-    begin = f"{prepare}\nimport os, sys\nos.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
-    done = subprocess.run(
-        [sys.executable, "-c", begin, *command],
-        cwd=place,
+    launcher = (
+        f"{prepare}\nimport os, sys\nos.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", launcher, *command],
+        cwd=folder,
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
         text=True,
         check=False,
     )
-    return done.returncode, " ".join(done.stderr.split())
+    return result.returncode, " ".join(result.stderr.split())
 
 
 VERBS = {
@@ -75,58 +77,58 @@ VERBS = {
 
 
 @pytest.mark.parametrize("words", VERBS)
-def test_a_verb_whose_disk_is_full_says_so_once_and_leaves_what_was_there(words, place):
-    before = held(place)
-    status, said = ended(words, place, ROOM_FOR_100_BYTES)
-    assert said.startswith(f"error: {VERBS[words]}: File too large")
+def test_a_verb_on_a_full_disk_prints_one_message_and_keeps_existing_files(words, folder):
+    original = contents_of(folder)
+    status, message = exit_of(words, folder, ROOM_FOR_100_BYTES)
+    assert message.startswith(f"error: {VERBS[words]}: File too large")
     assert status == 3
-    assert said.count("error:") == 1
-    assert "unfinished" not in said
-    assert held(place) == before
-    assert not list(place.rglob("*.unfinished"))
+    assert message.count("error:") == 1
+    assert "unfinished" not in message
+    assert contents_of(folder) == original
+    assert not list(folder.rglob("*.unfinished"))
 
 
 @pytest.mark.parametrize("words", VERBS)
-def test_a_verb_that_may_not_write_says_so_once_and_before_the_work(words, place):
-    before = held(place)
-    for folder in (place / "made", place):
-        folder.chmod(0o555)
-    status, said = ended(words, place, NO_RIGHTS_OF_ROOT)
-    told = VERBS[words] if words.startswith("init") else str(place)
-    assert said.startswith(f"error: {told}: Permission denied")
+def test_a_verb_without_write_permission_prints_one_message_before_its_work(words, folder):
+    original = contents_of(folder)
+    for subfolder in (folder / "made", folder):
+        subfolder.chmod(0o555)
+    status, message = exit_of(words, folder, NO_RIGHTS_OF_ROOT)
+    name = VERBS[words] if words.startswith("init") else str(folder)
+    assert message.startswith(f"error: {name}: Permission denied")
     assert status == 3
-    assert said.count("error:") == 1
-    assert held(place) == before
+    assert message.count("error:") == 1
+    assert contents_of(folder) == original
 
 
-def test_a_batch_whose_disk_is_full_keeps_no_half_of_a_stage(place):
-    results = result_store(str(place / "results"))
+def test_a_batch_on_a_full_disk_writes_no_incomplete_stage(folder):
+    results = result_store(str(folder / "results"))
     results.create()
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
     try:
         with pytest.raises(OSError, match="too large"):
             results.write_stage("unit", {"batch.json": b"{}", "model.json": bytes(2000)})
         with pytest.raises(OSError, match="too large"):
             results.write_file("parameters.parquet", lambda stream: stream.write(bytes(2000)))
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert {Path(name).name for name in held(place / "results")} == {MANIFEST}
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert {Path(name).name for name in contents_of(folder / "results")} == {MANIFEST}
 
 
-def test_no_verb_writes_past_the_folder_that_appears_whole():
-    """What is proven of `piezoid.output_folder` holds for every verb."""
+def test_every_verb_writes_through_the_output_folder():
+    """The guarantees of `piezoid.output_folder` hold for every verb."""
     for path in Path(piezoid_cli.__file__).parent.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if not isinstance(node, ast.Call):
                 continue
-            called = node.func.attr if isinstance(node.func, ast.Attribute) else ""
+            method = node.func.attr if isinstance(node.func, ast.Attribute) else ""
             name = node.func.id if isinstance(node.func, ast.Name) else ""
-            where = f"{path.name}:{node.lineno}"
-            assert called not in WRITERS or _of_text(node), where
-            assert name != "open", where
+            location = f"{path.name}:{node.lineno}"
+            assert method not in WRITERS or _of_text(node), location
+            assert name != "open", location
 
 
 def _of_text(node: ast.Call) -> bool:
-    """Tell whether ``replace`` is that of a text or of a record, which take other arguments."""
+    """Return whether ``replace`` belongs to a text or a record, with two arguments."""
     return ast.unparse(node.func).endswith(".replace") and len(node.args) == 2

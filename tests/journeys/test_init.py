@@ -1,4 +1,4 @@
-"""`piezoid init`: the first lab.toml says what was understood, claims nothing, and works."""
+"""`piezoid init`: the first lab.toml states the interpretation of the files and reads them."""
 
 import re
 import tomllib
@@ -25,30 +25,30 @@ def sweep(path: Path, heading: str = "pos [um]", drive: str = "voltage [V]") -> 
     return path
 
 
-def test_the_lab_file_reads_the_recordings_as_they_were_read_without_it(tmp_path):
+def test_the_lab_file_reads_recordings_as_without_it(tmp_path):
     files = piezoid_datasets.recordings()[:2]
-    status, shown = run("init", *files, "--out", tmp_path / "lab.toml")
-    assert status == 0, shown
-    assert "x_sweep.csv: text table" in shown
+    status, output = run("init", *files, "--out", tmp_path / "lab.toml")
+    assert status == 0, output
+    assert "x_sweep.csv: text table" in output
     declared = collect(files, read_lab(tmp_path / "lab.toml")).recordings
-    for one, other in zip(collect(files).recordings, declared, strict=True):
-        assert one.axis == other.axis
-        assert one.sampling_rate_Hz == other.sampling_rate_Hz
-        assert np.array_equal(one.voltage_V(), other.voltage_V())
-        assert np.array_equal(one.displacement_m(), other.displacement_m())
+    for original, with_lab in zip(collect(files).recordings, declared, strict=True):
+        assert original.axis == with_lab.axis
+        assert original.sampling_rate_Hz == with_lab.sampling_rate_Hz
+        assert np.array_equal(original.voltage_V(), with_lab.voltage_V())
+        assert np.array_equal(original.displacement_m(), with_lab.displacement_m())
 
 
-def test_what_only_the_laboratory_knows_is_a_comment(tmp_path):
+def test_unknown_properties_of_the_laboratory_are_comments(tmp_path):
     draft = draft_lab([sweep(tmp_path / "a.csv")], tmp_path)
-    held = tomllib.loads(draft.text)
-    assert not any(held[table] for table in ("rig", "amplifier", "sensor", "acquisition"))
+    tables = tomllib.loads(draft.text)
+    assert not any(tables[table] for table in ("rig", "amplifier", "sensor", "acquisition"))
     completed = re.sub(r"^# (\w+ = [^#\n]*).*$", r"\1", draft.text, flags=re.MULTILINE)
     (tmp_path / "lab.toml").write_text(completed)
     assert read_lab(tmp_path / "lab.toml").amplifier.gain_V_per_V == 15
 
 
 @pytest.mark.parametrize("heading", HOSTILE)
-def test_no_heading_breaks_out_of_the_file(tmp_path, heading):
+def test_a_hostile_heading_is_quoted(tmp_path, heading):
     path = sweep(tmp_path / "a.csv", heading)
     draft = draft_lab([path], tmp_path)
     (tmp_path / "lab.toml").write_text(draft.text, encoding="utf-8")
@@ -59,7 +59,7 @@ def test_no_heading_breaks_out_of_the_file(tmp_path, heading):
     )
 
 
-def test_a_heading_that_stands_twice_is_named_by_number(tmp_path):
+def test_a_repeated_heading_is_referred_to_by_number(tmp_path):
     path = sweep(tmp_path / "a.csv")
     path.write_text(path.read_text().replace("\n", ",\n").replace(",\n", ',"pos [um]"\n', 1))
     draft = draft_lab([path], tmp_path)
@@ -68,11 +68,11 @@ def test_a_heading_that_stands_twice_is_named_by_number(tmp_path):
     assert collect([path], read_lab(tmp_path / "lab.toml"))[0].samples == 200
 
 
-def test_an_ambiguous_file_becomes_an_entry_to_complete_and_the_status_says_so(tmp_path):
+def test_an_ambiguous_file_becomes_an_entry_to_complete(tmp_path):
     path = sweep(tmp_path / "a.csv", "pos")
-    status, shown = run("init", path, "--out", tmp_path / "lab.toml")
+    status, output = run("init", path, "--out", tmp_path / "lab.toml")
     assert status == 3
-    assert "to complete" in shown
+    assert "to complete" in output
     text = (tmp_path / "lab.toml").read_text()
     assert "without a unit" in text
     assert "recording" not in tomllib.loads(text)
@@ -89,14 +89,14 @@ def test_an_ambiguous_file_becomes_an_entry_to_complete_and_the_status_says_so(t
     )
 
 
-def test_a_lab_file_that_is_there_is_kept_unless_forced(tmp_path):
+def test_an_existing_lab_file_is_kept_unless_forced(tmp_path):
     path = sweep(tmp_path / "a.csv")
     lab = tmp_path / "lab.toml"
     lab.write_text("precious")
     for words in ((), ("--force",)):
-        status, shown = run("init", path, "--out", lab, *words)
+        status, output = run("init", path, "--out", lab, *words)
         assert status == 2
-        assert "--force" in shown
+        assert "--force" in output
         assert lab.read_text() == "precious"
     lab.unlink()
     run("init", path, "--out", lab)
@@ -107,7 +107,7 @@ def test_a_lab_file_that_is_there_is_kept_unless_forced(tmp_path):
     assert read_lab(lab).recordings[0].file == "a.csv"
 
 
-def test_files_are_named_from_the_folder_of_the_lab_file(tmp_path):
+def test_files_are_relative_to_the_folder_of_the_lab_file(tmp_path):
     (tmp_path / "data").mkdir()
     (tmp_path / "rig").mkdir()
     path = sweep(tmp_path / "data" / "a.csv")
@@ -118,7 +118,7 @@ def test_files_are_named_from_the_folder_of_the_lab_file(tmp_path):
     assert len(lab.entries_of(path)) == 1
 
 
-def test_a_link_to_itself_becomes_an_entry_to_complete(tmp_path):
+def test_a_symbolic_link_to_itself_becomes_an_entry_to_complete(tmp_path):
     loop = tmp_path / "loop.csv"
     loop.symlink_to(loop)
     draft = draft_lab([loop], tmp_path)

@@ -1,4 +1,4 @@
-"""`piezoid inspect` as people and scripts use it."""
+"""`piezoid inspect` on the terminal and as JSON."""
 
 import json
 from pathlib import Path
@@ -22,8 +22,8 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_people_see_channels_clock_and_problems(folder):
-    status, shown = run("inspect", folder / "good.csv")
+def test_the_output_states_channels_clock_and_problems(folder):
+    status, output = run("inspect", folder / "good.csv")
     assert status == 0
     for words in (
         "good.csv: text table, 1999 rows",
@@ -35,38 +35,38 @@ def test_people_see_channels_clock_and_problems(folder):
         "7 reversals",
         "pos[red] [um]",
     ):
-        assert words in shown
+        assert words in output
 
 
-def test_every_file_is_shown_behind_one_that_is_refused(folder):
-    status, shown = run(
+def test_a_refused_file_does_not_hide_the_others(folder):
+    status, output = run(
         "inspect", folder / "missing.csv", folder / "scope.csv", folder / "good.csv"
     )
     assert status == 3
-    assert "No such file" in shown
-    assert 'file = "scope.csv"' in shown
-    assert "good.csv: text table" in shown
+    assert "No such file" in output
+    assert 'file = "scope.csv"' in output
+    assert "good.csv: text table" in output
 
 
-def test_a_name_without_end_does_not_fill_the_screen(folder):
+def test_a_very_long_name_is_truncated(folder):
     np.savez(folder / "long.npz", **{"n" * 60_000: np.arange(9.0), "m" * 60_000: np.arange(3.0)})
-    status, shown = run("inspect", folder / "long.npz")
+    status, output = run("inspect", folder / "long.npz")
     assert status == 3
-    assert len(shown) < 20_000
+    assert len(output) < 20_000
 
 
-def test_lab_toml_makes_a_recording_of_what_was_refused(folder):
+def test_lab_toml_completes_a_refused_file(folder):
     lab = folder / "lab.toml"
     lab.write_text(
         '[[recording]]\nfile = "scope.csv"\nsampling_rate_Hz = 10\n'
         'columns = { voltage = "CH1", displacement = "CH2" }\nunits = { displacement = "um" }\n'
     )
-    status, shown = run("inspect", folder / "scope.csv", "--lab", lab)
+    status, output = run("inspect", folder / "scope.csv", "--lab", lab)
     assert status == 0
-    assert "axis x, 10 Hz" in shown
+    assert "axis x, 10 Hz" in output
 
 
-def test_scripts_read_json(folder):
+def test_json_contains_the_inspection(folder):
     status, text = run("inspect", "--json", folder / "good.csv", folder / "scope.csv")
     assert status == 3
     content = json.loads(text)

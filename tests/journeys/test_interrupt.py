@@ -1,4 +1,4 @@
-"""Ctrl-C: the folder is what it was before, nothing lies beside it, and the status says so."""
+"""After Ctrl-C the folder is unchanged, no temporary files remain, and the status is 130."""
 
 import signal
 import subprocess
@@ -11,7 +11,7 @@ import pytest
 import piezoid_datasets
 from piezoid.output_folder import write_folder
 
-# Begins the verb's work, and says so, before it waits to be interrupted.
+# Starts the work of the verb, prints a line, and waits for the interruption.
 FIT = """
 import sys
 import piezoid_cli.calibration as calibration
@@ -40,10 +40,12 @@ with interruptible():
 """
 
 
-def interrupted(code: str, place: Path, after_s: float, *arguments: str | Path) -> int:
+def exit_status_after_interrupt(
+    code: str, folder: Path, after_s: float, *arguments: str | Path
+) -> int:
     process = subprocess.Popen(
         [sys.executable, "-c", code, *map(str, arguments)],
-        cwd=place,
+        cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
@@ -51,33 +53,35 @@ def interrupted(code: str, place: Path, after_s: float, *arguments: str | Path) 
     assert process.stdout.readline() == b"working\n"
     time.sleep(after_s)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert b"Traceback" not in said
+    _, message = process.communicate(timeout=60)
+    assert b"Traceback" not in message
     return process.returncode
 
 
-def test_an_interrupted_fit_leaves_what_was_there(tmp_path):
+def test_an_interrupted_fit_keeps_the_previous_results(tmp_path):
     write_folder(tmp_path / "stage", {"model.json": b"precious"})
-    before = sorted(p.name for p in (tmp_path / "stage").iterdir())
+    original = sorted(p.name for p in (tmp_path / "stage").iterdir())
     sweep = piezoid_datasets.recordings()[0]
-    status = interrupted(FIT, tmp_path, 0.5, "fit", sweep, "--out", "stage", "--force")
+    status = exit_status_after_interrupt(
+        FIT, tmp_path, 0.5, "fit", sweep, "--out", "stage", "--force"
+    )
     assert status == 130
     assert [p.name for p in tmp_path.iterdir()] == ["stage"]
-    assert sorted(p.name for p in (tmp_path / "stage").iterdir()) == before
+    assert sorted(p.name for p in (tmp_path / "stage").iterdir()) == original
     assert (tmp_path / "stage" / "model.json").read_text() == "precious"
 
 
 @pytest.mark.parametrize("after_s", [0.0, 0.05])
-def test_interrupted_while_writing_the_folder_is_whole_and_alone(tmp_path, after_s):
-    assert interrupted(WRITE, tmp_path, after_s) == 130
+def test_an_interrupted_write_leaves_complete_files(tmp_path, after_s):
+    assert exit_status_after_interrupt(WRITE, tmp_path, after_s) == 130
     assert {p.name for p in tmp_path.iterdir()} <= {"stage"}
-    held = [p.read_bytes() for p in (tmp_path / "stage").glob("*.bin")]
-    assert len(held) in (0, 8)
-    assert len(set(held)) <= 1
+    contents = [p.read_bytes() for p in (tmp_path / "stage").glob("*.bin")]
+    assert len(contents) in (0, 8)
+    assert len(set(contents)) <= 1
 
 
-def test_interrupted_while_modules_load_the_status_is_130_and_the_message_one_line(tmp_path):
-    """From the first instruction of the command on; before, Python itself is starting."""
+def test_an_interruption_during_imports_gives_status_130_and_one_line(tmp_path):
+    """From the first instruction of the command on; earlier, Python itself is starting."""
     code = (
         "import piezoid_cli.interrupt; print('begun', flush=True); "
         "from piezoid_cli.__main__ import main; main()"
@@ -95,17 +99,17 @@ def test_interrupted_while_modules_load_the_status_is_130_and_the_message_one_li
         process.stdout.readline()
         time.sleep(0.02 + 0.2 * k)
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=60)
+        _, message = process.communicate(timeout=60)
         statuses.append(process.returncode)
-        if process.returncode != 130:  # it had come to its end
-            assert (process.returncode, said) == (0, b"")
+        if process.returncode != 130:  # completed before the interruption
+            assert (process.returncode, message) == (0, b"")
             break
-        assert said == b"interrupted: no file is left half written\n"
+        assert message == b"interrupted: no file is left half written\n"
         assert not list(tmp_path.iterdir())
     assert len(statuses) > 2
 
 
-def test_an_interruption_that_a_library_swallows_still_ends_the_command(tmp_path):
+def test_an_interruption_caught_by_a_library_still_ends_the_command(tmp_path):
     code = """
 import signal, time
 from piezoid_cli.interrupt import install, interruptible
@@ -121,11 +125,11 @@ with interruptible():
     except BaseException as error:
         raise ImportError("cannot load") from None
 """
-    assert interrupted(code, tmp_path, 0.1) == 130
+    assert exit_status_after_interrupt(code, tmp_path, 0.1) == 130
 
 
-def test_an_interruption_after_the_end_of_the_work_changes_nothing(tmp_path):
-    """While Python unloads its modules the command is done already."""
+def test_an_interruption_after_the_work_has_no_effect(tmp_path):
+    """The command is complete while Python unloads its modules."""
     code = """
 import time
 from piezoid_cli.interrupt import install, interruptible
@@ -137,4 +141,4 @@ class Late:
 with interruptible():
     late = Late()
 """
-    assert interrupted(code, tmp_path, 0.1) == 0
+    assert exit_status_after_interrupt(code, tmp_path, 0.1) == 0

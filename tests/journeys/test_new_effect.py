@@ -1,4 +1,4 @@
-"""An effect in no catalogue: one file and one line, and every verb knows it."""
+"""A new effect: with one file and one line in the catalogue, every verb supports it."""
 
 import importlib.util
 from collections.abc import Iterator
@@ -134,30 +134,30 @@ EFFECT = Effect(
 
 
 @dataclass(frozen=True)
-class Known:
-    """A stage that leaks, and what the verbs made of it."""
+class LeakingStage:
+    """A stage with a charge leak and the results of the verbs."""
 
     effect: effects.Effect
     recordings: tuple[piezoid.Recording, ...]
     model: piezoid.ActuatorModel
-    found: piezoid.Diagnosis
+    diagnosis: piezoid.Diagnosis
 
 
-def leaking(recording: piezoid.Recording) -> piezoid.Recording:
-    """Return a recording with the leak, by another formula than the file's."""
+def with_leak(recording: piezoid.Recording) -> piezoid.Recording:
+    """Return a recording with the leak, computed by another formula than in the file."""
     pole = np.exp(-1.0 / (TIME_s * recording.sampling_rate_Hz))
     m = recording.displacement_m()
     quick = lfilter([1.0, -1.0], [1.0, -pole], m - m[0])
     channels = tuple(
-        replace(one, values=m + SHARE * quick) if one.quantity.value == "m" else one
-        for one in recording.channels
+        replace(channel, values=m + SHARE * quick) if channel.quantity.value == "m" else channel
+        for channel in recording.channels
     )
     return replace(recording, channels=channels)
 
 
 @pytest.fixture(scope="module")
-def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Known]:
-    """Write the file, put it into the catalogue, and let the verbs meet the stage."""
+def leaking_stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LeakingStage]:
+    """Write the file, add it to the catalogue, and run the verbs on the stage."""
     file: Path = tmp_path_factory.mktemp("effects") / "charge_leak.py"
     file.write_text(FILE)
     spec = importlib.util.spec_from_file_location("charge_leak", file)
@@ -170,56 +170,73 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Known]:
         fit_plays_alone(patch)
         fit_one_order(patch)
         stage = piezoid.simulate(3, drives=("sweep", "staircase"), truth="bouc_wen")
-        recordings = tuple(leaking(one) for one in thinned(stage.recordings, 3))
+        recordings = tuple(with_leak(recording) for recording in thinned(stage.recordings, 3))
         model = piezoid.fit(recordings, lab=stage.lab)
-        found = piezoid.diagnose(recordings, model=model, lab=stage.lab)
-        yield Known(module.EFFECT, recordings, model.extended(found), found)
+        diagnosis = piezoid.diagnose(recordings, model=model, lab=stage.lab)
+        yield LeakingStage(module.EFFECT, recordings, model.extended(diagnosis), diagnosis)
 
 
-def test_diagnose_finds_it_and_measures_it_in_the_refitted_model(known):
-    (finding,) = effects_of(known.found)
+def test_the_diagnosis_names_a_new_effect_and_estimates_its_size(leaking_stage):
+    (finding,) = effects_of(leaking_stage.found)
     assert finding.effect == "charge_leak"
     assert finding.size.ci95[0] < 100.0 * SHARE < finding.size.ci95[1]
     assert finding.held_out_gain > 0.3
     assert finding.explanation.startswith("Charge leak: what was moved fast")
-    assert read_diagnoses(write_diagnosis(known.found))[0].names == known.found.names
+    assert (
+        read_diagnoses(write_diagnosis(leaking_stage.found))[0].names == leaking_stage.found.names
+    )
 
 
-def test_the_model_holds_it_fitted_and_comes_back_from_its_file(known):
-    (leak,) = (e for e in known.model["x"].extensions if e.kind == "charge_leak")
+def test_the_model_contains_a_new_effect_and_survives_its_file(leaking_stage):
+    (leak,) = (e for e in leaking_stage.model["x"].extensions if e.kind == "charge_leak")
     share, time_s = leak.free().value
     assert share == pytest.approx(SHARE, abs=3.0 * leak.std[0])
     assert time_s == pytest.approx(TIME_s, abs=3.0 * leak.std[1])
-    assert read_model(write_model(known.model))["x"].extensions == known.model["x"].extensions
-
-
-def test_a_plan_can_ask_about_it(known):
-    planned = piezoid.plan(
-        known.model, known.found, recordings=known.recordings, effect="charge_leak", clock_Hz=1e3
+    assert (
+        read_model(write_model(leaking_stage.model))["x"].extensions
+        == leaking_stage.model["x"].extensions
     )
-    assert planned.question.effects == ("charge_leak",)
-    assert planned.recorded is not None
-    assert planned.planned.errors[0] < planned.recorded.errors[0]
 
 
-def test_the_plant_of_verification_overshoots_by_it(known):
-    plant = lateral_plant(known.model["x"], sampling_rate_Hz=1000.0)
+def test_an_experiment_is_planned_for_a_new_effect(leaking_stage):
+    plan = piezoid.plan(
+        leaking_stage.model,
+        leaking_stage.found,
+        recordings=leaking_stage.recordings,
+        effect="charge_leak",
+        clock_Hz=1e3,
+    )
+    assert plan.question.effects == ("charge_leak",)
+    assert plan.recorded is not None
+    assert plan.planned.errors[0] < plan.recorded.errors[0]
+
+
+def test_the_plant_of_verification_contains_a_new_effect(leaking_stage):
+    plant = lateral_plant(leaking_stage.model["x"], sampling_rate_Hz=1000.0)
     assert plant.measured is not None
-    moved, _ = sample(plant.measured, 1000.0).run(np.ones(5000))
-    assert moved[100:].max() / moved[-1] == pytest.approx(1.0 + SHARE, abs=0.01)
-    assert np.argmax(moved) < 100
+    displacement, _ = sample(plant.measured, 1000.0).run(np.ones(5000))
+    assert displacement[100:].max() / displacement[-1] == pytest.approx(1.0 + SHARE, abs=0.01)
+    assert np.argmax(displacement) < 100
 
 
-def test_the_report_draws_it_where_it_shows_and_says_what_it_means(known):
-    page = Anatomy(piezoid.report(known.model, known.recordings, diagnoses=[known.found]))
-    prose = [one.text for one in page.all("p", "prose")]
-    assert any(one.endswith(f"For control: {known.effect.control}") for one in prose)
-    assert any(f"Axis x: {words('charge_leak')}" in one.text for one in page.all("h3"))
-    axes = [one.text for one in page.all("text", "axis-name")]
+def test_the_report_plots_a_new_effect_and_states_its_meaning(leaking_stage):
+    page = Anatomy(
+        piezoid.report(
+            leaking_stage.model, leaking_stage.recordings, diagnoses=[leaking_stage.found]
+        )
+    )
+    prose = [paragraph.text for paragraph in page.all("p", "prose")]
+    assert any(
+        paragraph.endswith(f"For control: {leaking_stage.effect.control}") for paragraph in prose
+    )
+    assert any(f"Axis x: {words('charge_leak')}" in paragraph.text for paragraph in page.all("h3"))
+    axes = [paragraph.text for paragraph in page.all("text", "axis-name")]
     assert any(name.startswith("quick part of the drive") for name in axes)
-    captions = [one.text for one in page.all("figcaption")]
+    captions = [paragraph.text for paragraph in page.all("figcaption")]
     assert any("A leak: a straight line through zero." in caption for caption in captions)
-    axis = known.model["x"]
-    pictures = compare_effects(axis, traces_of(axis, known.recordings), known.found)["charge_leak"]
-    for one in pictures:
-        assert rms(one.without_m) > 1.2 * rms(one.with_m)
+    axis = leaking_stage.model["x"]
+    pictures = compare_effects(
+        axis, traces_of(axis, leaking_stage.recordings), leaking_stage.found
+    )["charge_leak"]
+    for paragraph in pictures:
+        assert rms(paragraph.without_m) > 1.2 * rms(paragraph.with_m)

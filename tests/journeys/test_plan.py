@@ -1,4 +1,4 @@
-"""`piezoid plan` on a folder: which axis it is about, what is written, what that was made from."""
+"""`piezoid plan` on a stage: its axis, its files, and its sources."""
 
 import json
 from dataclasses import replace
@@ -21,10 +21,10 @@ def stage(tmp_path: Path) -> Path:
     folder = tmp_path / "stage"
     folder.mkdir()
     model = stage_model(axis_model("x"), axis_model("y"))
-    other = replace(diagnosed(finding("lag", rivals=("delay",))), axis="y")
+    lag = replace(diagnosed(finding("lag", rivals=("delay",))), axis="y")
     (folder / "model.json").write_bytes(write_model(model))
     creep = diagnosed(finding("creep", rivals=("thermal_drift",)))
-    (folder / "diagnosis.json").write_bytes(write_diagnosis(creep, further_axes=(other,)))
+    (folder / "diagnosis.json").write_bytes(write_diagnosis(creep, further_axes=(lag,)))
     return folder
 
 
@@ -32,26 +32,26 @@ def stage(tmp_path: Path) -> Path:
     ("words", "axis", "effects"),
     [((), "x", {"creep", "thermal_drift"}), (("--axis", "y"), "y", {"lag", "delay"})],
 )
-def test_a_plan_is_about_the_axis_that_is_named_or_the_first(stage, words, axis, effects):
-    done = CliRunner().invoke(app, ["plan", str(stage), *RATE, *words, "--json"])
-    assert done.exit_code == 0, done.output
-    found = json.loads((stage / "plan.json").read_bytes())
-    assert json.loads(done.stdout) == found
-    assert found["axis"] == axis
-    assert set(found["question"]["effects"]) == effects
+def test_a_plan_is_for_the_named_axis_or_the_first(stage, words, axis, effects):
+    result = CliRunner().invoke(app, ["plan", str(stage), *RATE, *words, "--json"])
+    assert result.exit_code == 0, result.output
+    plan = json.loads((stage / "plan.json").read_bytes())
+    assert json.loads(result.stdout) == plan
+    assert plan["axis"] == axis
+    assert set(plan["question"]["effects"]) == effects
     assert (stage / "drive.csv").exists()
-    held = json.loads((stage / "diagnosis.json").read_bytes())["digest"]
-    assert held in json.dumps(found)
+    digest = json.loads((stage / "diagnosis.json").read_bytes())["digest"]
+    assert digest in json.dumps(plan)
 
 
-def test_an_axis_that_was_not_diagnosed_is_a_wrong_use_and_nothing_is_written(stage):
-    done = CliRunner().invoke(app, ["plan", str(stage), *RATE, "--axis", "w"])
-    assert done.exit_code == 2
+def test_an_axis_without_diagnosis_is_a_usage_error_and_nothing_is_written(stage):
+    result = CliRunner().invoke(app, ["plan", str(stage), *RATE, "--axis", "w"])
+    assert result.exit_code == 2
     assert not (stage / "plan.json").exists()
 
 
-def test_what_the_plan_does_not_cover_is_said(stage):
-    done = CliRunner().invoke(app, ["plan", str(stage), *RATE])
-    shown = " ".join(done.output.split())
-    assert "record a small chirp first" in shown
-    assert "The recordings of the diagnosis were not given" in shown
+def test_gaps_of_a_plan_are_stated(stage):
+    result = CliRunner().invoke(app, ["plan", str(stage), *RATE])
+    output = " ".join(result.output.split())
+    assert "record a small chirp first" in output
+    assert "The recordings of the diagnosis were not given" in output

@@ -1,4 +1,4 @@
-"""The README's examples are what they say, and the pages it leads to hold what they promise."""
+"""The examples of the README work, and its pages agree with the repository."""
 
 import re
 import shlex
@@ -15,13 +15,13 @@ import yaml
 import piezoid
 from piezoid_cli.main import VERBS, app
 from piezoid_cli.report import SEALED
-from tests.journeys.readme_walk import WALKED, lines_of, shortened
+from tests.journeys.readme_walk import WALKED, first_rows, lines_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
-    place
-    for place in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"))
-    if place.parent.name != "effects"  # written when the documentation is built
+    page
+    for page in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"))
+    if page.parent.name != "effects"  # written when the documentation is built
 )
 LONGEST = 160  # lines of the README
 
@@ -37,11 +37,11 @@ def test_the_readme_is_short():
     assert len(README.splitlines()) <= LONGEST
 
 
-def test_the_python_example_runs_in_the_folder_of_the_shell_example(tmp_path):
+def test_the_python_example_runs_on_the_recordings_of_the_shell_example(tmp_path):
     (example,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
     for name in ("sweep", "check"):
         recording = ROOT / f"datasets/x_{name}.csv"
-        (tmp_path / f"{name}.csv").write_text(shortened(recording, rows=1500))
+        (tmp_path / f"{name}.csv").write_text(first_rows(recording, rows=1500))
     run = subprocess.run(
         [sys.executable, "-W", "error", "-c", example],
         cwd=tmp_path,
@@ -60,22 +60,22 @@ def test_the_readme_lists_every_file_that_a_stage_holds():
 
 
 @pytest.mark.parametrize("mark", ["", "ready", "by-make"])
-def test_make_leaves_an_environment_as_it_is_that_somebody_else_made(mark, tmp_path):
+def test_make_does_not_change_a_foreign_environment(mark, tmp_path):
     copyfile(ROOT / "Makefile", tmp_path / "Makefile")
     for name in ("pyproject.toml", "constraints.txt", f".venv/{mark}", ".venv/bin/python"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         if not name.endswith("/"):
             (tmp_path / name).touch()
-    planned = subprocess.run(
+    commands = subprocess.run(
         ["make", "--dry-run", "docs"], cwd=tmp_path, capture_output=True, text=True, check=True
     ).stdout
-    assert (".venv/bin/python" in planned) == bool(mark)
-    assert ("build/venv/bin/python" in planned) == (not mark)
-    assert "minutes" in planned
+    assert (".venv/bin/python" in commands) == bool(mark)
+    assert ("build/venv/bin/python" in commands) == (not mark)
+    assert "minutes" in commands
 
 
-def test_every_piezoid_line_is_one_it_accepts():
-    """The gate runs them all, as printed: ``readme_walk.py``."""
+def test_every_piezoid_command_of_the_pages_is_accepted():
+    """``readme_walk.py`` runs them in the gate."""
     walked = [line for name in WALKED for line in lines_of(text_of(name))]
     shown = [line for line in walked if line.startswith("piezoid ")]
     assert {line.split()[1] for line in shown} == {verb.__name__ for verb in VERBS}
@@ -85,34 +85,40 @@ def test_every_piezoid_line_is_one_it_accepts():
         command.commands[verb].make_context(verb, words)  # type: ignore[attr-defined]
 
 
-def test_every_shell_block_is_walked_or_run_when_the_page_is_built():
-    shells = {str(p.relative_to(ROOT)) for p in PAGES if "```sh\n" in p.read_text("utf-8")}
+def test_every_page_with_a_shell_block_is_walked():
+    shells = {
+        str(page.relative_to(ROOT)) for page in PAGES if "```sh\n" in page.read_text("utf-8")
+    }
     assert shells == set(WALKED)
 
 
 def test_the_map_names_every_folder_of_the_library():
-    house = text_of("docs/map.md")
+    map_text = text_of("docs/map.md")
     folders = {path.parent.name for path in (ROOT / "piezoid").glob("*/__init__.py")}
     for folder in sorted(folders):
-        assert f"`piezoid/{folder}/`" in house, folder
+        assert f"`piezoid/{folder}/`" in map_text, folder
 
 
-def test_every_work_that_a_docstring_or_page_cites_stands_among_the_sources():
-    known = set(re.findall(r"([A-Z]\w+) (\d{4})", text_of("docs/reference/sources.md")))
-    for place in (*sorted((ROOT / "piezoid").rglob("*.py")), *PAGES):
-        text = place.read_text(encoding="utf-8")
+def test_every_cited_work_is_listed_in_the_sources():
+    sources = set(re.findall(r"([A-Z]\w+) (\d{4})", text_of("docs/reference/sources.md")))
+    for path in (*sorted((ROOT / "piezoid").rglob("*.py")), *PAGES):
+        text = path.read_text(encoding="utf-8")
         cited = re.findall(r"\[([A-Z][^]\[]*\b(?:18|19|20)\d\d)[^]]{0,30}\](?!\()", text)
-        if place.parent.name == "effects":
+        if path.parent.name == "effects":
             cited += re.findall(r"([A-Z]\w+) \((\d{4})\)", text)
-        for one in cited:
-            pairs = [one] if isinstance(one, tuple) else re.findall(r"([A-Z]\w+) (\d{4})", one)
-            assert set(pairs) <= known, f"{place.name}: {one}"
+        for citation in cited:
+            pairs = (
+                [citation]
+                if isinstance(citation, tuple)
+                else re.findall(r"([A-Z]\w+) (\d{4})", citation)
+            )
+            assert set(pairs) <= sources, f"{path.name}: {citation}"
 
 
-MADE_BY_DOCS = ("effects/", "laws/", "targets/")  # whose build checks the links into them
+MADE_BY_DOCS = ("effects/", "laws/", "targets/")  # created and checked by the build of the pages
 
 
-def test_files_that_pages_name_exist():
+def test_files_named_by_pages_exist():
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         for name in re.findall(r"`((?:benchmarks|tests|reports|piezoid|docs)/[\w/]+\.\w+)`", text):
@@ -129,12 +135,14 @@ def test_the_version_is_stated_once_and_cited():
     assert f"## {piezoid.__version__}" in text_of("CHANGELOG.md")
 
 
-def test_every_schema_number_is_in_the_list_of_schemas():
+def test_every_schema_is_listed():
     listed = set(re.findall(r"`(piezoid\.\w+/\d+)`", text_of("SCHEMA_CHANGES.md")))
-    places = [p for part in ("piezoid", "cli", "datasets") for p in (ROOT / part).rglob("*.py")]
+    paths = [
+        path for folder in ("piezoid", "cli", "datasets") for path in (ROOT / folder).rglob("*.py")
+    ]
     written = {
         schema
-        for place in places
-        for schema in re.findall(r'"(piezoid\.\w+/\d+)"', place.read_text(encoding="utf-8"))
+        for path in paths
+        for schema in re.findall(r'"(piezoid\.\w+/\d+)"', path.read_text(encoding="utf-8"))
     }
     assert written <= listed

@@ -1,4 +1,4 @@
-"""Recordings other people made: held-out error below what naive fits leave, near the noise."""
+"""Published recordings: the held-out error is near the noise and below that of simple models."""
 
 from pathlib import Path
 
@@ -38,26 +38,26 @@ def fitted(recording: Path, lab_text: str, folder: Path) -> AxisModel:
 
 
 @pytest.mark.usefixtures("one_order")
-def test_the_steady_part_of_the_actuator(realdata, tmp_path):
+def test_the_actuator_in_its_steady_state_is_modelled_near_the_noise(realdata, tmp_path):
     recording = realdata / "actuator_150V" / "hysteresis_v_150_1hz.csv"
     model = fitted(recording, ACTUATOR, tmp_path)
     assert model.verdict.applies
-    assert model.quality.held_out_rms_percent < 0.16  # a quick additive model leaves 0.31
+    assert model.quality.held_out_rms_percent < 0.16  # a simple additive model leaves 0.31
     noise_percent = 100 * model.quality.noise_rms_m / model.quality.range_m
     assert noise_percent == pytest.approx(0.12, abs=0.01)
 
 
 @pytest.mark.usefixtures("one_order")
-def test_the_flexure_with_its_wandering_zero(realdata, tmp_path):
+def test_the_flexure_with_its_drifting_zero_is_modelled(realdata, tmp_path):
     recording = realdata / "flexure" / "Model_Vi_Do.dat"
     model = fitted(recording, FLEXURE, tmp_path)
     assert model.verdict.applies
-    assert model.quality.held_out_rms_percent < 0.35  # a quick additive model leaves 0.54
+    assert model.quality.held_out_rms_percent < 0.35  # a simple additive model leaves 0.54
     assert {"excluded", "baseline_drift"} <= {fact.quantity for fact in fit_statements(model)}
 
 
 @pytest.mark.usefixtures("plays_alone")
-def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata):
+def test_the_lagging_positioner_is_not_reported_as_hysteresis(realdata):
     model = fit(collect([realdata / "objective_lag" / "triangles.csv.gz"]).recordings)["x"]
     quality = model.quality
     assert not model.verdict.applies
@@ -69,8 +69,8 @@ def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata):
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_the_hold_of_an_approach_names_creep_and_is_fitted_as_no_loop(realdata):
+def test_the_hold_of_an_approach_shows_creep(realdata):
     recordings = collect([realdata / "capsensor_hold" / "approach_hold_retract.csv.gz"]).recordings
-    found = diagnose(recordings)
-    (creep,) = [finding for finding in found.findings if finding.effect == "creep"]
-    assert 1.0 < creep.size.value < 2.0  # per cent of the step, each decade
+    diagnosis = diagnose(recordings)
+    (creep,) = [finding for finding in diagnosis.findings if finding.effect == "creep"]
+    assert 1.0 < creep.size.value < 2.0  # percent of the step per decade

@@ -1,4 +1,4 @@
-"""`piezoid report`: the page again from sealed files, with the recordings of the fit or none."""
+"""`piezoid report`: a page from sealed files, with or without the recordings of the fit."""
 
 from pathlib import Path
 
@@ -14,22 +14,24 @@ from tests.reports.known_stage import axis_model, recording, stage_model
 
 @pytest.fixture
 def sweep(tmp_path: Path) -> Path:
-    """The recording of the known stage as a file; its break is a gap in time."""
-    held = recording()
-    time_s = np.arange(held.samples) / held.sampling_rate_Hz
-    time_s[held.breaks[0] :] += 100.0
-    rows = zip(time_s, held.voltage_V(), 1e6 * held.displacement_m(), strict=True)
+    """Write the recording of the known stage; its break is a gap in time."""
+    known_recording = recording()
+    time_s = np.arange(known_recording.samples) / known_recording.sampling_rate_Hz
+    time_s[known_recording.breaks[0] :] += 100.0
+    rows = zip(
+        time_s, known_recording.voltage_V(), 1e6 * known_recording.displacement_m(), strict=True
+    )
     lines = [f"{t:.4f},{u:.17g},{y:.17g}" for t, u, y in rows]
-    place = tmp_path / "sweep.csv"
-    place.write_text("\n".join(("time [s],voltage [V],position [um]", *lines)) + "\n")
-    return place
+    path = tmp_path / "sweep.csv"
+    path.write_text("\n".join(("time [s],voltage [V],position [um]", *lines)) + "\n")
+    return path
 
 
 @pytest.fixture
 def stage(tmp_path: Path, sweep: Path) -> Path:
     model = stage_model(axis_model())
-    held = {**model.sources, sweep.name: digest_of_file(sweep)}
-    object.__setattr__(model, "sources", held)
+    sources = {**model.sources, sweep.name: digest_of_file(sweep)}
+    object.__setattr__(model, "sources", sources)
     (tmp_path / "stage").mkdir()
     (tmp_path / "stage" / "model.json").write_bytes(write_model(model))
     (tmp_path / "stage" / "notes.txt").write_text("mine")
@@ -41,29 +43,29 @@ def sections(stage: Path) -> set[str]:
     return {section.attributes["id"] for section in page.all("section")}
 
 
-def test_without_recordings_the_page_says_what_it_lacks(stage):
-    done = piezoid("report", stage)
-    assert done.exit_code == 0, (done.output, done.exception)
-    assert "without loops and residuals" in f"{done.output}{done.exception}"
+def test_a_page_without_recordings_states_its_missing_sections(stage):
+    result = piezoid("report", stage)
+    assert result.exit_code == 0, (result.output, result.exception)
+    assert "without loops and residuals" in f"{result.output}{result.exception}"
     assert {"summary", "parameters", "limits", "provenance"} <= sections(stage)
     assert "loops" not in sections(stage)
     assert "made without the recordings" in (stage / "report.html").read_text()
     assert (stage / "notes.txt").read_text() == "mine"
 
 
-def test_with_the_recordings_of_the_fit_the_loops_are_drawn(stage, sweep):
-    done = piezoid("report", stage, sweep)
-    assert done.exit_code == 0, (done.output, done.exception)
+def test_loops_are_plotted_with_the_recordings_of_the_fit(stage, sweep):
+    result = piezoid("report", stage, sweep)
+    assert result.exit_code == 0, (result.output, result.exception)
     assert {"loops", "residuals"} <= sections(stage)
     assert "made without the recordings" not in (stage / "report.html").read_text()
 
 
-def test_any_other_file_is_refused_and_the_old_page_stays(stage, sweep):
+def test_a_changed_recording_is_refused_and_the_old_page_stays(stage, sweep):
     (stage / "report.html").write_text("old")
     sweep.write_text(sweep.read_text().replace("0.0000", "0.0001", 1))
-    done = piezoid("report", stage, sweep, "--force")
-    assert done.exit_code != 0
-    assert "sweep.csv has other contents" in f"{done.output}{done.exception}"
+    result = piezoid("report", stage, sweep, "--force")
+    assert result.exit_code != 0
+    assert "sweep.csv has other contents" in f"{result.output}{result.exception}"
     assert (stage / "report.html").read_text() == "old"
 
 
@@ -72,7 +74,7 @@ def test_a_changed_bit_is_refused_and_the_old_page_stays(stage):
     (stage / "report.html").write_text("old")
     content = (stage / "model.json").read_bytes()
     (stage / "model.json").write_bytes(content.replace(b"bench", b"bench2", 1))
-    done = piezoid("report", stage, "--force")
-    assert done.exit_code != 0
-    assert "digest" in f"{done.output}{done.exception}"
+    result = piezoid("report", stage, "--force")
+    assert result.exit_code != 0
+    assert "digest" in f"{result.output}{result.exception}"
     assert (stage / "report.html").read_text() == "old"

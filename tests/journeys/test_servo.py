@@ -1,4 +1,4 @@
-"""A stage recorded under its maker's servo: `piezoid fit` says lag, and not hysteresis."""
+"""`piezoid fit` on a stage behind a servo reports a lag, and not hysteresis."""
 
 import json
 from pathlib import Path
@@ -23,7 +23,7 @@ LAG_s = 1.0 / (2.0 * np.pi * BANDWIDTH_Hz)
 
 
 def write(folder: Path, stage: Stage) -> None:
-    """Record triangles of 1 Hz and write what a lab hands over."""
+    """Record triangles of 1 Hz and write them with lab.toml."""
     (folder / "triangles.csv").write_text(csv_text(triangles(stage, (1.0,)), axis="x"))
     (folder / "lab.toml").write_text(lab_toml(stage.rig))
 
@@ -36,31 +36,31 @@ def servo(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, dict[str,
     with pytest.MonkeyPatch.context() as patch:
         fit_plays_alone(patch)
         fit_one_order(patch)
-        status, shown = run("fit", *arguments)
+        status, output = run("fit", *arguments)
     model: dict[str, Any] = json.loads((folder / "out" / "model.json").read_bytes())
-    return status, shown, model["axes"]["x"]
+    return status, output, model["axes"]["x"]
 
 
-def test_a_wide_loop_that_is_only_lag_is_reported_as_lag(servo):
-    status, shown, axis = servo
+def test_a_wide_loop_caused_by_a_lag_is_reported_as_lag(servo):
+    status, output, axis = servo
     assert status == 1
     assert axis["verdict"]["applies"] is False
     assert "is phase lag, not hysteresis" in axis["verdict"]["reason"]
     assert "a first-order lag of 15.9 ms without any hysteresis" in axis["verdict"]["reason"]
-    assert "is phase lag, not hysteresis" in shown
+    assert "is phase lag, not hysteresis" in output
 
 
-def test_its_time_constant_is_that_of_the_servo(servo):
-    """Plays that were fitted beside it take a part of it."""
+def test_the_lag_has_the_time_constant_of_the_servo(servo):
+    """Plays that are fitted together with the lag absorb part of it."""
     assert servo[2]["lag"]["time_s"] == pytest.approx(LAG_s, rel=0.1)
 
 
-def test_a_ceramic_behind_the_same_lag_is_not_called_lag(tmp_path):
+def test_a_ceramic_behind_a_lag_is_not_reported_as_lag(tmp_path):
     write(
         tmp_path,
         servo_stage(BANDWIDTH_Hz, seed=3, ceramic=draw_preisach(np.random.default_rng(5))),
     )
     lab = read_lab(tmp_path / "lab.toml")
     recording = collect([tmp_path / "triangles.csv"], lab)[0]
-    found = estimate_axis([recording], "x", rig_of(lab, "x"), orders=((8, 2),))
-    assert found.verdict.applies
+    axis = estimate_axis([recording], "x", rig_of(lab, "x"), orders=((8, 2),))
+    assert axis.verdict.applies

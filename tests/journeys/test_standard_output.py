@@ -1,4 +1,4 @@
-"""A terminal of few characters, a full disk and a closed pipe are no fault of a command."""
+"""Limited character sets, full disks and closed pipes do not make a command fail."""
 
 import os
 import subprocess
@@ -13,51 +13,51 @@ ROWS = "".join(f"{k / 100},{k % 9},{2 * (k % 9)}\n" for k in range(60))
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    place = tmp_path / "s.csv"
-    place.write_text("time [s],voltage [V],position [µm]\n" + ROWS, encoding="utf-8")
-    return place
+    path = tmp_path / "s.csv"
+    path.write_text("time [s],voltage [V],position [µm]\n" + ROWS, encoding="utf-8")
+    return path
 
 
-def test_characters_that_a_terminal_has_not_degrade(recording):
+def test_characters_that_a_terminal_lacks_are_replaced(recording):
     out = recording.with_name("lab.toml")
     for words in (("inspect", recording), ("init", recording, "--out", out)):
-        done = subprocess.run(
+        result = subprocess.run(
             [*PIEZOID, *words],
             env={**os.environ, "PYTHONIOENCODING": "ascii"},
             capture_output=True,
             check=False,
         )
-        assert done.returncode == 0, done.stderr
+        assert result.returncode == 0, result.stderr
     assert "µm" in out.read_text(encoding="utf-8")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
 @pytest.mark.parametrize("flags", [(), ("--json",)])
 def test_a_full_disk_behind_standard_output_is_named(flags, recording):
-    with Path("/dev/full").open("wb") as full:
-        done = subprocess.run(
+    with Path("/dev/full").open("wb") as full_device:
+        result = subprocess.run(
             [*PIEZOID, "inspect", recording, *flags],
-            stdout=full,
+            stdout=full_device,
             stderr=subprocess.PIPE,
             check=False,
         )
-    assert done.returncode == 3
-    assert b"error: standard output: No space left" in done.stderr
-    assert done.stderr.count(b"error") == 1
+    assert result.returncode == 3
+    assert b"error: standard output: No space left" in result.stderr
+    assert result.stderr.count(b"error") == 1
 
 
-def test_a_closed_pipe_ends_neither_the_work_nor_its_status(recording):
+def test_a_closed_pipe_changes_neither_the_results_nor_the_status(recording):
     out = recording.with_name("lab.toml")
     reader, writer = os.pipe()
     os.close(reader)
-    with os.fdopen(writer, "wb") as closed:
-        done = subprocess.run(
+    with os.fdopen(writer, "wb") as closed_pipe:
+        result = subprocess.run(
             [*PIEZOID, "init", recording, "--out", out],
-            stdout=closed,
+            stdout=closed_pipe,
             stderr=subprocess.PIPE,
             check=False,
         )
-    assert (done.returncode, done.stderr) == (0, b"")
+    assert (result.returncode, result.stderr) == (0, b"")
     assert out.exists()
 
 
@@ -71,9 +71,11 @@ def test_a_closed_pipe_ends_neither_the_work_nor_its_status(recording):
         ("inspect --nope", "2>/dev/full", 2),
     ],
 )
-def test_a_stream_that_cannot_be_written_changes_no_exit_status(words, stream, status, recording):
-    """Neither 1, a failed verdict, nor 70, an internal error."""
+def test_an_unwritable_stream_does_not_change_the_exit_status(words, stream, status, recording):
+    """The status is neither 1, a failed verdict, nor 70, an internal error."""
     line = f'"{PIEZOID[0]}" -m {PIEZOID[2]} {words} {stream}'
-    done = subprocess.run(line, shell=True, cwd=recording.parent, capture_output=True, check=False)
-    assert done.returncode == status, done.stderr
-    assert b"Traceback" not in done.stderr
+    result = subprocess.run(
+        line, shell=True, cwd=recording.parent, capture_output=True, check=False
+    )
+    assert result.returncode == status, result.stderr
+    assert b"Traceback" not in result.stderr

@@ -1,4 +1,4 @@
-"""Recordings as strangers make them: a file in, the verdict a physicist would give out."""
+"""Recordings of users: a file in, the verdict of a physicist out."""
 
 import json
 import re
@@ -24,8 +24,8 @@ from tests.laws import LAWS, RATE_Hz, recorded, swept_um, triangles, write
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
 
-def joined(done: Result) -> str:
-    return " ".join(done.output.split())
+def output_of(result: Result) -> str:
+    return " ".join(result.output.split())
 
 
 def noise_um(samples: int) -> Array:
@@ -48,53 +48,55 @@ def fitted(folder: Path, field: Array, reading_um: Array) -> AxisModel:
     return fit([recorded(folder, field, reading_um)])["x"]
 
 
-def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path):
+def test_a_single_loop_is_modelled_and_stated_to_be_untested(tmp_path):
     field = triangles(1, 600)
     sweep = write(tmp_path / "sweep.csv", field, 10 * LAWS["preisach"](field) + noise_um(600))
     (tmp_path / "lab.toml").write_text(
         "[acquisition]\nsampling_rate_Hz = 20000\n[amplifier]\nbandwidth_Hz = 1000\n"
         "[actuator]\nbandwidth_Hz = 500\n"
     )
-    done = piezoid("fit", sweep, "--lab", tmp_path / "lab.toml", "--out", tmp_path / "stage")
-    assert "Only one loop was recorded" in joined(done)
+    result = piezoid("fit", sweep, "--lab", tmp_path / "lab.toml", "--out", tmp_path / "stage")
+    assert "Only one loop was recorded" in output_of(result)
     assert "loop" in facts_of(axis_of(tmp_path / "stage"))
     assert grade_of(axis_of(tmp_path / "stage")) is Grade.POOR
     quality = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]["quality"]
     assert quality["held_out_kind"] == IN_SAMPLE
     assert quality["held_out_rms_percent"] < 0.3
-    assert "│ none │" in joined(done)
+    assert "│ none │" in output_of(result)
     (axis,) = json.loads((tmp_path / "stage/design.json").read_text())["axes"]
     assert all(loop["certificate"] is None for loop in axis["loops"])
 
 
-def test_a_lag_whose_corners_an_envelope_follows_is_called_lag(tmp_path):
-    """A servo of 60 rad/s, damping 0.66, asymmetric triangles: an objective's positioner."""
+def test_a_servo_lag_that_an_envelope_could_fit_is_called_lag(tmp_path):
+    """Servo of 60 rad/s with a damping of 0.66 and asymmetric triangles, as of an objective."""
     field = np.tile(np.concatenate([np.linspace(-1, 1, 500), np.linspace(1, -1, 900)]), 5)
     w = 60.0 / RATE_Hz  # rad per sample
-    moved, speed, late = -1.0, 0.0, []
+    position, speed, positions = -1.0, 0.0, []
     for command in field.tolist():
-        speed += w * w * (command - moved) - 2 * 0.66 * w * speed
-        moved += speed
-        late.append(moved)
-    axis = fitted(tmp_path, field, 40 * np.array(late) + noise_um(len(field)))
+        speed += w * w * (command - position) - 2 * 0.66 * w * speed
+        position += speed
+        positions.append(position)
+    axis = fitted(tmp_path, field, 40 * np.array(positions) + noise_um(len(field)))
     assert not axis.verdict.applies
     assert "phase lag, not hysteresis" in axis.verdict.reason
     assert len(axis.hysteresis.dead_zones.weight) <= 5
 
 
-def test_noise_on_a_drive_that_rests_is_no_sweep(tmp_path):
+def test_noise_at_constant_drive_is_no_sweep(tmp_path):
     rng = np.random.default_rng(7)
-    rest = write(tmp_path / "rest.csv", 1e-5 * rng.standard_normal(4000), 5 + noise_um(4000))
-    done = piezoid("fit", rest, "--out", tmp_path / "stage")
-    assert isinstance(done.exception, ExcitationError)
-    assert "never changes but for the noise of its reading" in str(done.exception)
-    said = joined(piezoid("diagnose", rest, "--out", tmp_path / "diagnosis"))
-    assert "at constant drive" in said
-    assert "hysteresis" not in said
+    constant_drive = write(
+        tmp_path / "rest.csv", 1e-5 * rng.standard_normal(4000), 5 + noise_um(4000)
+    )
+    result = piezoid("fit", constant_drive, "--out", tmp_path / "stage")
+    assert isinstance(result.exception, ExcitationError)
+    assert "never changes but for the noise of its reading" in str(result.exception)
+    output = output_of(piezoid("diagnose", constant_drive, "--out", tmp_path / "diagnosis"))
+    assert "at constant drive" in output
+    assert "hysteresis" not in output
 
 
 @pytest.mark.parametrize(
-    ("field", "law", "lag_s", "slip_um", "lacks", "grades"),
+    ("field", "law", "lag_s", "slip_um", "quantities", "grades"),
     [
         (np.linspace(-1.0, 0.0, 125), "wall_pinning", 0.0, 0.0, {"branch"}, {Grade.POOR}),
         (triangles(6, 500), "duhem", 0.02, 0.0, {"speed"}, {Grade.LIMITED}),
@@ -107,35 +109,35 @@ def test_noise_on_a_drive_that_rests_is_no_sweep(tmp_path):
             {Grade.POOR, Grade.LIMITED},
         ),
     ],
-    ids=["half a stroke", "one speed may be lag", "a slip beside one speed"],
+    ids=["half a stroke", "one speed may be lag", "a step of the zero at one speed"],
 )
-def test_what_a_recording_lacks_and_what_is_odd_about_it_are_stated(
-    tmp_path, field, law, lag_s, slip_um, lacks, grades
+def test_missing_data_and_irregularities_of_a_recording_are_stated(
+    tmp_path, field, law, lag_s, slip_um, quantities, grades
 ):
-    moved_um = 10 * LAWS[law](field)
+    displacement_um = 10 * LAWS[law](field)
     if lag_s:
-        moved_um = first_order(moved_um, lag_s, RATE_Hz, -10.0)
-    slipped_um = slip_um * (np.arange(len(field)) >= 1000)
-    axis = fitted(tmp_path, field, moved_um + slipped_um + noise_um(len(field)))
+        displacement_um = first_order(displacement_um, lag_s, RATE_Hz, -10.0)
+    step_um = slip_um * (np.arange(len(field)) >= 1000)
+    axis = fitted(tmp_path, field, displacement_um + step_um + noise_um(len(field)))
     facts = {fact.quantity: fact.text for fact in fit_statements(axis)}
-    assert lacks <= set(facts)
+    assert quantities <= set(facts)
     assert grade_of(axis) in grades
     assert not lag_s or "ten times slower" in facts["speed"]
 
 
-def test_a_drive_drawn_anew_at_every_sample_turns_all_the_time(tmp_path):
+def test_a_random_drive_has_a_reversal_at_nearly_every_sample(tmp_path):
     field = np.random.default_rng(5).uniform(-1.0, 1.0, 2000)
     axis = fitted(tmp_path, field, 10 * LAWS["preisach"](field) + noise_um(2000))
     assert not {"branch", "loop", "speed", "amplitude"} & facts_of(axis)
     assert grade_of(axis) in (Grade.GOOD, Grade.LIMITED)
-    looked = piezoid("inspect", tmp_path / "sweep.csv").output
-    assert int(re.search(r"(\d+)\s+reversals", looked)[1]) > 500
+    inspection = piezoid("inspect", tmp_path / "sweep.csv").output
+    assert int(re.search(r"(\d+)\s+reversals", inspection)[1]) > 500
 
 
 @pytest.mark.usefixtures("one_order")
 @pytest.mark.parametrize(("law", "drift_um"), [("dahl", 0.0), ("duhem", 2.0)])
-def test_a_zero_that_follows_a_strange_law_is_no_drift(law, drift_um, tmp_path):
-    """Shrinking triangles: what the class leaves of the law moves the zero from size to size."""
+def test_the_model_error_of_another_law_is_no_drift(law, drift_um, tmp_path):
+    """With triangles of decreasing size, the model error shifts the zero from size to size."""
     field, reading_um = swept_um(law)
     warming_um = drift_um * np.linspace(0.0, 1.0, len(field)) ** 0.5
     axis = diagnose([recorded(tmp_path, field, reading_um + warming_um)]).model
@@ -143,39 +145,41 @@ def test_a_zero_that_follows_a_strange_law_is_no_drift(law, drift_um, tmp_path):
     assert ("baseline_drift" in facts_of(axis)) == (drift_um > 0.0)
 
 
-def test_noise_under_a_drive_that_never_rests_is_told_as_a_bound(tmp_path):
-    """Drawn anew at every sample, of a law the class does not follow: noise of 8 nm."""
+def test_noise_without_a_repeated_period_is_stated_as_a_bound(tmp_path):
+    """Random drive of a law outside the model class, with 8 nm of noise."""
     field = np.random.default_rng(5).uniform(-1.0, 1.0, 1500)
     axis = fitted(tmp_path, field, 10 * LAWS["duhem"](field) + noise_um(1500))
     (noise,) = [fact for fact in fit_statements(axis) if fact.quantity == "noise"]
     assert "at most" in noise.text
-    twice = np.tile(field, 2)
-    axis = fitted(tmp_path, twice, 10 * LAWS["duhem"](twice) + noise_um(3000))
+    repeated = np.tile(field, 2)
+    axis = fitted(tmp_path, repeated, 10 * LAWS["duhem"](repeated) + noise_um(3000))
     assert "noise" not in facts_of(axis)
     assert 0.9 < axis.quality.noise_rms_m / 8e-9 < 1.1
 
 
-def test_a_lag_of_first_order_leaves_hysteresis_the_plays_it_asks_for(tmp_path):
-    """Beside a delay no size helps; the lag had been tried at that size alone: 9 to 20 nm."""
+def test_the_order_is_selected_with_a_first_order_lag(tmp_path):
+    """With a delay no order helps; an order selected with a delay left 9 to 20 nm."""
     field = np.concatenate([triangles(2, 500), triangles(3, 150), triangles(2, 900)])
-    late = first_order(10 * LAWS["wall_pinning"](field), 0.02, RATE_Hz, -10.0)
-    axis = fitted(tmp_path, field, late + noise_um(len(field)))
+    lagged_um = first_order(10 * LAWS["wall_pinning"](field), 0.02, RATE_Hz, -10.0)
+    axis = fitted(tmp_path, field, lagged_um + noise_um(len(field)))
     assert axis.quality.held_out_rms_m < 1.2 * 8e-9
     assert axis.lag.kind == "first_order"
     assert 0.0195 < axis.lag.time_s < 0.0205
 
 
 @pytest.mark.usefixtures("one_order")
-def test_another_machine_beside_the_loop_is_no_lag_and_told_by_its_frequency(tmp_path):
-    """Its tone is one period of the recording from the drive's third harmonic."""
+def test_an_external_vibration_is_no_lag_and_has_its_frequency(tmp_path):
+    """The tone is one period of the recording away from the third harmonic of the drive."""
     field = triangles(6, 500)
-    turns = np.arange(len(field)) / 500
-    reading_um = 10 * LAWS["duhem"](field) + 0.2 * np.sin(2 * np.pi * 2.83 * turns)
+    cycle = np.arange(len(field)) / 500
+    reading_um = 10 * LAWS["duhem"](field) + 0.2 * np.sin(2 * np.pi * 2.83 * cycle)
     diagnosis = diagnose([recorded(tmp_path, field, reading_um + noise_um(len(field)))])
     assert diagnosis.model is not None
     assert diagnosis.model.verdict.applies
     assert causes(diagnosis) == ("something_else",)
-    finding = next(one for one in diagnosis.findings if one.effect == "something_else")
+    finding = next(
+        candidate for candidate in diagnosis.findings if candidate.effect == "something_else"
+    )
     assert finding.coordinate == "frequency"
     assert finding.parameters["frequency_Hz"] == pytest.approx(2.83 * RATE_Hz / 500, rel=0.02)
     assert finding.size.value == pytest.approx(200 / np.sqrt(2), rel=0.15)

@@ -1,4 +1,4 @@
-"""`piezoid fit` on Z spectroscopies, as somebody with a tunnelling microscope uses it."""
+"""`piezoid fit` on Z spectroscopies of a tunnelling microscope."""
 
 import json
 from pathlib import Path
@@ -33,10 +33,10 @@ def write_sweep(path: Path, rng: np.random.Generator, *, top_A: float = 5e-10) -
     return path
 
 
-def test_a_stage_of_one_spectroscopy_gives_barrier_model_and_report(tmp_path, rng):
-    status, shown = run("fit", write_sweep(tmp_path / "z.dat", rng), "--out", tmp_path / "stage")
+def test_a_spectroscopy_gives_barrier_model_and_report(tmp_path, rng):
+    status, output = run("fit", write_sweep(tmp_path / "z.dat", rng), "--out", tmp_path / "stage")
     assert status == 0
-    assert "Apparent barrier 3.8" in shown
+    assert "Apparent barrier 3.8" in output
     record = json.loads((tmp_path / "stage" / "model.json").read_bytes())
     low, high = record["tunnelling"]["gap_law"]["decay_interval_per_m"]
     assert low < DECAY_per_m < high
@@ -47,26 +47,26 @@ def test_a_stage_of_one_spectroscopy_gives_barrier_model_and_report(tmp_path, rn
     assert 'id="loops"' not in page
 
 
-def test_a_weak_spectroscopy_says_low_confidence_and_every_reason(tmp_path, rng):
+def test_a_weak_spectroscopy_has_low_confidence_with_its_reasons(tmp_path, rng):
     weak = write_sweep(tmp_path / "weak.dat", rng, top_A=20 * FLOOR_A)
-    _, shown = run("fit", weak, "--out", tmp_path / "stage")
-    assert "low confidence" in shown
-    assert "decades above three times its noise" in shown
+    _, output = run("fit", weak, "--out", tmp_path / "stage")
+    assert "low confidence" in output
+    assert "decades above three times its noise" in output
     assert (
         "decades above three times its noise" in (tmp_path / "stage" / "report.html").read_text()
     )
 
 
-def test_two_files_of_one_name_are_refused_before_any_fit(tmp_path, rng):
+def test_two_files_of_one_name_are_refused_before_the_fit(tmp_path, rng):
     folders = [tmp_path / "monday", tmp_path / "friday"]
     for folder in folders:
         folder.mkdir()
-    held = collect([write_sweep(folder / "z.dat", rng) for folder in folders])
+    collection = collect([write_sweep(folder / "z.dat", rng) for folder in folders])
     with pytest.raises(RecordingError, match=r"named z\.dat.*Rename"):
-        fit_model(held.recordings, sweeps=held.sweeps)
+        fit_model(collection.recordings, sweeps=collection.sweeps)
 
 
-def test_the_same_recording_twice_is_refused_but_two_axes_of_one_file_are_not():
+def test_a_repeated_recording_is_refused_and_two_axes_of_one_file_are_not():
     from tests.reports.known_stage import recording
 
     x, y = recording("sweep.csv", "x"), recording("sweep.csv", "y")
@@ -75,13 +75,13 @@ def test_the_same_recording_twice_is_refused_but_two_axes_of_one_file_are_not():
         refuse_duplicate_names([x, x])
 
 
-def test_a_current_over_time_is_said_to_be_unused(tmp_path, rng):
+def test_a_current_over_time_is_stated_to_be_unused(tmp_path, rng):
     time_s = np.arange(400) / 1000.0
     lines = [f"{t:.3f},{np.sin(40 * t):.6f},{1e-9:.3e}" for t in time_s]
     loop = tmp_path / "loop.csv"
     loop.write_text("time [s],voltage [V],current [A]\n" + "\n".join(lines) + "\n")
-    held = collect([loop, write_sweep(tmp_path / "z.dat", rng)])
-    model = fit_model(held.recordings, sweeps=held.sweeps)
+    collection = collect([loop, write_sweep(tmp_path / "z.dat", rng)])
+    model = fit_model(collection.recordings, sweeps=collection.sweeps)
     assert len(model.remarks) == 1
     assert model.remarks[0].startswith("loop.csv")
     assert "dither" in model.remarks[0]
@@ -89,11 +89,11 @@ def test_a_current_over_time_is_said_to_be_unused(tmp_path, rng):
 
 def test_the_published_recording_gives_the_published_decay(realdata, tmp_path):
     path = realdata / "stm_current_vs_z" / "z.dat"
-    status, shown = run("fit", path, "--out", tmp_path / "stage")
+    status, output = run("fit", path, "--out", tmp_path / "stage")
     assert status == 0
-    assert "high confidence" in shown
+    assert "high confidence" in output
     record = json.loads((tmp_path / "stage" / "model.json").read_bytes())["tunnelling"]
-    # Published fits by hand: 20.60 and 20.76 per nm; within half a percent.
+    # Published fits: 20.60 and 20.76 per nm; agreement within half a percent.
     assert record["forward"]["decay_per_m"] == pytest.approx(20.60e9, rel=5e-3)
     assert record["backward"]["decay_per_m"] == pytest.approx(20.76e9, rel=5e-3)
     low, high = record["gap_law"]["decay_interval_per_m"]

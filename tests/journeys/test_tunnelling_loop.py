@@ -1,4 +1,4 @@
-"""`piezoid simulate --junction`, then `piezoid fit` on it: a tip under its controller."""
+"""`piezoid fit` on a tunnelling tip under closed-loop control, simulated by `piezoid simulate`."""
 
 import json
 import math
@@ -24,11 +24,11 @@ RANGE = ("input_range_V", "dac_bits", "adc_bits")  # of the converters
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three spots, two seconds each, without a controller's range: nothing is designed."""
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Simulate three spots of two seconds without converter ranges, so nothing is designed."""
     out = tmp_path_factory.mktemp("tip") / "made"
-    status, shown = run("simulate", "--out", out, "--seed", "7", "--junction", "2.1")
-    assert status == 0, shown
+    status, output = run("simulate", "--out", out, "--seed", "7", "--junction", "2.1")
+    assert status == 0, output
     lab = out / "recordings" / "lab.toml"
     lines = lab.read_text().splitlines(keepends=True)
     lab.write_text("".join(line for line in lines if not line.startswith(RANGE)))
@@ -36,24 +36,26 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def fitted(made: Path) -> tuple[Path, str]:
-    folder = made / "recordings"
+def fitted(simulated: Path) -> tuple[Path, str]:
+    folder = simulated / "recordings"
     files = [*sorted(folder.glob("loop_*.csv")), folder / "spectroscopy.dat"]
-    status, shown = run("fit", *files, "--lab", folder / "lab.toml", "--out", made / "fit")
-    assert status == 0, shown
-    return made / "fit", shown
+    status, output = run("fit", *files, "--lab", folder / "lab.toml", "--out", simulated / "fit")
+    assert status == 0, output
+    return simulated / "fit", output
 
 
 @pytest.fixture(scope="module")
 def junction(fitted: tuple[Path, str]) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((fitted[0] / "model.json").read_bytes())["tunnelling"]
-    return found
+    tunnelling: dict[str, Any] = json.loads((fitted[0] / "model.json").read_bytes())["tunnelling"]
+    return tunnelling
 
 
 @pytest.fixture(scope="module")
-def truths(made: Path) -> dict[str, Any]:
-    held: dict[str, Any] = json.loads((made / "truth" / "truth.json").read_text())["junctions"]
-    return held
+def truths(simulated: Path) -> dict[str, Any]:
+    junctions: dict[str, Any] = json.loads((simulated / "truth" / "truth.json").read_text())[
+        "junctions"
+    ]
+    return junctions
 
 
 def test_gain_sensor_pole_and_delay_lie_in_their_intervals(junction, truths):
@@ -70,7 +72,7 @@ def test_gain_sensor_pole_and_delay_lie_in_their_intervals(junction, truths):
     assert loop["family_records"] == 3
 
 
-def test_every_spots_barrier_is_found_and_the_naive_one_is_not(junction, truths):
+def test_the_barrier_of_every_spot_is_identified_and_the_naive_estimate_is_wrong(junction, truths):
     for record in junction["loop_plant"]["records"]:
         truth = truths[record["recording"]]
         assert record["barrier_eV"] == pytest.approx(truth["barrier_eV"], rel=0.08)
@@ -78,13 +80,13 @@ def test_every_spots_barrier_is_found_and_the_naive_one_is_not(junction, truths)
         assert "minus the controller's inverse" in record["naive_reason"]
 
 
-def test_mains_drift_and_the_limit_of_resolution_are_told(junction, truths):
+def test_mains_drift_and_resolution_limit_are_stated(junction, truths):
     for record in junction["loop_plant"]["records"]:
         truth, unrest = truths[record["recording"]], record["unrest"]
         hum = {round(line["frequency_Hz"]): line["amplitude_m"] for line in unrest["mains"]}
         assert hum[round(truth["mains_Hz"])] == pytest.approx(truth["mains_gap_m"], rel=0.15)
         low, high = unrest["drift_interval_m_per_s"]
-        walk = 2.0 * truth["wander_m_per_root_s"] / math.sqrt(2.1)  # its mean rate is not drift
+        walk = 2.0 * truth["wander_m_per_root_s"] / math.sqrt(2.1)  # mean rate of the random walk
         assert low - walk < truth["drift_m_per_s"] < high + walk
         step_m = truth["drive_range_V"] / 2**15 * truth["drive_gain_m_per_V"] / math.sqrt(12)
         sources = {source["name"]: source["rms_m"] for source in unrest["sources"]}
@@ -99,52 +101,54 @@ def test_sweeps_and_loop_agree_and_give_one_barrier(junction):
     assert low < 1.0 < high
     sweep, loop = junction["gap_law"]["barrier_eV"], junction["loop_plant"]["barrier_eV"]
     low, high = joint["barrier_interval_eV"]
-    assert low < sweep < high  # far better known than the mean of three spots
+    assert low < sweep < high  # far more accurate than the mean of three spots
     assert abs(loop - joint["barrier_eV"]) < 0.15 * joint["barrier_eV"]
 
 
-def test_an_extension_declared_wrong_makes_sweeps_and_loop_disagree_aloud(made, tmp_path):
-    """A fifth too short: the loop's barrier comes out 1.44 times the sweeps'.
+def test_a_wrong_declared_extension_makes_sweeps_and_loop_disagree(simulated, tmp_path):
+    """Declared a fifth too small, it raises the barrier of the loop to 1.44 times the other one.
 
-    Whether a controller ships is for its guards to say, which speak of metres as well.
+    The guards of the controller, which also depend on metres, decide whether it ships.
     """
     folder = tmp_path / "recordings"
-    shutil.copytree(made / "recordings", folder)
+    shutil.copytree(simulated / "recordings", folder)
     lab = (folder / "lab.toml").read_text()
-    (old,) = re.findall(r"gain_m_per_V = \S+", lab)
+    (line,) = re.findall(r"gain_m_per_V = \S+", lab)
     (folder / "lab.toml").write_text(
-        lab.replace(old, f"gain_m_per_V = {float(old.split()[-1]) / 1.2:g}")
+        lab.replace(line, f"gain_m_per_V = {float(line.split()[-1]) / 1.2:g}")
     )
     files = [folder / "loop_1.csv", folder / "spectroscopy.dat"]
-    status, shown = run("fit", *files, "--lab", folder / "lab.toml", "--out", tmp_path / "fit")
-    assert status in (0, 1), shown
-    assert "Sweeps and loop disagree" in shown
-    found = json.loads((tmp_path / "fit" / "model.json").read_bytes())["tunnelling"]
-    assert found["joint"]["barrier_eV"] is None
-    low, high = found["joint"]["barrier_interval_eV"]
-    assert low < found["gap_law"]["barrier_eV"] < found["loop_plant"]["barrier_eV"] < high
+    status, output = run("fit", *files, "--lab", folder / "lab.toml", "--out", tmp_path / "fit")
+    assert status in (0, 1), output
+    assert "Sweeps and loop disagree" in output
+    tunnelling = json.loads((tmp_path / "fit" / "model.json").read_bytes())["tunnelling"]
+    assert tunnelling["joint"]["barrier_eV"] is None
+    low, high = tunnelling["joint"]["barrier_interval_eV"]
+    assert (
+        low < tunnelling["gap_law"]["barrier_eV"] < tunnelling["loop_plant"]["barrier_eV"] < high
+    )
 
 
-def test_model_and_report_keep_the_loop_and_the_naive_estimate(fitted):
-    folder, shown = fitted
+def test_model_and_report_contain_the_loop_and_the_naive_estimate(fitted):
+    folder, output = fitted
     content = (folder / "model.json").read_bytes()
     assert write_model(read_model(content)) == content
     page = (folder / "report.html").read_text()
     assert 'id="tunnelling"' in page
     assert "naive barrier" in page
-    assert "Closed loop: apparent barrier" in shown
+    assert "Closed loop: apparent barrier" in output
 
 
-def test_inspection_calls_the_dither_a_reference(made):
-    folder = made / "recordings"
-    (seen,) = inspect_files([folder / "loop_1.csv"], read_lab(folder / "lab.toml"))
-    assert seen.refusal is None
-    assert [column.meaning for column in seen.columns][3] == "reference of z"
-    assert not [problem for problem in seen.statements if problem.quantity == "incomplete"]
+def test_inspection_classifies_the_dither_as_a_reference(simulated):
+    folder = simulated / "recordings"
+    (inspection,) = inspect_files([folder / "loop_1.csv"], read_lab(folder / "lab.toml"))
+    assert inspection.refusal is None
+    assert [column.meaning for column in inspection.columns][3] == "reference of z"
+    assert not [problem for problem in inspection.statements if problem.quantity == "incomplete"]
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("set_point_A = 1e-09\n", "", r"lacks \[tunnelling\] set_point_A"),
         (
@@ -162,23 +166,23 @@ def test_inspection_calls_the_dither_a_reference(made):
         ("reference = 4", "dither = 4", "reference"),
     ],
 )
-def test_what_lab_toml_lacks_or_has_wrong_is_refused_with_what_to_write(
-    made, tmp_path, old, new, told
+def test_a_missing_or_wrong_entry_of_lab_toml_is_refused_with_its_correction(
+    simulated, tmp_path, old, new, message
 ):
-    text = (made / "recordings" / "lab.toml").read_text()
+    text = (simulated / "recordings" / "lab.toml").read_text()
     assert old in text
-    place = tmp_path / "lab.toml"
-    place.write_text(text.replace(old, new))
-    for recording in (made / "recordings").glob("loop_*.csv"):
-        (tmp_path / recording.name).touch()  # those that lab.toml is about
-    with pytest.raises(LabFileError, match=told):
-        _read(made / "recordings" / "loop_1.csv", read_lab(place))
+    lab = tmp_path / "lab.toml"
+    lab.write_text(text.replace(old, new))
+    for recording in (simulated / "recordings").glob("loop_*.csv"):
+        (tmp_path / recording.name).touch()  # files that lab.toml describes
+    with pytest.raises(LabFileError, match=message):
+        _read(simulated / "recordings" / "loop_1.csv", read_lab(lab))
 
 
-def test_too_short_a_tip_is_a_usage_error(tmp_path):
-    status, shown = run("simulate", "--out", tmp_path / "out", "--junction", "0.5")
+def test_a_short_recording_of_a_tip_is_a_usage_error(tmp_path):
+    status, output = run("simulate", "--out", tmp_path / "out", "--junction", "0.5")
     assert status == 2
-    assert "too short" in shown
+    assert "too short" in output
 
 
 def _read(path: Path, lab: Lab):  # type: ignore[no-untyped-def]

@@ -1,4 +1,4 @@
-"""Recordings with a known truth, made here and not by the code under test."""
+"""Recordings of known stages, simulated independently of piezoid."""
 
 import itertools
 
@@ -12,11 +12,11 @@ RATE_Hz = 500.0
 
 
 def through(levels: list[float], per_unit: int = 60) -> Array:
-    """Straight runs from level to level."""
-    parts = [np.array(levels[:1])]
+    """Return straight lines from level to level."""
+    segments = [np.array(levels[:1])]
     for a, b in itertools.pairwise(levels):
-        parts.append(np.linspace(a, b, max(3, int(per_unit * abs(b - a))) + 1)[1:])
-    return np.concatenate(parts)
+        segments.append(np.linspace(a, b, max(3, int(per_unit * abs(b - a))) + 1)[1:])
+    return np.concatenate(segments)
 
 
 def decaying(count: int = 25, top: float = 5.0, per_unit: int = 60) -> Array:
@@ -29,7 +29,7 @@ def wandering(rng: np.random.Generator, count: int = 25, top: float = 5.0) -> Ar
 
 
 def play_sum(drive: Array, threshold: Array, weight: Array, memory: Array) -> Array:
-    """A sum of plays by its definition, one sample at a time."""
+    """Return a sum of plays by its definition, sample by sample."""
     z = np.array(memory)
     out = np.empty_like(drive)
     for k, u in enumerate(drive):
@@ -39,7 +39,7 @@ def play_sum(drive: Array, threshold: Array, weight: Array, memory: Array) -> Ar
 
 
 def first_order_lag(signal: Array, time_s: float, rate_Hz: float, oversampling: int = 50) -> Array:
-    """A first-order lag integrated in small steps between the samples."""
+    """Return a first-order lag integrated in small steps between the samples."""
     fine = np.interp(
         np.arange(0, len(signal) - 1 + 1e-9, 1 / oversampling), np.arange(len(signal)), signal
     )
@@ -66,8 +66,8 @@ def recording(
     )
 
 
-def piece_of(made: Recording) -> tuple[Piece, float]:
+def piece_of(recording: Recording) -> tuple[Piece, float]:
     """Return the only piece of a recording, and the displacement of one scaled unit, m."""
-    scales = scales_of((made,), "x")
-    (piece,) = pieces_of((made,), "x", scales, Rig())
+    scales = scales_of((recording,), "x")
+    (piece,) = pieces_of((recording,), "x", scales, Rig())
     return piece, scales.displacement_m

@@ -1,4 +1,4 @@
-"""Data this class of model cannot describe end in a verdict with its reason, not in a bad fit."""
+"""Data outside the model class end in a verdict with its reason instead of a poor fit."""
 
 import itertools
 
@@ -25,7 +25,7 @@ def noisy(values: np.ndarray, seed: int = 1) -> np.ndarray:  # type: ignore[type
     return values + np.random.default_rng(seed).normal(0, 3e-9, len(values))
 
 
-def test_a_wide_loop_that_is_only_lag_is_called_lag():
+def test_a_loop_caused_by_a_lag_is_called_lag():
     drive = decaying(15, per_unit=20)
     model = fit([recording(drive, noisy(first_order_lag(1e-6 * drive, 0.016, RATE_Hz)))])["x"]
     assert not model.verdict.applies
@@ -33,7 +33,7 @@ def test_a_wide_loop_that_is_only_lag_is_called_lag():
     assert "16.0 ms" in model.verdict.reason
 
 
-def test_hysteresis_behind_the_same_lag_is_not_called_lag():
+def test_hysteresis_behind_a_lag_is_not_called_lag():
     drive = decaying(15, per_unit=20)
     plays = play_sum(drive, np.array([0.0, 1, 2.5]), np.array([1.0, 0.2, 0.15]), np.zeros(3))
     model = fit([recording(drive, noisy(first_order_lag(1e-6 * plays, 0.016, RATE_Hz)))])["x"]
@@ -49,21 +49,20 @@ def test_a_butterfly_loop_is_refused():
 
 
 @pytest.mark.parametrize(("leading", "is_refused"), [(1, False), (2, True)])
-def test_loops_that_open_the_wrong_way_in_one_of_three_recordings_are_its_own_fault(
-    leading, is_refused
-):
+def test_loops_of_wrong_direction_in_one_of_three_recordings_are_tolerated(leading, is_refused):
+    """Its readings are too early, as after a clock slip."""
     """Its readings come early, as behind a slip of the clock."""
     recordings = []
     for k in range(3):
         drive = (1.0 - 0.1 * k) * np.tile(decaying(2, per_unit=20)[:-1], 6)
         plays = play_sum(drive, np.array([0.0, 1.0, 2.0]), np.array([1.0, 0.2, 0.1]), np.zeros(3))
-        early = np.roll(plays, -10 if k < leading else 0)
-        recordings.append(recording(drive, noisy(1e-6 * early), f"r{k}"))
+        advanced = np.roll(plays, -10 if k < leading else 0)
+        recordings.append(recording(drive, noisy(1e-6 * advanced), f"r{k}"))
     model = fit(recordings)["x"]
     assert ("wrong way" in model.verdict.reason) is is_refused
 
 
-def test_a_loop_is_as_wide_as_its_branches_are_apart():
+def test_the_opening_of_a_loop_is_the_distance_of_its_branches():
     drive = through([-1.0, 1.0] * 3, 100)
     plays = play_sum(drive, np.array([0.0, 0.3]), np.array([1.0, 0.5]), np.full(2, drive[0]))
     for loop in loops_of(drive, plays, 0.01)[1:]:
@@ -72,33 +71,33 @@ def test_a_loop_is_as_wide_as_its_branches_are_apart():
         assert loop.span == pytest.approx(2.0, abs=0.02)
 
 
-def test_levels_held_one_after_another_are_no_loop():
-    """Between two levels nothing was read: straight lines there cross where no branch does."""
+def test_a_sequence_of_held_levels_is_no_loop():
+    """There are no samples between two levels, and interpolated lines would cross."""
     levels = 5.0 * np.array([0.0, 1, -0.55, -0.34, 1, 0, 0.6])
-    ways = [[b - 0.08 * (b - a)] + [b] * 200 for a, b in itertools.pairwise(levels)]
+    holds = [[b - 0.08 * (b - a)] + [b] * 200 for a, b in itertools.pairwise(levels)]
     weight = np.array([1.0, 0.2, 0.2, 0.1])
-    for drive, count in ((np.concatenate(ways), 0), (through(levels.tolist()), 1)):
+    for drive, count in ((np.concatenate(holds), 0), (through(levels.tolist()), 1)):
         plays = play_sum(drive, np.arange(4.0), weight, np.zeros(4))
-        found = loops_of(drive, plays - 0.04 * plays**2, 0.1)
-        wide = [loop for loop in found if loop.span > 7.0]
-        assert len(wide) == count
-        assert all(loop.opening.min() > -1e-9 for loop in wide)
+        loops = loops_of(drive, plays - 0.04 * plays**2, 0.1)
+        wide_loops = [loop for loop in loops if loop.span > 7.0]
+        assert len(wide_loops) == count
+        assert all(loop.opening.min() > -1e-9 for loop in wide_loops)
 
 
-def test_a_response_made_of_something_else_is_refused():
+def test_an_unrelated_component_is_refused():
     rng = np.random.default_rng(3)
     drive = wandering(rng, 30)
-    walk = np.cumsum(rng.normal(0, 1, len(drive)))
-    response = 1e-6 * drive + 4e-6 * (walk - walk.mean()) / np.ptp(walk)
+    random_walk = np.cumsum(rng.normal(0, 1, len(drive)))
+    response = 1e-6 * drive + 4e-6 * (random_walk - random_walk.mean()) / np.ptp(random_walk)
     model = fit([recording(drive, response)])["x"]
     assert not model.verdict.applies
     assert "of the displacement range" in model.verdict.reason
 
 
-def test_a_reading_of_something_else_is_not_called_lag():
+def test_an_unrelated_reading_is_not_called_lag():
     drive = np.tile(decaying(2, per_unit=20)[:-1], 6)
-    elsewhere = np.sin(2.0 * np.pi * 0.37 / 40.0 * np.arange(len(drive)))
-    verdict = fit([recording(drive, noisy(1e-6 * elsewhere))])["x"].verdict
+    unrelated = np.sin(2.0 * np.pi * 0.37 / 40.0 * np.arange(len(drive)))
+    verdict = fit([recording(drive, noisy(1e-6 * unrelated))])["x"].verdict
     assert not verdict.applies
     assert "phase lag" not in verdict.reason
 
@@ -107,41 +106,41 @@ def reason_of(drive: np.ndarray, response_m: np.ndarray) -> str:  # type: ignore
     return fit([recording(drive, response_m)])["x"].verdict.reason
 
 
-def test_a_sensor_that_does_not_follow_its_drive_is_said_to_and_no_shape_is_blamed():
+def test_a_sensor_that_does_not_follow_its_drive_is_named_as_the_reason():
     rng = np.random.default_rng(12)
     drive = decaying(15, per_unit=20)
-    # another axis' column: a walk of its own
+    # The column of another axis: an independent random walk.
     walk_m = np.cumsum(rng.normal(0.0, 4e-8, len(drive)))
-    # a servo: an integrator holds the sensor against a floor that walks, and its drive is told
-    floor_m, held_m, servo_V = np.cumsum(rng.normal(0.0, 2e-9, 6000)), [], []
-    effort_m = 0.0
-    for moved_m in floor_m.tolist():
-        held_m.append(effort_m + moved_m)
-        effort_m -= 0.05 * held_m[-1]
-        servo_V.append(1e7 * effort_m)
+    # A servo: an integrator holds the sensor while the floor moves, and its output is recorded.
+    floor_m, sensor_m, servo_V = np.cumsum(rng.normal(0.0, 2e-9, 6000)), [], []
+    actuator_m = 0.0
+    for disturbance_m in floor_m.tolist():
+        sensor_m.append(actuator_m + disturbance_m)
+        actuator_m -= 0.05 * sensor_m[-1]
+        servo_V.append(1e7 * actuator_m)
     noise_m = rng.normal(0.0, 1e-9, 6000)
-    for told in (reason_of(drive, walk_m), reason_of(np.array(servo_V), held_m + noise_m)):
-        assert "does not follow the drive" in told
-        assert "a feedback that holds the sensor" in told
+    for reason in (reason_of(drive, walk_m), reason_of(np.array(servo_V), sensor_m + noise_m)):
+        assert "does not follow the drive" in reason
+        assert "a feedback that holds the sensor" in reason
 
 
 @pytest.mark.parametrize("law", ["duhem", "plays"])
-def test_a_gain_that_changes_over_the_cycles_makes_no_lag_of_a_loop(law, tmp_path):
-    turn = np.arange(4800) / 120.0
-    field = -np.cos(2.0 * np.pi * turn)
-    response_um = 10.0 * LAWS[law](field) * (1.0 + 0.06 * turn / turn[-1])
+def test_a_changing_sensitivity_is_not_called_lag(law, tmp_path):
+    cycle = np.arange(4800) / 120.0
+    field = -np.cos(2.0 * np.pi * cycle)
+    response_um = 10.0 * LAWS[law](field) * (1.0 + 0.06 * cycle / cycle[-1])
     noise_um = np.random.default_rng(2).normal(0.0, 0.01, 4800)
-    found = fit([recorded(tmp_path, field, response_um + noise_um)])["x"]
-    assert "phase lag" not in found.verdict.reason
-    assert any("the sensitivity changes by +" in said for said in found.verdict.remarks)
+    model = fit([recorded(tmp_path, field, response_um + noise_um)])["x"]
+    assert "phase lag" not in model.verdict.reason
+    assert any("the sensitivity changes by +" in remark for remark in model.verdict.remarks)
 
 
-def test_a_branch_is_as_quiet_at_its_ends_as_between():
+def test_noise_at_the_ends_of_a_branch_is_averaged_as_in_its_middle():
     drive = through([0.0, -1.0, 1.0, -1.0, 0.0], 1000)
     response = play_sum(drive, np.array([0.0, 0.3]), np.array([1.0, 0.5]), np.full(2, drive[0]))
     zigzag = 0.1 * (-1.0) ** np.arange(len(drive))
-    (loop,), (still,) = (loops_of(drive, y, 0.01) for y in (response + zigzag, response))
+    (loop,), (smooth,) = (loops_of(drive, y, 0.01) for y in (response + zigzag, response))
     assert len(loop.drive) == POINTS
-    few = 2000 / (POINTS + 1) - 1  # samples around each point, of which pairs cancel
-    np.testing.assert_allclose(loop.rise, still.rise, atol=0.1 / few)
-    np.testing.assert_allclose(loop.opening, still.opening, atol=2 * 0.1 / few)
+    window = 2000 / (POINTS + 1) - 1  # samples averaged for each point
+    np.testing.assert_allclose(loop.rise, smooth.rise, atol=0.1 / window)
+    np.testing.assert_allclose(loop.opening, smooth.opening, atol=2 * 0.1 / window)

@@ -1,4 +1,4 @@
-"""From recordings to a model: known truths come back, and what cannot be known is said."""
+"""Known stages are recovered from recordings, and insufficient data are refused."""
 
 from dataclasses import replace
 from functools import cache
@@ -31,12 +31,12 @@ NOISE_m = 3e-9
 
 
 def psi(h: Array) -> Array:
-    """A kinked curve: 20 % steeper above 3 um, flatter below -4 um."""
+    """Return a curve that is 20 % steeper above 3 um and 15 % flatter below -4 um."""
     return np.where(h > 3e-6, h + 0.2 * (h - 3e-6), np.where(h < -4e-6, h - 0.15 * (h + 4e-6), h))
 
 
 def stage(drive: Array, rng: np.random.Generator, lag_s: float = 0.004) -> Array:
-    """Plays with an unknown past, kinks, a lag, an offset, noise."""
+    """Return the reading of plays of unknown initial state, with kinks, lag, offset and noise."""
     memory = np.clip(rng.normal(0, 1, 5), drive[0] - THRESHOLD, drive[0] + THRESHOLD)
     static = psi(play_sum(drive, THRESHOLD, WEIGHT, memory))
     lagged = first_order_lag(static, lag_s, RATE_Hz)
@@ -51,7 +51,7 @@ def fitted() -> AxisModel:
     return fit(recordings)["x"]
 
 
-def test_error_on_another_excitation_is_near_the_noise_and_the_lag_is_that_of_the_stage():
+def test_the_error_on_another_excitation_is_near_the_noise_and_the_lag_is_identified():
     model = fitted()
     assert model.verdict.applies
     assert model.quality.held_out_rms_m < 2 * NOISE_m  # 0.02 % of the stroke
@@ -60,21 +60,24 @@ def test_error_on_another_excitation_is_near_the_noise_and_the_lag_is_that_of_th
     assert model.lag.time_s == pytest.approx(0.004, abs=2e-4)
 
 
-def test_loading_curve_lies_within_its_interval_of_the_truth():
-    found = fitted().uncertainty
-    true_m = psi(np.maximum(found.reach_V[:, None] - THRESHOLD, 0.0) @ WEIGHT)
-    inside = np.abs(found.loading_m - true_m) <= found.loading_half_m + 1e-3 * true_m
+def test_the_loading_curve_agrees_with_the_truth_within_its_interval():
+    uncertainty = fitted().uncertainty
+    expected_m = psi(np.maximum(uncertainty.reach_V[:, None] - THRESHOLD, 0.0) @ WEIGHT)
+    inside = (
+        np.abs(uncertainty.loading_m - expected_m)
+        <= uncertainty.loading_half_m + 1e-3 * expected_m
+    )
     assert inside.mean() > 0.9
-    assert (found.loading_half_m[1:] < 0.01 * found.loading_m[-1]).all()
+    assert (uncertainty.loading_half_m[1:] < 0.01 * uncertainty.loading_m[-1]).all()
 
 
-def test_certificate_is_not_smaller_than_the_error_to_the_truth():
+def test_the_certificate_bounds_the_error_to_the_truth():
     model = fitted()
     rng = np.random.default_rng(6)
     u = np.clip(wandering(rng, 40), -4.9, 4.9)
     truth = psi(play_sum(u, THRESHOLD, WEIGHT, np.zeros(5)))
-    own, _ = model.hysteresis.run(u, np.zeros(len(model.hysteresis.plays.weight)))
-    error = own - truth
+    simulated, _ = model.hysteresis.run(u, np.zeros(len(model.hysteresis.plays.weight)))
+    error = simulated - truth
     assert np.abs(error - np.median(error)).max() < model.certificate.bound_m
     assert model.certificate.bound_m < 0.1 * model.quality.range_m
     assert (
@@ -83,7 +86,7 @@ def test_certificate_is_not_smaller_than_the_error_to_the_truth():
 
 
 @pytest.mark.usefixtures("one_order")
-def test_a_sensor_that_falls_as_the_drive_rises_only_changes_the_polarity():
+def test_an_inverted_sensor_changes_the_polarity_only():
     rng = np.random.default_rng(7)
     u = decaying(15, per_unit=30)
     y = stage(u, rng)
@@ -104,7 +107,7 @@ def test_a_sensor_that_falls_as_the_drive_rises_only_changes_the_polarity():
 
 
 @pytest.mark.usefixtures("one_order")
-def test_a_transient_from_before_the_record_is_left_out_and_said():
+def test_an_initial_transient_is_excluded_and_stated():
     rng = np.random.default_rng(9)
     u = np.tile(decaying(2, per_unit=20)[:-1], 12)
     y = stage(u, rng)
@@ -116,25 +119,26 @@ def test_a_transient_from_before_the_record_is_left_out_and_said():
 
 
 @pytest.mark.usefixtures("one_order")
-def test_slow_motion_of_the_zero_does_not_bend_the_loop():
+def test_a_drift_of_the_zero_does_not_change_the_loop_width():
     u = np.tile(decaying(2, per_unit=40)[:-1], 24)
     drift = 2e-7 * np.linspace(0, 1, len(u)) ** 0.5
-    still, moving = (
-        fit([recording(u, stage(u, np.random.default_rng(1)) + part)])["x"]
-        for part in (0.0 * drift, drift)
+    constant, drifting = (
+        fit([recording(u, stage(u, np.random.default_rng(1)) + zero)])["x"]
+        for zero in (0.0 * drift, drift)
     )
-    assert "baseline_drift" in {fact.quantity for fact in fit_statements(moving)}
-    width = [model.uncertainty.loop_width_m[0] for model in (still, moving)]
+    assert "baseline_drift" in {fact.quantity for fact in fit_statements(drifting)}
+    width = [model.uncertainty.loop_width_m[0] for model in (constant, drifting)]
     assert abs(width[1] - width[0]) < 0.035 * width[0]  # the drift is 7 % of the width
 
 
-STILL = recording(np.ones(200), np.linspace(0, 1e-6, 200))
-UNREAD = replace(STILL, channels=STILL.channels[:1])
+CONSTANT = recording(np.ones(200), np.linspace(0, 1e-6, 200))
+WITHOUT_READING = replace(CONSTANT, channels=CONSTANT.channels[:1])
 
 
 @pytest.mark.parametrize(
-    ("unfit", "told"), [(STILL, "never changes"), (UNREAD, "only voltage is recorded")]
+    ("insufficient", "reason"),
+    [(CONSTANT, "never changes"), (WITHOUT_READING, "only voltage is recorded")],
 )
-def test_recordings_that_determine_no_model_are_refused(unfit, told):
-    with pytest.raises(ExcitationError, match=told):
-        fit([unfit])
+def test_recordings_that_determine_no_model_are_refused(insufficient, reason):
+    with pytest.raises(ExcitationError, match=reason):
+        fit([insufficient])

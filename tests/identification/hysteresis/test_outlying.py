@@ -1,4 +1,4 @@
-"""Single readings that stand out of a rough fit: sparks, and not the corners of a law."""
+"""Single outliers of a rough fit are excluded; corners of a hysteresis law are none."""
 
 from pathlib import Path
 
@@ -18,25 +18,27 @@ pytestmark = pytest.mark.usefixtures("one_order")
 BENT = ("dahl", "generalised_bouc_wen", "coleman_hodgdon", "wall_pinning")
 
 
-def said_of(folder: Path, reading_um: Array) -> str:
+def outlier_remark(folder: Path, reading_um: Array) -> str:
     recording = recorded(folder, FIELD, reading_um)
-    found = estimate_axis([recording], "x", NO_POLES, orders=((2, 0),))
-    return " ".join(remark for remark in found.verdict.remarks if "single readings" in remark)
+    model = estimate_axis([recording], "x", NO_POLES, orders=((2, 0),))
+    return " ".join(remark for remark in model.verdict.remarks if "single readings" in remark)
 
 
 def clean_um(law: str) -> Array:
     ceramic = next(truth for truth in ZOO if truth.name == law).draw(np.random.default_rng(77))
-    moved_um = 30 * sum(ceramic.respond(FIELD, np.array([1.0, -1.0])))
-    return np.asarray(moved_um + 0.01 * np.random.default_rng(9).standard_normal(len(FIELD)))
+    displacement_um = 30 * sum(ceramic.respond(FIELD, np.array([1.0, -1.0])))
+    return np.asarray(
+        displacement_um + 0.01 * np.random.default_rng(9).standard_normal(len(FIELD))
+    )
 
 
 @pytest.mark.parametrize("law", BENT)
-def test_what_a_law_does_behind_every_turn_is_no_single_reading(law, tmp_path):
-    assert said_of(tmp_path, clean_um(law)) == ""
+def test_the_response_after_a_turn_is_no_outlier(law, tmp_path):
+    assert outlier_remark(tmp_path, clean_um(law)) == ""
 
 
-def test_sparks_of_a_hundredth_of_the_range_are_left_out(tmp_path):
+def test_outliers_of_a_hundredth_of_the_range_are_excluded(tmp_path):
     reading_um = clean_um("dahl")
-    reading_um[57::113] += 0.8  # in the middle of branches, and three samples behind a turn
+    reading_um[57::113] += 0.8  # within branches, and three samples after a turn
     reading_um[803] -= 0.8
-    assert "single readings were excluded (12, " in said_of(tmp_path, reading_um)
+    assert "single readings were excluded (12, " in outlier_remark(tmp_path, reading_um)

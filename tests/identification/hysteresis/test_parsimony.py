@@ -1,4 +1,4 @@
-"""The smallest shape that the error cannot tell from the best, with weights a stage can have."""
+"""Order selection chooses the smallest adequate shape, with plausible weights."""
 
 from dataclasses import replace
 from functools import cache
@@ -16,12 +16,12 @@ from tests.laws import swept_um, triangles
 NOISE_m = 45e-9
 LOOP_THRESHOLD = np.linspace(0.0, 1.0, 6)
 LOOP_WEIGHT = np.array([12.0, 0.12, 0.12, 0.12, 0.12, 0.12]) * 1e-6
-DISTINCT_LAWS = ("preisach", "dahl", "plays")  # wiping out, saturating friction, of the class
+DISTINCT_LAWS = ("preisach", "dahl", "plays")  # erasing memory, friction, the model class
 
 
 @cache
 def thin_loop() -> AxisModel:
-    """Fit a stage of 12 um/V whose loop is 2 % of its stroke of 50 um, in noise of 45 nm."""
+    """Fit a stage of 12 um/V, with a loop of 2 % of its stroke of 50 um and noise of 45 nm."""
     drive = 2.0 * triangles(10, 400, 0.08)
     clean_m = play_sum(drive, LOOP_THRESHOLD, LOOP_WEIGHT, np.full(6, drive[0]))
     noise_m = np.random.default_rng(1).normal(0.0, NOISE_m, len(drive))
@@ -29,25 +29,25 @@ def thin_loop() -> AxisModel:
 
 
 @cache
-def law_fitted(law: str) -> AxisModel:
+def law_model(law: str) -> AxisModel:
     field, reading_um = swept_um(law)
     return estimate_axis([recording(5.0 * field, 1e-6 * reading_um)], "x", Rig())
 
 
-def test_a_thin_loop_gets_a_small_shape_and_is_as_near_as_the_noise_allows():
+def test_a_thin_loop_gets_a_small_shape_with_an_error_near_the_noise():
     model = thin_loop()
     assert len(model.hysteresis.plays.weight) - 1 <= 5
     assert len(model.hysteresis.dead_zones.weight) - 1 <= 3
     assert model.quality.held_out_rms_m < 1.05 * NOISE_m
     assert model.certificate.bound_m < 0.01 * model.quality.range_m
-    least = model.hysteresis.plays.weight[0] * model.hysteresis.dead_zones.slope.min()
-    most = model.hysteresis.plays.weight.sum() * model.hysteresis.dead_zones.slope.max()
-    assert 11e-6 < least < most < 14e-6  # m/V; true are 12 and 12.6
+    min_slope = model.hysteresis.plays.weight[0] * model.hysteresis.dead_zones.slope.min()
+    max_slope = model.hysteresis.plays.weight.sum() * model.hysteresis.dead_zones.slope.max()
+    assert 11e-6 < min_slope < max_slope < 14e-6  # m/V; true values 12 and 12.6
 
 
 @pytest.mark.parametrize("law", DISTINCT_LAWS)
-def test_weights_are_a_positive_density_within_what_drive_and_data_allow(law):
-    model = law_fitted(law)
+def test_weights_are_nonnegative_and_plausible(law):
+    model = law_model(law)
     mean = model.quality.range_m / np.ptp(model.voltage_V)
     plays = model.hysteresis.plays
     assert (plays.weight >= 0.0).all()
@@ -58,34 +58,34 @@ def test_weights_are_a_positive_density_within_what_drive_and_data_allow(law):
 
 
 @pytest.mark.parametrize("law", DISTINCT_LAWS)
-def test_the_choice_is_as_good_as_the_best_of_all_that_was_tried(law):
-    quality = law_fitted(law).quality
-    least_m = min(order.held_out_rms_m for order in quality.orders)
-    assert quality.held_out_rms_m < 1.15 * least_m
+def test_the_selected_order_is_nearly_the_best(law):
+    quality = law_model(law).quality
+    min_error_m = min(order.held_out_rms_m for order in quality.orders)
+    assert quality.held_out_rms_m < 1.15 * min_error_m
 
 
 @pytest.mark.usefixtures("one_order")
-@pytest.mark.parametrize("small", [0.01, 0.4])
-def test_a_recording_that_goes_further_than_all_others_cannot_blow_up(small):
+@pytest.mark.parametrize("scale", [0.01, 0.4])
+def test_the_recording_of_largest_amplitude_is_predicted_from_its_half(scale):
     rng = np.random.default_rng(3)
     wide = np.tile(decaying(12, per_unit=20), 2)
-    made = []
-    for name, drive in (("wide", wide), ("small", small * wide), ("smaller", 0.5 * small * wide)):
+    recordings = []
+    for name, drive in (("wide", wide), ("small", scale * wide), ("smaller", 0.5 * scale * wide)):
         clean_m = play_sum(drive, LOOP_THRESHOLD, LOOP_WEIGHT * 2.0, np.full(6, drive[0]))
         noise_m = rng.normal(0.0, 5e-8, len(drive))
-        made.append(recording(drive, clean_m + noise_m, f"{name}.csv"))
-    quality = estimate_axis(made, "x", Rig(), orders=((2, 0), (8, 2))).quality
+        recordings.append(recording(drive, clean_m + noise_m, f"{name}.csv"))
+    quality = estimate_axis(recordings, "x", Rig(), orders=((2, 0), (8, 2))).quality
     assert quality.held_out_kind == "other recordings, second half of the widest"
     for order in quality.orders:
         assert order.held_out_rms_m < 0.02 * quality.range_m
 
 
 @pytest.mark.usefixtures("one_order")
-def test_a_recording_whose_parts_go_unequally_far_is_held_out_by_its_parts():
-    """Only the part of the widest recording that goes furthest is trained on by half."""
+def test_only_the_piece_of_largest_amplitude_is_halved_for_validation():
+    """Other pieces of that recording are held out completely."""
     rng = np.random.default_rng(4)
     wide = decaying(12, per_unit=20)
-    made = []
+    recordings = []
     for name, drive, breaks in (
         ("wide", np.concatenate([0.5 * wide, wide]), (len(wide),)),
         ("small", 0.6 * wide, ()),
@@ -93,11 +93,13 @@ def test_a_recording_whose_parts_go_unequally_far_is_held_out_by_its_parts():
     ):
         clean_m = play_sum(drive, LOOP_THRESHOLD, LOOP_WEIGHT * 2.0, np.full(6, drive[0]))
         noise_m = rng.normal(0.0, 5e-8, len(drive))
-        made.append(replace(recording(drive, clean_m + noise_m, f"{name}.csv"), breaks=breaks))
-    pieces = pieces_of(made, "x", scales_of(made, "x"), Rig())
+        recordings.append(
+            replace(recording(drive, clean_m + noise_m, f"{name}.csv"), breaks=breaks)
+        )
+    pieces = pieces_of(recordings, "x", scales_of(recordings, "x"), Rig())
     folds = [fold for fold in folds_of(pieces) if fold.halved]
     assert [(fold.halved, len(fold.testing)) for fold in folds] == [(1, 2)]
     assert len(folds[0].held_out_samples(0)) == pytest.approx(len(wide) / 2, abs=1)
     assert len(folds[0].held_out_samples(1)) == len(wide)
-    quality = estimate_axis(made, "x", Rig(), orders=((2, 0), (8, 2))).quality
+    quality = estimate_axis(recordings, "x", Rig(), orders=((2, 0), (8, 2))).quality
     assert quality.held_out_rms_m < 0.02 * quality.range_m

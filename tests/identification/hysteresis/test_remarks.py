@@ -1,4 +1,4 @@
-"""A search: trials that end early, and what a fit says of it."""
+"""A trial ends early, and remarks state the weaknesses of a fit."""
 
 import math
 from dataclasses import replace
@@ -20,37 +20,37 @@ SETTINGS = Settings(longest_lag_s=0.02, follow_zero=False)
 
 
 def pieces(count: int) -> tuple[Piece, ...]:
-    """Cut so many recordings of one stage, each of its own noise."""
+    """Return pieces of this number of recordings with different noise."""
     drive = decaying(10, per_unit=10)
-    made = [recording(drive, stage(drive, seed), f"{seed}.csv") for seed in range(count)]
-    return pieces_of(made, "x", scales_of(made, "x"), Rig())
+    recordings = [recording(drive, stage(drive, seed), f"{seed}.csv") for seed in range(count)]
+    return pieces_of(recordings, "x", scales_of(recordings, "x"), Rig())
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_a_trial_ends_as_soon_as_it_misses_its_limit_and_is_else_the_same(count):
-    free = fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=math.inf)
-    assert free is not None
-    just = fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=free.held_out_rms)
-    assert just is not None
-    assert just.residual.tobytes() == free.residual.tobytes()
-    within = math.nextafter(free.held_out_rms, 0.0)
-    assert fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=within) is None
+def test_a_trial_ends_above_its_limit_and_is_otherwise_unchanged(count):
+    unlimited = fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=math.inf)
+    assert unlimited is not None
+    limited = fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=unlimited.held_out_rms)
+    assert limited is not None
+    assert limited.residual.tobytes() == unlimited.residual.tobytes()
+    smaller_limit = math.nextafter(unlimited.held_out_rms, 0.0)
+    assert fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=smaller_limit) is None
 
 
 @pytest.mark.parametrize(("iterations", "gap"), [(30, 0.0), (1, 1.0)])
-def test_a_start_that_was_not_the_optimum_has_a_remark(iterations, gap):
+def test_a_start_far_from_its_optimum_has_a_remark(iterations, gap):
     fitted = search(pieces(1), SHAPE, replace(SETTINGS, iterations=iterations))
     assert fitted.converged is (iterations == 30)
     remarks = remarks_on(replace(fitted, kkt_gap=gap), OTHER_RECORDINGS, Rig())
     assert any("optimal only to" in remark for remark in remarks) is (gap > 0.0)
 
 
-def test_a_lag_on_zero_names_the_declared_poles_that_may_be_too_slow():
+def test_a_lag_of_zero_names_the_declared_poles():
     shape = replace(SHAPE, lag="delay")
     fitted = search(pieces(1), shape, Settings(longest_lag_s=0.02, iterations=1))
     theta = fitted.theta.copy()
     theta[fitted.task.coordinates.slices["lag"]] = 0.0
-    ahead = replace(fitted, theta=theta)
-    said = [" ".join(remarks_on(ahead, OTHER_RECORDINGS, rig)) for rig in (Rig(), DECLARED)]
-    assert "may lead the drive" in said[0]
-    assert "the declared poles (4.00 kHz) delay at least as much" in said[1]
+    leading = replace(fitted, theta=theta)
+    texts = [" ".join(remarks_on(leading, OTHER_RECORDINGS, rig)) for rig in (Rig(), DECLARED)]
+    assert "may lead the drive" in texts[0]
+    assert "the declared poles (4.00 kHz) delay at least as much" in texts[1]

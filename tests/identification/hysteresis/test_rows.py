@@ -1,4 +1,4 @@
-"""Every tangent is the derivative it claims to be, whatever filter stands behind it."""
+"""Tangents are derivatives of the simulation with every filter and extension."""
 
 import numpy as np
 import pytest
@@ -16,11 +16,11 @@ from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.stages import RATE_Hz, wandering
 
 STEP = 1e-6
-CREEP = 0.025  # of a column: columns of the hysteresis omit creep, of 2 % here
-KINKS = 0.02  # share of samples that may sit on a kink of the model within a step
+CREEP_TOLERANCE = 0.025  # of a column: columns of the hysteresis omit the creep of 2 %
+KINKS = 0.02  # share of samples that may cross a kink of the model within a step
 
 
-def drawn_piece(rng: np.random.Generator) -> Piece:
+def random_piece(rng: np.random.Generator) -> Piece:
     drive = wandering(rng, 30, top=1.0)
     return Piece(
         name="a",
@@ -34,12 +34,12 @@ def drawn_piece(rng: np.random.Generator) -> Piece:
     )
 
 
-def drawn_vector(rng: np.random.Generator, coordinates: Coordinates) -> Array:
+def random_vector(rng: np.random.Generator, coordinates: Coordinates) -> Array:
     theta = rng.uniform(0.1, 0.3, coordinates.total)
-    place = coordinates.slices
+    slices = coordinates.slices
     for name in ("below_slope", "above_slope", "below_envelope", "above_envelope"):
-        theta[place[name]] = rng.uniform(0.7, 1.3, place[name].stop - place[name].start)
-    theta[place["lag"]] = 3.3 / RATE_Hz
+        theta[slices[name]] = rng.uniform(0.7, 1.3, slices[name].stop - slices[name].start)
+    theta[slices["lag"]] = 3.3 / RATE_Hz
     for piece in range(len(coordinates.offsets)):
         memory = coordinates.memory_slice(piece)
         theta[memory] = rng.uniform(-0.9, 0.9, memory.stop - memory.start)
@@ -54,7 +54,7 @@ def test_tangents_are_finite_differences_of_the_simulation(rng, lag, sensor_Hz, 
     coordinates = Coordinates(
         shape=Shape(plays=4, below=2, above=1, lag=lag, bends=bends), offsets=(3,)
     )
-    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
+    piece, theta = random_piece(rng), random_vector(rng, coordinates)
     task = Task(
         pieces=[piece],
         coordinates=coordinates,
@@ -65,20 +65,20 @@ def test_tangents_are_finite_differences_of_the_simulation(rng, lag, sensor_Hz, 
     samples, blocks = zip(*rows_of(theta, task, 0), strict=True)
     sample, tangent = np.concatenate(samples), np.vstack(blocks)[:, :-1]
     assert set(np.diff(sample)) == {stride}
-    for j, place in enumerate(column_indices(coordinates, 0)):
-        step = STEP * np.eye(coordinates.total)[place]
-        up = simulate(theta + step, task, 0, piece)
-        down = simulate(theta - step, task, 0, piece)
-        wrong = np.abs((up - down)[sample] / (2 * STEP) - tangent[:, j]) > 1e-4
-        assert wrong.mean() < KINKS, f"number {place}"
+    for j, index in enumerate(column_indices(coordinates, 0)):
+        step = STEP * np.eye(coordinates.total)[index]
+        upper = simulate(theta + step, task, 0, piece)
+        lower = simulate(theta - step, task, 0, piece)
+        is_kink = np.abs((upper - lower)[sample] / (2 * STEP) - tangent[:, j]) > 1e-4
+        assert is_kink.mean() < KINKS, f"number {index}"
 
 
-def test_tangents_of_a_task_with_extensions_are_finite_differences_too(rng):
+def test_tangents_with_extensions_are_finite_differences_of_the_simulation(rng):
     extensions = (Delay(delay_s=1.3 / RATE_Hz), CreepLadder(time_s=(0.3,), share=(0.02,)))
     coordinates = Coordinates(
         shape=Shape(plays=4, below=2, above=1, lag="none"), offsets=(1,), numbers=(1, 1)
     )
-    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
+    piece, theta = random_piece(rng), random_vector(rng, coordinates)
     theta[-2:] = [extension.free().value[0] for extension in extensions]
     task = Task(
         pieces=[piece],
@@ -91,10 +91,10 @@ def test_tangents_of_a_task_with_extensions_are_finite_differences_too(rng):
     ((sample, rows),) = rows_of(theta, task, 0)
     output = simulate(theta, task, 0, piece, sample)
     np.testing.assert_allclose(rows[:, -1], output - piece.response[sample], atol=1e-12)
-    for j, place in enumerate(column_indices(coordinates, 0)):
-        step = STEP * np.eye(coordinates.total)[place]
-        up = simulate(theta + step, task, 0, piece, sample)
-        down = simulate(theta - step, task, 0, piece, sample)
-        difference = (up - down) / (2 * STEP)
-        wrong = np.abs(difference - rows[:, j]) > CREEP * np.abs(difference).max()
-        assert wrong.mean() < KINKS, f"number {place}"
+    for j, index in enumerate(column_indices(coordinates, 0)):
+        step = STEP * np.eye(coordinates.total)[index]
+        upper = simulate(theta + step, task, 0, piece, sample)
+        lower = simulate(theta - step, task, 0, piece, sample)
+        difference = (upper - lower) / (2 * STEP)
+        is_kink = np.abs(difference - rows[:, j]) > CREEP_TOLERANCE * np.abs(difference).max()
+        assert is_kink.mean() < KINKS, f"number {index}"

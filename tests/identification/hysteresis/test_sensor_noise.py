@@ -1,4 +1,4 @@
-"""The sensor's noise, right where the drive itself moves from sample to sample."""
+"""The noise of the sensor is estimated correctly even for drives that jump at every sample."""
 
 import numpy as np
 import pytest
@@ -11,58 +11,60 @@ from tests.laws import LAWS, recorded, triangles
 NOISE_um = 0.02
 
 
-def jumping(samples: int) -> np.ndarray:
+def random_steps(samples: int) -> np.ndarray:
     return np.repeat(np.random.default_rng(1).uniform(-1.0, 1.0, samples // 4), 4)
 
 
-def drawn(samples: int) -> np.ndarray:
+def random_drive(samples: int) -> np.ndarray:
     return np.random.default_rng(2).uniform(-1.0, 1.0, samples)
 
 
-def coarse(samples: int) -> np.ndarray:
+def quantised_triangles(samples: int) -> np.ndarray:
     return np.round(triangles(samples // 300, 300) / 0.05) * 0.05
 
 
 @pytest.mark.parametrize("law", ["preisach", "duhem", "plays"])
-@pytest.mark.parametrize("drive", [jumping, drawn, coarse, lambda n: triangles(n // 300, 300)])
+@pytest.mark.parametrize(
+    "drive", [random_steps, random_drive, quantised_triangles, lambda n: triangles(n // 300, 300)]
+)
 def test_repeated_periods_measure_the_noise(tmp_path, law, drive):
-    once = drive(1200)
-    field = np.tile(once, 3)
-    moved_um = 10.0 * LAWS[law](field)
-    reading_um = moved_um + NOISE_um * np.random.default_rng(3).standard_normal(len(field))
+    period = drive(1200)
+    field = np.tile(period, 3)
+    displacement_um = 10.0 * LAWS[law](field)
+    reading_um = displacement_um + NOISE_um * np.random.default_rng(3).standard_normal(len(field))
     piece, unit_m = piece_of(recorded(tmp_path, field, reading_um))
-    for residual in (np.zeros(len(field)), -piece.response):  # whatever a model leaves
-        found_m = abs(unit_m) * sensor_noise(piece, residual)[0]
-        assert 1e6 * found_m == pytest.approx(NOISE_um, rel=0.15)
+    for residual in (np.zeros(len(field)), -piece.response):  # independent of the model error
+        noise_m = abs(unit_m) * sensor_noise(piece, residual)[0]
+        assert 1e6 * noise_m == pytest.approx(NOISE_um, rel=0.15)
 
 
-def test_without_periods_what_the_model_leaves_tells_it(tmp_path):
-    field, noise_um = drawn(3000), NOISE_um * np.random.default_rng(3).standard_normal(3000)
+def test_without_periods_the_residual_of_the_model_gives_the_noise(tmp_path):
+    field, noise_um = random_drive(3000), NOISE_um * np.random.default_rng(3).standard_normal(3000)
     piece, unit_m = piece_of(recorded(tmp_path, field, 10.0 * LAWS["duhem"](field) + noise_um))
     residual = -noise_um * 1e-6 / unit_m
-    found_m = abs(unit_m) * sensor_noise(piece, residual)[0]
-    assert 1e6 * found_m == pytest.approx(NOISE_um, rel=0.1)
+    noise_m = abs(unit_m) * sensor_noise(piece, residual)[0]
+    assert 1e6 * noise_m == pytest.approx(NOISE_um, rel=0.1)
 
 
 @pytest.mark.parametrize("rate_Hz", [500.0, 20e3])
-@pytest.mark.parametrize("left_um", [0.0, 0.3])
-def test_noise_that_is_not_white_is_told_whole(tmp_path, rate_Hz, left_um):
-    """A tenth: a 1/f part slower than what the model leaves cannot be told from it."""
-    field = np.sin(np.linspace(0.0, 20.0, 12000) ** 1.3)  # never the same period twice
+@pytest.mark.parametrize("amplitude_um", [0.0, 0.3])
+def test_coloured_noise_is_estimated_completely(tmp_path, rate_Hz, amplitude_um):
+    """Within 10 %: 1/f noise slower than the model error is not separable from it."""
+    field = np.sin(np.linspace(0.0, 20.0, 12000) ** 1.3)  # not periodic
     noise_um = NOISE_um * coloured_noise(12000, rate_Hz, 4e3, 0.4, np.random.default_rng(4))
     motion_um = 10.0 * LAWS["duhem"](field)
     piece, unit_m = piece_of(recorded(tmp_path, field, motion_um + noise_um))
-    left = left_um * np.sin(np.arange(12000) / 500.0)
-    residual = (left - noise_um) * 1e-6 / unit_m
-    found_m = abs(unit_m) * sensor_noise(piece, residual)[0]
-    assert 1e6 * found_m == pytest.approx(np.std(noise_um), rel=0.1)
+    model_error_um = amplitude_um * np.sin(np.arange(12000) / 500.0)
+    residual = (model_error_um - noise_um) * 1e-6 / unit_m
+    noise_m = abs(unit_m) * sensor_noise(piece, residual)[0]
+    assert 1e6 * noise_m == pytest.approx(np.std(noise_um), rel=0.1)
 
 
-def test_readings_that_were_lost_say_nothing_of_it(tmp_path):
+def test_invalid_readings_do_not_affect_the_noise(tmp_path):
     field, rng = np.sin(np.linspace(0.0, 20.0, 12000) ** 1.3), np.random.default_rng(5)
     reading_um = 10.0 * LAWS["duhem"](field) + NOISE_um * rng.standard_normal(12000)
     reading_um[rng.random(12000) < 0.1] = -1000.0
     piece, unit_m = piece_of(recorded(tmp_path, field, reading_um))
     assert len(piece.invalid) > 1000
-    found_m = abs(unit_m) * sensor_noise(piece, -piece.response)[0]
-    assert 1e6 * found_m == pytest.approx(NOISE_um, rel=0.1)
+    noise_m = abs(unit_m) * sensor_noise(piece, -piece.response)[0]
+    assert 1e6 * noise_m == pytest.approx(NOISE_um, rel=0.1)

@@ -1,4 +1,4 @@
-"""Recordings of a stage whose model is known, with extensions put to it."""
+"""Recordings of a known stage with extensions."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,18 +28,20 @@ def known_model(*extensions: Extension) -> AxisModel:
 
 
 def recordings_of(*extensions: Extension, seed: int = 3) -> tuple[Recording, ...]:
-    """Return two recordings of the known stage with these extensions at work."""
-    chance = np.random.default_rng(seed)
-    found = []
+    """Return two recordings of the known stage with these extensions."""
+    rng = np.random.default_rng(seed)
+    recordings = []
     for name, rate_Hz in RATES_Hz.items():
         blank = _recording(name, rate_Hz, np.zeros(5000))
-        moved_m = simulate_recording(known_model(*extensions), blank)
-        found.append(_recording(name, rate_Hz, moved_m + NOISE_m * chance.standard_normal(5000)))
-    return tuple(found)
+        displacement_m = simulate_recording(known_model(*extensions), blank)
+        recordings.append(
+            _recording(name, rate_Hz, displacement_m + NOISE_m * rng.standard_normal(5000))
+        )
+    return tuple(recordings)
 
 
 def disturbed(recording: Recording, rows: slice, by_m: float) -> Recording:
-    """Return a recording that reads otherwise in some rows."""
+    """Return a recording with an offset in some rows."""
     changed = recording.displacement_m().copy()
     changed[rows] += by_m
     return _recording(recording.name, recording.sampling_rate_Hz, changed)
@@ -63,7 +65,7 @@ def _recording(name: str, rate_Hz: float, displacement_m: Array) -> Recording:
 
 
 def drive_V(time_s: Array) -> Array:
-    """Return triangles whose height falls, and a corner in every one of them."""
+    """Return triangles of decreasing height, each with a corner."""
     cycles = 12.3 * time_s / time_s[-1]
     triangle = 4.0 * np.abs(cycles - np.floor(cycles + 0.5)) - 1.0
     height = 5.0 * (1.0 - 0.7 * time_s / time_s[-1])

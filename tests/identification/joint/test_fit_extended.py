@@ -1,4 +1,4 @@
-"""The joint fit finds what was put in, and judges it on what it did not see."""
+"""The joint fit identifies simulated extensions and validates them on held-out rows."""
 
 from dataclasses import replace
 
@@ -35,11 +35,11 @@ from tests.identification.joint.stage import (
 
 TIMES_s = (0.3, 3.0)
 PIECES = [part.piece.where for part in parts_of(known_model(), recordings_of())]
-ANSWER = CrossAxis(axis="y", centre_V=5.0, gain_m_per_V=2e-8, curvature_m_per_V_per_V=1e-9)
+COUPLING = CrossAxis(axis="y", centre_V=5.0, gain_m_per_V=2e-8, curvature_m_per_V_per_V=1e-9)
 HUM = MainsLines.of(PIECES, 50.0, harmonics=(1,))
 DRIFT = ThermalDrift.of(PIECES)
 
-# What is put in, where the fit begins, and how close it must come, in parts of the truth.
+# Simulated extension, initial value, and tolerance relative to the largest parameter.
 CASES: tuple[tuple[Extension, Extension, float], ...] = (
     (
         CreepLadder(time_s=TIMES_s, share=(0.02, 0.03)),
@@ -62,7 +62,7 @@ CASES: tuple[tuple[Extension, Extension, float], ...] = (
         GainChange(recording="slow.csv", instant_s=12.0, ratio=1.01, later=("fast.csv",)),
         0.003,
     ),
-    (ANSWER, ANSWER.moved_to(np.zeros(2)), 0.1),
+    (COUPLING, COUPLING.moved_to(np.zeros(2)), 0.1),
     (
         PeriodicError(wavelength_m=1e-6, cosine_m=(2e-8,), sine_m=(1e-8,)),
         PeriodicError(wavelength_m=1.0005e-6, cosine_m=(0.0,), sine_m=(0.0,)),
@@ -74,47 +74,55 @@ CASES: tuple[tuple[Extension, Extension, float], ...] = (
 
 
 @pytest.mark.parametrize(
-    ("true", "start", "within"), CASES, ids=lambda case: getattr(case, "kind", "")
+    ("expected_extension", "initial", "tolerance"),
+    CASES,
+    ids=lambda case: getattr(case, "kind", ""),
 )
-def test_what_was_put_in_is_found_and_lowers_the_error_on_rows_left_out(true, start, within):
-    recordings = recordings_of(true)
-    bare = fit_extended(known_model(), recordings, structure=Structure(lag=False))
-    found = fit_extended(known_model(), recordings, (start,))
-    assert found.held_out_rms_m < 0.8 * bare.held_out_rms_m
-    assert found.held_out_rms_m < 1.6 * NOISE_m
-    expected, value = true.free().value, found.model.extensions[0].free().value
-    assert np.abs(value - expected).max() <= within * np.abs(expected).max()
+def test_a_simulated_extension_is_identified_and_lowers_the_held_out_error(
+    expected_extension, initial, tolerance
+):
+    recordings = recordings_of(expected_extension)
+    baseline = fit_extended(known_model(), recordings, structure=Structure(lag=False))
+    fit = fit_extended(known_model(), recordings, (initial,))
+    assert fit.held_out_rms_m < 0.8 * baseline.held_out_rms_m
+    assert fit.held_out_rms_m < 1.6 * NOISE_m
+    expected, value = expected_extension.free().value, fit.model.extensions[0].free().value
+    assert np.abs(value - expected).max() <= tolerance * np.abs(expected).max()
 
 
-def test_the_model_that_comes_back_simulates_the_residual_the_fit_reports():
-    true = (Delay(delay_s=3e-4), CreepLadder(time_s=TIMES_s, share=(0.02, 0.03)))
-    recordings = recordings_of(*true)
-    found = fit_extended(known_model(), recordings, true)
+def test_the_fitted_model_has_the_residual_of_the_fit():
+    extensions = (Delay(delay_s=3e-4), CreepLadder(time_s=TIMES_s, share=(0.02, 0.03)))
+    recordings = recordings_of(*extensions)
+    fit = fit_extended(known_model(), recordings, extensions)
     parts = parts_of(known_model(), recordings)
     errors = [
-        (simulate_recording(found.model, recording) - recording.displacement_m())[part.samples]
+        (simulate_recording(fit.model, recording) - recording.displacement_m())[part.samples]
         for recording, part in zip(recordings, parts, strict=True)
     ]
     rms_m = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    assert rms_m == pytest.approx(found.rms_m, rel=1e-6)
-    assert found.model.quality.held_out_rms_m == found.held_out_rms_m
+    assert rms_m == pytest.approx(fit.rms_m, rel=1e-6)
+    assert fit.model.quality.held_out_rms_m == fit.held_out_rms_m
 
 
-def test_of_several_starts_the_closest_fit_is_taken_as_if_it_were_alone():
-    true, near = Delay(delay_s=3e-4), known_model()
-    plays = near.hysteresis.plays
+def test_the_closest_of_several_starts_gives_the_fit():
+    delay, model = Delay(delay_s=3e-4), known_model()
+    plays = model.hysteresis.plays
     wide = replace(plays, threshold=1.5 * plays.threshold)
-    far = replace(near, hysteresis=replace(near.hysteresis, plays=wide))
-    held = Structure(lag=False)
-    recordings, steps = recordings_of(true), 1
-    alone = [fit_extended(m, recordings, structure=held, steps=steps) for m in (far, near)]
-    found = fit_extended(far, recordings, further_starts=(near,), structure=held, steps=steps)
-    best = min(alone, key=lambda fit: fit.rms_m)
-    assert (found.rms_m, found.held_out_rms_m) == (best.rms_m, best.held_out_rms_m)
-    assert found.rms_m < max(fit.rms_m for fit in alone)
+    distant = replace(model, hysteresis=replace(model.hysteresis, plays=wide))
+    structure = Structure(lag=False)
+    recordings, steps = recordings_of(delay), 1
+    single_fits = [
+        fit_extended(m, recordings, structure=structure, steps=steps) for m in (distant, model)
+    ]
+    joint_fit = fit_extended(
+        distant, recordings, further_starts=(model,), structure=structure, steps=steps
+    )
+    best_fit = min(single_fits, key=lambda fit: fit.rms_m)
+    assert (joint_fit.rms_m, joint_fit.held_out_rms_m) == (best_fit.rms_m, best_fit.held_out_rms_m)
+    assert joint_fit.rms_m < max(fit.rms_m for fit in single_fits)
 
 
-def test_every_piece_of_an_interrupted_recording_begins_as_the_model_says():
+def test_every_piece_has_the_initial_state_of_the_model():
     recording, _ = recordings_of()
     starts = [
         PieceStart(
@@ -131,48 +139,48 @@ def test_every_piece_of_an_interrupted_recording_begins_as_the_model_says():
     assert [part.start for part in parts] == starts
 
 
-def test_an_error_of_the_measurement_that_only_the_rows_left_out_hold_is_not_fitted_away():
-    """A fold must not have seen its rows: a step in them stays in the error at full height."""
+def test_an_error_in_held_out_rows_is_not_fitted():
+    """A step in the rows of one fold stays in the held-out error at its full height."""
     recordings = recordings_of()
     part = parts_of(known_model(), recordings)[0]
-    last = part.samples[part.fold == part.fold[-1]]
-    rows = slice(int(last[last > 4000][0]), 5000)
-    wrong = disturbed(recordings[0], rows, 1e-7)
-    found = fit_extended(known_model(), (wrong, recordings[1]))
+    last_fold_rows = part.samples[part.fold == part.fold[-1]]
+    rows = slice(int(last_fold_rows[last_fold_rows > 4000][0]), 5000)
+    disturbed_recording = disturbed(recordings[0], rows, 1e-7)
+    fit = fit_extended(known_model(), (disturbed_recording, recordings[1]))
     count = sum(len(p.samples) for p in parts_of(known_model(), recordings))
-    inside = np.count_nonzero((part.samples >= rows.start) & (part.fold != NEVER_OUT))
-    expected_m = np.sqrt((inside * 1e-14 + count * NOISE_m**2) / len(found.held_m))
-    assert found.held_out_rms_m > 0.8 * expected_m
-    assert found.held_out_rms_m > 1.1 * found.rms_m
+    disturbed_count = np.count_nonzero((part.samples >= rows.start) & (part.fold != NEVER_OUT))
+    expected_m = np.sqrt((disturbed_count * 1e-14 + count * NOISE_m**2) / len(fit.held_m))
+    assert fit.held_out_rms_m > 0.8 * expected_m
+    assert fit.held_out_rms_m > 1.1 * fit.rms_m
 
 
-def test_nothing_is_found_where_nothing_is():
+def test_extensions_without_effect_are_fitted_as_zero():
     recordings = recordings_of()
-    bare = fit_extended(known_model(), recordings)
+    baseline = fit_extended(known_model(), recordings)
     for start in (Delay(delay_s=1e-4), CreepLadder(time_s=TIMES_s, share=(0.01, 0.01))):
-        found = fit_extended(known_model(), recordings, (start,))
-        assert found.held_out_rms_m == pytest.approx(bare.held_out_rms_m, rel=0.02)
-        assert np.abs(found.model.extensions[0].free().value).max() < 2e-3
+        fit = fit_extended(known_model(), recordings, (start,))
+        assert fit.held_out_rms_m == pytest.approx(baseline.held_out_rms_m, rel=0.02)
+        assert np.abs(fit.model.extensions[0].free().value).max() < 2e-3
 
 
-def test_a_memory_that_is_not_fitted_is_what_a_cycled_drive_leaves():
-    found = fit_extended(known_model(), recordings_of(), structure=Structure(memory=False))
-    plays = found.model.hysteresis.plays
-    low_V, high_V = np.array(found.model.voltage_V) - found.model.hysteresis.voltage_offset_V
-    way_V = np.array([0.0, low_V, high_V, -4.5])  # both recordings begin half a volt above
-    _, cycled_V = plays.run(way_V, plays.virgin_memory())
-    for start in found.model.starts:
+def test_an_initial_state_that_is_not_fitted_is_that_of_a_cycled_drive():
+    fit = fit_extended(known_model(), recordings_of(), structure=Structure(memory=False))
+    plays = fit.model.hysteresis.plays
+    low_V, high_V = np.array(fit.model.voltage_V) - fit.model.hysteresis.voltage_offset_V
+    path_V = np.array([0.0, low_V, high_V, -4.5])  # both recordings begin half a volt above low_V
+    _, cycled_V = plays.run(path_V, plays.virgin_memory())
+    for start in fit.model.starts:
         np.testing.assert_allclose(start.memory_V, cycled_V, atol=1e-9)
 
 
-def test_recordings_the_model_does_not_know_are_fitted_from_rest():
+def test_new_recordings_are_fitted_from_rest():
     unknown = replace(known_model(), starts=())
-    found = fit_extended(unknown, recordings_of())
-    assert found.held_out_rms_m < 1.3 * NOISE_m
-    assert {start.recording for start in found.model.starts} == {"slow.csv", "fast.csv"}
+    fit = fit_extended(unknown, recordings_of())
+    assert fit.held_out_rms_m < 1.3 * NOISE_m
+    assert {start.recording for start in fit.model.starts} == {"slow.csv", "fast.csv"}
 
 
-def test_an_extension_that_acts_in_one_fold_alone_leaves_the_held_out_error_as_it_is():
+def test_an_extension_active_in_one_fold_does_not_change_the_held_out_error():
     recordings = recordings_of()
     changes = tuple(
         GainChange(recording="slow.csv", instant_s=share * recordings[0].duration_s, ratio=1.0)

@@ -1,4 +1,4 @@
-"""Sweeps with known truth, and the sweeps of the one real file."""
+"""Simulated sweeps with known truth, and sweeps of the recorded file."""
 
 from pathlib import Path
 
@@ -50,26 +50,26 @@ def sweep(
 
 
 def real_table(realdata: Path) -> RawTable:
-    """The recorded Z spectroscopy."""
+    """Return the recorded Z spectroscopy."""
     return read_table(realdata / "stm_current_vs_z" / "z.dat")
 
 
 def real_sweep(table: RawTable, number: str, direction: Direction) -> ApproachCurve:
-    """One sweep of the real file: number "AVG", "00001", ..."""
-    way = " [bwd]" if direction is Direction.BACKWARD else ""
+    """Return one sweep of the recorded file: number "AVG", "00001", ..."""
+    suffix = " [bwd]" if direction is Direction.BACKWARD else ""
     return read_approach(
         table.si("Z rel (m)"),
-        table.si(f"Current [{number}]{way} (A)"),
-        bias_V=float(table.si(f"Bias [{number}]{way} (V)")[0]),
+        table.si(f"Current [{number}]{suffix} (A)"),
+        bias_V=float(table.si(f"Bias [{number}]{suffix} (V)")[0]),
         direction=direction,
-        label=f"Current [{number}]{way}",
+        label=f"Current [{number}]{suffix}",
     )
 
 
 def changed(
     curve: ApproachCurve, current_A: Array | None = None, *, height_sign: float = 1.0
 ) -> ApproachCurve:
-    """The sweep read again with another current, or with its height of the other sign."""
+    """Return the sweep with another current, or with an inverted height."""
     return read_approach(
         height_sign * curve.height_m,
         curve.current_A if current_A is None else current_A,

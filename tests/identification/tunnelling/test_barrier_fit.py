@@ -1,4 +1,4 @@
-"""The decay is found, and its interval holds whatever the noise, polarity and height are."""
+"""The decay is identified with its interval for any noise, polarity and height."""
 
 import numpy as np
 import pytest
@@ -44,8 +44,8 @@ def test_the_floor_and_the_jitter_of_the_gap_are_estimated(rng):
 
 
 @pytest.mark.parametrize(("step_A", "rel"), [(0.3e-12, 0.01), (5e-12, 0.1)])
-def test_steps_of_a_converter_that_nobody_declared_are_seen_as_a_floor(rng, step_A, rel):
-    """Steps of 5 pA hide the offset and half of the sweep; the rest still has its decay."""
+def test_undeclared_steps_of_a_converter_act_as_a_noise_floor(rng, step_A, rel):
+    """Steps of 5 pA hide the offset and half of the sweep; the other half shows its decay."""
     curve = sweep(rng, floor_A=0.0)
     fit = fit_barrier([changed(curve, step_A * np.round(curve.current_A / step_A))])
     assert fit.floor_A == pytest.approx(step_A / np.sqrt(12.0), rel=0.1, abs=0.0)
@@ -55,10 +55,10 @@ def test_steps_of_a_converter_that_nobody_declared_are_seen_as_a_floor(rng, step
 
 
 def test_single_outliers_do_not_move_the_decay(rng):
-    whole = sweep(rng)
-    current_A = whole.current_A.copy()
+    complete = sweep(rng)
+    current_A = complete.current_A.copy()
     current_A[[20, 90, 140]] *= 3.0
-    fit = fit_barrier([changed(whole, current_A)])
+    fit = fit_barrier([changed(complete, current_A)])
     assert fit.decay_per_m == pytest.approx(DECAY_PER_M, rel=0.01)
 
 

@@ -1,4 +1,4 @@
-"""Plant and barrier are found behind a controller, where the plain transfer function is wrong."""
+"""Plant and barrier are identified in closed loop, where the plain transfer function is wrong."""
 
 import math
 from dataclasses import replace
@@ -30,33 +30,33 @@ from tests.identification.tunnelling.loops import (
 )
 
 
-def test_barriers_within_five_percent_and_intervals_that_hold():
+def test_barriers_within_five_percent_and_intervals_with_their_coverage():
     """Twelve records of four seconds; the benchmark does fifty of eight."""
     junctions = [junction for n, junction in enumerate(BARRIERS) if n % 5 < 3]
     barriers_eV = np.array([junction.barrier_eV for junction in junctions])
     fits = [identified(record_of(junction), junction) for junction in junctions]
     error = np.array([fit.barrier_eV for fit in fits]) / barriers_eV - 1.0
-    held = [
+    is_inside = [
         fit.barrier_interval_eV[0] < truth < fit.barrier_interval_eV[1]
         for fit, truth in zip(fits, barriers_eV, strict=True)
     ]
     assert np.median(np.abs(error)) < 0.025
     assert np.max(np.abs(error)) < 0.08  # four standard deviations of the longest interval
-    assert sum(held) >= 10  # 11.4 expected, two standard deviations are 1.5
+    assert sum(is_inside) >= 10  # 11.4 expected, two standard deviations are 1.5
     naive = np.array([abs(fit.naive_error) for fit in fits])
     assert np.median(naive) > 0.15
     assert np.median(naive) > 5.0 * np.median(np.abs(error))
 
 
-def test_delay_and_sensor_pole_are_found_with_their_intervals():
+def test_delay_and_sensor_pole_are_identified_with_their_intervals():
     fit = identified(record_of(SLOW_SENSOR), SLOW_SENSOR)
     assert fit.delay_interval_s[0] < 40e-6 < fit.delay_interval_s[1]
     assert fit.sensor_pole_interval_Hz[0] < 5000.0 < fit.sensor_pole_interval_Hz[1]
     assert fit.plant.delay_s == pytest.approx(40e-6, abs=5e-6)
 
 
-def test_a_pole_faster_than_a_hold_shows_is_bounded_from_below_only():
-    """It looks like a delay; neither it nor the family around it may run away."""
+def test_a_pole_beyond_the_resolved_band_is_bounded_from_below_only():
+    """It resembles a delay; the estimate and its family stay plausible."""
     junction = replace(SLOW_SENSOR, sensor_pole_Hz=30e3)
     fit = identified(loop_records([junction], periods=11, seed=3)[0], junction)
     assert fit.sensor_pole_interval_Hz[0] > 4e3
@@ -68,26 +68,26 @@ def test_a_pole_faster_than_a_hold_shows_is_bounded_from_below_only():
     assert max(member.delay_s for member in family) < 80e-6
 
 
-def test_a_pole_no_record_can_tell_leaves_the_family_where_poles_are_sought():
+def test_an_undetermined_pole_stays_within_the_search_range():
     fit = identified(record_of(Junction(), 11), Junction())
-    known = fit.covariance.copy()
-    known[1, :] *= 1e4
-    known[:, 1] *= 1e4
-    members = spread_family([replace(fit, covariance=known)])
+    covariance = fit.covariance.copy()
+    covariance[1, :] *= 1e4
+    covariance[:, 1] *= 1e4
+    members = spread_family([replace(fit, covariance=covariance)])
     poles_Hz = [member.sensor_pole_Hz for member in members]
     assert 99.0 < min(poles_Hz) <= max(poles_Hz) < 10.1e3
     gains = np.log([member.gain_nepers_per_V for member in members])
-    assert np.ptp(gains) == pytest.approx(2.0 * 1.96 * np.sqrt(known[0, 0]), rel=1e-3)
+    assert np.ptp(gains) == pytest.approx(2.0 * 1.96 * np.sqrt(covariance[0, 0]), rel=1e-3)
 
 
-def test_a_quiet_junction_is_known_to_a_per_mille():
+def test_the_gain_of_a_noiseless_junction_is_accurate():
     fit = identified(record_of(NOISELESS_JUNCTION, 21), NOISELESS_JUNCTION)
     truth = NOISELESS_JUNCTION.decay_per_m * NOISELESS_JUNCTION.drive_gain_m_per_V
     assert fit.plant.gain_nepers_per_V == pytest.approx(truth, rel=5e-3)
     assert fit.confidence is Confidence.HIGH
 
 
-def test_the_naive_error_does_not_fall_with_a_longer_record():
+def test_the_naive_error_does_not_decrease_with_a_longer_record():
     short, long = (
         identified(record_of(ATTENUATED_DRIVE, periods), ATTENUATED_DRIVE) for periods in (11, 41)
     )
@@ -104,14 +104,14 @@ def test_the_naive_error_does_not_fall_with_a_longer_record():
         ({"seed": 41, "in_drive": True, "rms": 3e-12 / 18e-9}, 0.05),  # three picometres of tip
     ],
 )
-def test_a_dither_without_a_period_or_added_to_the_drive_serves_as_instrument_too(dither, rel):
+def test_an_aperiodic_dither_or_one_added_to_the_drive_identifies_the_barrier(dither, rel):
     (record,) = loop_records([ATTENUATED_DRIVE], periods=21, **dither)
     fit = identified(record, ATTENUATED_DRIVE)
     assert fit.barrier_interval_eV[0] < ATTENUATED_DRIVE.barrier_eV < fit.barrier_interval_eV[1]
     assert fit.barrier_eV == pytest.approx(ATTENUATED_DRIVE.barrier_eV, rel=rel)
 
 
-def test_a_weak_dither_gives_a_wide_interval_and_says_so():
+def test_a_weak_dither_gives_a_wide_interval_and_states_it():
     junction = Junction(drive_range_V=1.0, flicker_m=5e-12)
     fit = identified(loop_records([junction], periods=12, seed=11, rms=0.02)[0], junction)
     assert fit.confidence is not Confidence.HIGH
@@ -119,7 +119,7 @@ def test_a_weak_dither_gives_a_wide_interval_and_says_so():
 
 
 @pytest.mark.parametrize(("polarity", "unit"), [(-1.0, 1.0), (1.0, 1e-3)])
-def test_neither_the_sign_of_the_current_nor_the_unit_of_the_dither_matters(polarity, unit):
+def test_the_sign_of_the_current_and_the_unit_of_the_dither_do_not_matter(polarity, unit):
     record = record_of(Junction(), 12)
     changed = replace(
         record,
@@ -127,12 +127,14 @@ def test_neither_the_sign_of_the_current_nor_the_unit_of_the_dither_matters(pola
         set_point_A=polarity * record.set_point_A,
         reference=unit * record.reference,
     )
-    one, other = (identified(r, Junction()).plant.gain_nepers_per_V for r in (record, changed))
-    assert one == pytest.approx(other, rel=1e-6)
+    reference, gain = (
+        identified(r, Junction()).plant.gain_nepers_per_V for r in (record, changed)
+    )
+    assert reference == pytest.approx(gain, rel=1e-6)
 
 
 @pytest.mark.parametrize("is_periodic", [True, False])
-def test_all_lines_but_those_of_the_mains_are_used_however_slow(is_periodic):
+def test_all_lines_except_those_of_the_mains_are_used_at_any_rate(is_periodic):
     record = loop_records([Junction()], periods=10, seed=13, periodic=False)[0]
     if is_periodic:
         record = replace(record, period_samples=PERIOD_SAMPLES)
@@ -155,7 +157,7 @@ def test_all_lines_but_those_of_the_mains_are_used_however_slow(is_periodic):
     ],
     ids=["no dither", "too short", "sign of the set point", "sign of the drive"],
 )
-def test_a_record_that_cannot_be_identified_is_refused(periods, change, message):
+def test_an_unidentifiable_record_is_refused(periods, change, message):
     record = record_of(Junction(), periods)
     with pytest.raises(ExcitationError, match=message):
         identified(replace(record, **change(record)), Junction())
@@ -170,10 +172,8 @@ def test_an_uncertain_extension_widens_the_barrier_only():
 @pytest.mark.parametrize(
     ("junction", "tolerance"), [(SLOW_SENSOR, 1.08), (SLOW_SENSOR, 0.92), (FAST_SENSOR, 1.0)]
 )
-def test_the_delays_interval_holds_poles_that_a_data_sheet_states_a_little_off(
-    junction, tolerance
-):
-    """Eight per cent too slow or too fast, both of them: two microseconds or more of delay."""
+def test_the_interval_of_the_delay_allows_for_inaccurate_declared_poles(junction, tolerance):
+    """Both poles are wrong by 8 % in the same direction: two microseconds of delay or more."""
     fit = identified(
         record_of(junction, 21),
         junction,
@@ -185,20 +185,22 @@ def test_the_delays_interval_holds_poles_that_a_data_sheet_states_a_little_off(
     assert fit.plant.delay_s == pytest.approx(40e-6, abs=4e-6 if tolerance == 1.0 else 8e-6)
 
 
-def test_what_all_records_have_alike_does_not_average():
-    """Two records that share half of their variance know their mean less well than two alone."""
+def test_common_errors_of_records_do_not_average_out():
+    """Two records that share half of their variance determine the mean less accurately."""
     fit = identified(record_of(Junction(), 11), Junction())
-    alike = replace(fit, common=0.5 * fit.covariance)
-    halves = [mean_of([held] * 2)[1] for held in (replace(fit, common=0.0 * fit.common), alike)]
-    np.testing.assert_allclose((halves[1] / halves[0]) ** 2, 1.5)
+    correlated = replace(fit, common=0.5 * fit.covariance)
+    variances = [
+        mean_of([member] * 2)[1] for member in (replace(fit, common=0.0 * fit.common), correlated)
+    ]
+    np.testing.assert_allclose((variances[1] / variances[0]) ** 2, 1.5)
 
 
-def test_an_offset_of_the_current_is_taken_off_or_held_by_the_interval():
-    """Fifty picoamperes beside a nanoampere: five per cent of the gain, ten of the barrier."""
+def test_an_offset_of_the_current_is_removed_or_covered_by_the_interval():
+    """Fifty picoamperes of a nanoampere: 5 % of the gain and 10 % of the barrier."""
     junction, record = ATTENUATED_DRIVE, record_of(ATTENUATED_DRIVE)
-    moved = replace(record, current_A=record.current_A + 50e-12)
+    offset_record = replace(record, current_A=record.current_A + 50e-12)
     fits = [
-        identify_closed_loop(moved, rig_of(junction), offset_A=offset)
+        identify_closed_loop(offset_record, rig_of(junction), offset_A=offset)
         for offset in (
             (50e-12, 1e-13),
             (0.0, 30e-12),
@@ -211,23 +213,23 @@ def test_an_offset_of_the_current_is_taken_off_or_held_by_the_interval():
     assert fits[2].plant.gain_nepers_per_V < 0.98 * truth
 
 
-def test_blocks_that_cut_a_dither_take_nothing_off_the_gain():
-    """A slow junction of one second: blocks of 512 samples alone lose 0.23 % of the gain."""
-    quiet = replace(
+def test_blocks_of_an_aperiodic_dither_do_not_bias_the_gain():
+    """A slow junction of one second: blocks of 512 samples alone would lose 0.23 % of the gain."""
+    noiseless = replace(
         NOISELESS_JUNCTION,
         wander_m_per_root_s=0.0,
         sensor_pole_Hz=2000.0,
         amplifier_pole_Hz=2000.0,
         latency_s=50e-6,
     )
-    truth = quiet.decay_per_m * quiet.drive_gain_m_per_V
-    records = loop_records([quiet] * 6, periods=10, seed=21, periodic=False)
-    gains = [identified(record, quiet).plant.gain_nepers_per_V for record in records]
+    truth = noiseless.decay_per_m * noiseless.drive_gain_m_per_V
+    records = loop_records([noiseless] * 6, periods=10, seed=21, periodic=False)
+    gains = [identified(record, noiseless).plant.gain_nepers_per_V for record in records]
     assert np.mean(gains) == pytest.approx(truth, rel=1.5e-3)
 
 
 def spectra_of(plant: JunctionPlant, mode: DriveMode, *, seed: int, noise: float) -> LoopSpectra:
-    """Thirty-two blocks of 200 lines; the dither is the drive, the output carries noise."""
+    """Return spectra of 32 blocks of 200 lines; the dither is the drive, the output is noisy."""
     frequency_Hz = np.linspace(40.0, 8000.0, 200)
     parts = np.random.default_rng(seed).standard_normal((4, 32, 200))
     drive = parts[0] + 1j * parts[1]
@@ -236,8 +238,8 @@ def spectra_of(plant: JunctionPlant, mode: DriveMode, *, seed: int, noise: float
     return LoopSpectra(frequency_Hz=frequency_Hz, reference=drive, drive=drive, output=output)
 
 
-def test_a_mode_of_the_drive_passes_for_neither_gain_nor_delay():
-    """A fifth of the extension swings at 5 kHz: the response is the plant times the mode."""
+def test_a_mode_of_the_drive_biases_neither_gain_nor_delay():
+    """A fifth of the extension has a mode at 5 kHz: the response is the plant times the mode."""
     plant = JunctionPlant(
         gain_nepers_per_V=0.3,
         sensor_pole_Hz=6000.0,
@@ -259,8 +261,8 @@ def test_a_mode_of_the_drive_passes_for_neither_gain_nor_delay():
     assert fit.plant.delay_s == pytest.approx(70e-6, abs=2e-6)
 
 
-def test_a_mode_is_sampled_with_the_plant_also_beyond_half_the_rate():
-    """The oracle is the matrix exponential of amplifier, sensor and mode in a row."""
+def test_a_mode_is_sampled_with_the_plant_also_above_the_nyquist_frequency():
+    """Reference: matrix exponential of amplifier, sensor and mode in series."""
     plant = JunctionPlant(
         gain_nepers_per_V=2.0,
         sensor_pole_Hz=6000.0,
@@ -272,18 +274,20 @@ def test_a_mode_is_sampled_with_the_plant_also_beyond_half_the_rate():
     top = 2.0 * amplifier * sensor * np.array([0.3, 0.3 * mode / 6.0, mode**2])
     bottom = np.polymul(np.polymul([1.0, amplifier], [1.0, sensor]), [1.0, mode / 6.0, mode**2])
     A, B, C, D = tf2ss(top, bottom)
-    row = ContinuousSystem(A=A, B=B, C=C, D=D, delay_s=72e-6)
+    system = ContinuousSystem(A=A, B=B, C=C, D=D, delay_s=72e-6)
     frequency_Hz = np.linspace(10.0, 9900.0, 23)
-    found = plant.frequency_response(
+    response = plant.frequency_response(
         frequency_Hz, DriveMode(frequency_Hz=13000.0, quality=6.0, share=0.7)
     )
-    assert found == pytest.approx(sample(row, 20e3).response(frequency_Hz)[:, 0, 0], rel=1e-10)
+    assert response == pytest.approx(
+        sample(system, 20e3).response(frequency_Hz)[:, 0, 0], rel=1e-10
+    )
 
 
-def test_the_delay_is_as_sure_as_modes_beyond_the_recorded_lines_allow():
-    """A mode at 30 kHz stiffens the drive as a faster pole would: no line shows it as a mode."""
+def test_the_interval_of_the_delay_allows_for_modes_beyond_the_lines():
+    """A mode at 30 kHz advances the drive like a faster pole; no line shows it as a mode."""
     mode = DriveMode(frequency_Hz=30e3, quality=10.0, share=1.0)
-    held = 0
+    covered = 0
     for seed in range(12):
         rng = np.random.default_rng(seed)
         plant = JunctionPlant(
@@ -300,5 +304,5 @@ def test_the_delay_is_as_sure_as_modes_beyond_the_recorded_lines_allow():
             sampling_rate_Hz=20e3,
         )
         half_s = 1.96 * math.sqrt(fit.covariance[2, 2]) / 20e3
-        held += abs(fit.plant.delay_s - plant.delay_s) <= half_s
-    assert held >= 9  # seven of twelve without the tail
+        covered += abs(fit.plant.delay_s - plant.delay_s) <= half_s
+    assert covered >= 9  # seven of twelve without this allowance

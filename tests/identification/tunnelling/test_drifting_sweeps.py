@@ -1,4 +1,4 @@
-"""Drift, clipping, offset, a bias that the file does not know: sweeps as laboratories record."""
+"""Sweeps with drift, clipping, offset or unknown bias."""
 
 import re
 from dataclasses import replace
@@ -26,36 +26,36 @@ def sweeps(
     offset_A: float = 0.0,
     top_A: float = 5e-10,
     range_A: float = np.inf,
-    behind_A: float = 0.0,
+    converter_noise_A: float = 0.0,
 ) -> tuple[Array, Array, Array]:
-    """Height, current away from the surface and back, of a gap that opens steadily.
+    """Return height and currents of a retraction and an approach while the gap opens steadily.
 
-    behind_A  noise from behind the stage that clips
+    converter_noise_A  noise added after clipping
     """
     height_m = np.linspace(0.0, TRAVEL_m, ROWS)
-    ways = []
+    currents_A = []
     for time_s in (height_m / SPEED_m_per_s, (2 * TRAVEL_m - height_m) / SPEED_m_per_s):
         law_A = top_A * np.exp(-DECAY_per_m * (height_m + drift_m_per_s * time_s))
         jitter = 1.0 + 0.01 * rng.standard_normal(ROWS)
         dark_A = offset_A + 2e-14 * rng.standard_normal(ROWS)
         clipped_A = np.clip(law_A * jitter + dark_A, -range_A, range_A)
-        ways.append(clipped_A + behind_A * rng.standard_normal(ROWS))
-    return height_m, ways[0], ways[1]
+        currents_A.append(clipped_A + converter_noise_A * rng.standard_normal(ROWS))
+    return height_m, currents_A[0], currents_A[1]
 
 
 def fitted(
-    place: Path, height_m: Array, *ways: Array, bias: str = "20E-3", head: str = ""
+    path: Path, height_m: Array, *currents_A: Array, bias: str = "20E-3", head: str = ""
 ) -> TunnellingModel:
-    """What is found in a file of these columns: forward, then backward where there are two."""
-    names = ["Z rel (m)", "Current (A)", "Current [bwd] (A)"][: 1 + len(ways)]
-    rows = zip(height_m, *ways, strict=True)
+    """Fit a file with these columns: forward, then backward if there are two."""
+    names = ["Z rel (m)", "Current (A)", "Current [bwd] (A)"][: 1 + len(currents_A)]
+    rows = zip(height_m, *currents_A, strict=True)
     lines = ["\t".join(f"{value:.9e}" for value in row) for row in rows]
-    place.write_text(
+    path.write_text(
         f"Experiment\tZ spectroscopy\t\nBias>Bias (V)\t{bias}\t\n{head}\n[DATA]\n"
         + "\n".join(["\t".join(names), *lines])
         + "\n"
     )
-    model = fit_junction([read_table(place)])
+    model = fit_junction([read_table(path)])
     assert model is not None
     return model
 
@@ -66,7 +66,7 @@ def law_of(model: TunnellingModel) -> GapLaw:
 
 
 @pytest.mark.parametrize("drift_m_per_s", [100e-12, -100e-12, 0.0])
-def test_to_and_fro_together_are_free_of_a_drift_of_a_fifth_of_the_speed(
+def test_both_directions_together_cancel_a_drift_of_a_fifth_of_the_speed(
     tmp_path, rng, drift_m_per_s
 ):
     model = fitted(tmp_path / "z.dat", *sweeps(rng, drift_m_per_s=drift_m_per_s))
@@ -77,11 +77,11 @@ def test_to_and_fro_together_are_free_of_a_drift_of_a_fifth_of_the_speed(
     assert model.forward is not None
     share = drift_m_per_s / SPEED_m_per_s
     assert model.forward.decay_per_m == pytest.approx(DECAY_per_m * (1.0 + share), rel=0.02)
-    told = any("drifted or crept" in reason for reason in law.reasons)
-    assert told == (drift_m_per_s != 0.0)
+    is_stated = any("drifted or crept" in reason for reason in law.reasons)
+    assert is_stated == (drift_m_per_s != 0.0)
 
 
-def test_one_way_alone_holds_the_drift_in_its_interval_and_says_so(tmp_path, rng):
+def test_one_direction_alone_covers_the_drift_by_its_interval_and_states_it(tmp_path, rng):
     for drift_m_per_s in (100e-12, -100e-12):
         height_m, away_A, _ = sweeps(rng, drift_m_per_s=drift_m_per_s)
         law = law_of(fitted(tmp_path / "z.dat", height_m, away_A))
@@ -91,7 +91,7 @@ def test_one_way_alone_holds_the_drift_in_its_interval_and_says_so(tmp_path, rng
 
 
 @pytest.mark.parametrize("module", ["", "Z Spectroscopy>"])
-def test_a_head_that_states_the_time_of_a_row_narrows_what_drift_may_be(tmp_path, rng, module):
+def test_a_header_with_the_time_of_a_row_limits_the_drift(tmp_path, rng, module):
     height_m, away_A, _ = sweeps(rng)
     fast = f"{module}Settling time (s)\t100E-6\t\n{module}Integration time (s)\t100E-6\t\n"
     stated = law_of(fitted(tmp_path / "z.dat", height_m, away_A, head=fast))
@@ -99,38 +99,40 @@ def test_a_head_that_states_the_time_of_a_row_narrows_what_drift_may_be(tmp_path
     assert np.ptp(stated.decay_interval_per_m) < 0.1 * np.ptp(unstated.decay_interval_per_m)
 
 
-@pytest.mark.parametrize("behind_A", [0.0, 5e-12])
-def test_rows_at_the_preamplifiers_limit_are_left_out_and_counted(tmp_path, rng, behind_A):
-    """A third of a decade and more is cut off, exactly or under noise of the converter."""
-    held = sweeps(rng, top_A=5e-9, range_A=1.2e-9, behind_A=behind_A)
-    law = law_of(fitted(tmp_path / "z.dat", *held))
+@pytest.mark.parametrize("converter_noise_A", [0.0, 5e-12])
+def test_rows_at_the_limit_of_the_preamplifier_are_excluded_and_counted(
+    tmp_path, rng, converter_noise_A
+):
+    """More than a third of a decade is clipped, exactly or with noise of the converter."""
+    columns = sweeps(rng, top_A=5e-9, range_A=1.2e-9, converter_noise_A=converter_noise_A)
+    law = law_of(fitted(tmp_path / "z.dat", *columns))
     assert law.decay_interval_per_m[0] < DECAY_per_m < law.decay_interval_per_m[1]
     assert law.decay_per_m == pytest.approx(DECAY_per_m, rel=0.02)
-    cut = np.count_nonzero(held[0] < np.log(5.0 / 1.2) / DECAY_per_m)
+    cut = np.count_nonzero(columns[0] < np.log(5.0 / 1.2) / DECAY_per_m)
     counts = [re.search(r"(\d+) of 150 rows lie at", reason) for reason in law.reasons]
-    told = [int(count[1]) for count in counts if count is not None]
-    assert told
-    assert all(cut <= count <= cut + 6 for count in told)
+    stated_counts = [int(count[1]) for count in counts if count is not None]
+    assert stated_counts
+    assert all(cut <= count <= cut + 6 for count in stated_counts)
 
 
-def test_no_row_of_a_sweep_within_the_range_is_taken_for_clipped(rng):
+def test_a_sweep_within_the_range_has_no_clipped_rows(rng):
     for _ in range(20):
-        height_m, *ways = sweeps(rng, behind_A=1e-12)
-        for current_A, direction in zip(ways, Direction, strict=True):
+        height_m, *currents_A = sweeps(rng, converter_noise_A=1e-12)
+        for current_A, direction in zip(currents_A, Direction, strict=True):
             curve = read_approach(
                 height_m, current_A, bias_V=None, direction=direction, label="whole"
             )
             assert curve.saturated == 0
 
 
-def test_an_offset_of_picoamperes_moves_nothing(tmp_path, rng):
+def test_an_offset_of_picoamperes_is_removed(tmp_path, rng):
     law = law_of(fitted(tmp_path / "z.dat", *sweeps(rng, offset_A=4e-12)))
     assert law.offset_A == pytest.approx(4e-12, abs=5.0 * law.offset_standard_A)
     assert law.decay_interval_per_m[0] < DECAY_per_m < law.decay_interval_per_m[1]
 
 
-def test_a_head_of_zero_bias_leaves_the_sign_to_the_current(tmp_path, rng):
+def test_a_header_without_bias_leaves_the_sign_to_the_current(tmp_path, rng):
     height_m, away_A, back_A = sweeps(rng)
     unknown = fitted(tmp_path / "z.dat", height_m, -away_A, -back_A, bias="0E+0")
-    known = fitted(tmp_path / "z.dat", height_m, -away_A, -back_A, bias="-1E-3")
-    assert law_of(unknown) == replace(law_of(known), polarity=-1.0)
+    expected = fitted(tmp_path / "z.dat", height_m, -away_A, -back_A, bias="-1E-3")
+    assert law_of(unknown) == replace(law_of(expected), polarity=-1.0)

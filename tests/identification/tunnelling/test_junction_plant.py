@@ -1,4 +1,4 @@
-"""The sampled plant is exact: against the matrix exponential, and in all of its three forms."""
+"""The sampled plant is exact in its three forms, compared with the matrix exponential."""
 
 import numpy as np
 import pytest
@@ -45,8 +45,8 @@ def test_the_frequency_response_is_that_of_the_polynomials():
     plant = _plant(61e-6)
     numerator, denominator = plant.polynomials()
     frequency_Hz = np.array([1.0, 100.0, 3000.0, 9900.0])
-    back = np.exp(-2j * np.pi * frequency_Hz / RATE_Hz)
-    expected = np.polyval(numerator[::-1], back) / np.polyval(denominator[::-1], back)
+    inverse_z = np.exp(-2j * np.pi * frequency_Hz / RATE_Hz)
+    expected = np.polyval(numerator[::-1], inverse_z) / np.polyval(denominator[::-1], inverse_z)
     assert plant.frequency_response(frequency_Hz) == pytest.approx(expected, rel=1e-10)
 
 

@@ -1,4 +1,4 @@
-"""Drift, hum and the limit of resolution are read off the closed loop, in metres of gap."""
+"""Drift, hum and resolution of the closed loop, in metres of gap."""
 
 from dataclasses import replace
 
@@ -87,28 +87,28 @@ def test_the_published_budget_at_one_nanoampere_and_ten_kilohertz():
     assert max(in_pm, key=lambda name: in_pm[name]) == "drive_step"
 
 
-@pytest.mark.parametrize("unrest_m", [1e-12, 1e-13])
-def test_the_gap_is_what_the_electronics_of_the_current_leave_of_the_unrest(unrest_m):
+@pytest.mark.parametrize("motion_m", [1e-12, 1e-13])
+def test_the_gap_noise_is_the_motion_beyond_the_noise_of_the_electronics(motion_m):
     *reading, _, gap = budget_resolution(
         set_point_A=1e-9,
         decay_per_m=decay_of_barrier(1.0),
         drive_step_m=5e-12,
         sampling_rate_Hz=20e3,
         chain=CHAIN,
-        gap_rms_m=unrest_m,
+        gap_rms_m=motion_m,
     )
-    alone_m = np.sqrt(sum(source.rms_m**2 for source in reading))
-    whole_m = np.hypot(alone_m, gap.rms_m)
-    assert whole_m == pytest.approx(max(unrest_m, alone_m), rel=1e-9, abs=0.0)
+    electronics_m = np.sqrt(sum(source.rms_m**2 for source in reading))
+    total_m = np.hypot(electronics_m, gap.rms_m)
+    assert total_m == pytest.approx(max(motion_m, electronics_m), rel=1e-9, abs=0.0)
 
 
 def test_the_limiting_electronics_change_with_an_attenuator():
-    whole, attenuated = (
+    direct, attenuated = (
         measured(junction, periods=12) for junction in (Junction(), STRONGLY_ATTENUATED_DRIVE)
     )
-    assert whole.limiting_electronics == "drive_step"
+    assert direct.limiting_electronics == "drive_step"
     assert attenuated.limiting_electronics == "shot"
-    assert whole.limiting_source == attenuated.limiting_source == "gap"
+    assert direct.limiting_source == attenuated.limiting_source == "gap"
 
 
 def test_the_budget_is_for_the_declared_bandwidth_or_for_the_pole_below_half_the_rate():

@@ -1,4 +1,4 @@
-"""What leaves the folder: a family that holds the junctions, a model that comes back exactly."""
+"""The family of plants covers the junctions, and the model survives its file."""
 
 import json
 from collections.abc import Sequence
@@ -47,11 +47,11 @@ def half_gain_spread(family: Sequence[JunctionPlant]) -> float:
     return 0.5 * float(np.log(high.gain_nepers_per_V / low.gain_nepers_per_V))
 
 
-def test_the_family_holds_the_junctions_it_was_drawn_from(fits):
+def test_the_family_covers_its_junctions(fits):
     nominal, *extremes = spread_family(fits)
     assert len(extremes) == 6
-    for place, name in enumerate(("gain_nepers_per_V", "sensor_pole_Hz", "delay_s")):
-        low, high = (getattr(member, name) for member in extremes[2 * place : 2 * place + 2])
+    for index, name in enumerate(("gain_nepers_per_V", "sensor_pole_Hz", "delay_s")):
+        low, high = (getattr(member, name) for member in extremes[2 * index : 2 * index + 2])
         assert low < getattr(nominal, name) < high
         assert all(low <= getattr(member, name) <= high for member in extremes)
     gains = [fit.plant.gain_nepers_per_V for fit in fits]
@@ -65,36 +65,36 @@ def test_the_family_holds_the_junctions_it_was_drawn_from(fits):
         barriers_eV.append(root**2 / ELEMENTARY_C)
     assert barriers_eV[0] < 4.0 < barriers_eV[1]
     assert delay_low.delay_s < 30e-6 < delay_high.delay_s
-    # The spread is that of the junctions: 5 % of gain, Student's quantile 2.36, not more.
+    # The spread of the junctions: 5 % of gain, Student's quantile 2.36.
     assert 0.06 < half_gain_spread([nominal, *extremes]) < 0.25
 
 
-def test_one_record_spreads_by_its_own_uncertainty(fits):
-    """Too few records to see what differs between them: the normal quantile of one."""
+def test_one_record_has_the_spread_of_its_uncertainty(fits):
+    """One record shows no differences between records: its normal quantile."""
     expected = 1.96 * np.sqrt(fits[0].covariance[0, 0])
     assert half_gain_spread(spread_family(fits[:1])) == pytest.approx(expected, rel=1e-3)
 
 
 def test_equal_junctions_have_no_spread_beyond_their_uncertainty():
     equal = Junction()
-    same = [identified(r, equal) for r in loop_records([equal] * 4, periods=11, seed=37)]
-    uncertainty = np.sqrt(np.mean([fit.covariance[0, 0] for fit in same]))
-    assert half_gain_spread(spread_family(same)) < 4.0 * uncertainty
+    fits = [identified(r, equal) for r in loop_records([equal] * 4, periods=11, seed=37)]
+    uncertainty = np.sqrt(np.mean([fit.covariance[0, 0] for fit in fits]))
+    assert half_gain_spread(spread_family(fits)) < 4.0 * uncertainty
 
 
-def test_the_model_comes_back_number_for_number_also_where_an_interval_has_no_end(rng, fits):
+def test_a_model_with_an_unbounded_interval_survives_its_file(rng, fits):
     model = TunnellingModel(
         gap_law=fit_barrier([sweep(rng)]).law,
         loop_plant=describe_loop_plant(fits, rig_of(Junction())),
     )
     weak = fit_barrier([sweep(rng, peak_A=0.02e-12, floor_A=0.05e-12)])
     assert weak.decay_interval_per_m[1] == np.inf
-    for known in (model, replace(model, gap_law=weak.law)):
-        text = json.dumps(to_json(known), allow_nan=False)
-        assert from_json(TunnellingModel, json.loads(text)) == known
+    for expected in (model, replace(model, gap_law=weak.law)):
+        text = json.dumps(to_json(expected), allow_nan=False)
+        assert from_json(TunnellingModel, json.loads(text)) == expected
 
 
-def test_one_loop_among_other_recordings_is_enough_for_a_plant(tmp_path):
+def test_one_loop_among_other_recordings_gives_a_plant(tmp_path):
     (tmp_path / "lab.toml").write_text(LAB)
     lab, junction, sweep_of_x = read_lab(tmp_path / "lab.toml"), Junction(), stage_recording()
     record = record_of(junction, 9)

@@ -1,4 +1,4 @@
-"""The recorded Z spectroscopy: three sweeps each way, nothing selected."""
+"""Recorded Z spectroscopy: three sweeps in each direction, without selection."""
 
 from functools import cache
 from pathlib import Path
@@ -41,12 +41,12 @@ def test_the_published_decay_lies_in_the_interval_and_three_sweeps_agree_with_it
 def test_the_negative_polarity_and_the_offset_are_found(realdata):
     fit = _fit(realdata, Direction.FORWARD, "AVG")
     assert fit.polarity == -1.0
-    assert -0.05e-12 < fit.offset_A < -0.01e-12  # the far end rests at -0.036 pA
+    assert -0.05e-12 < fit.offset_A < -0.01e-12  # -0.036 pA at the far end
 
 
 def test_the_directions_differ_by_a_few_picometres(realdata):
-    ways = [_fit(realdata, way, "00001", "00002", "00003") for way in Direction]
-    shift = compare_directions(*ways)
+    fits = [_fit(realdata, direction, "00001", "00002", "00003") for direction in Direction]
+    shift = compare_directions(*fits)
     low, high = shift.shift_interval_m
     assert -5e-12 < low < shift.shift_m < high < 0.0
     assert shift.is_one_decay

@@ -1,4 +1,4 @@
-"""The sweeps of a Z spectroscopy file are found, with height, direction and bias."""
+"""Sweeps of a Z spectroscopy file are read with height, direction and bias."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_the_real_file_holds_three_sweeps_each_way(realdata):
     assert np.array_equal(curves[4].height_m, expected.height_m)
 
 
-def test_sweeps_of_several_files_are_taken_in_their_order():
+def test_sweeps_of_several_files_keep_their_order():
     head = {"Bias>Bias (V)": "-20E-3"}
     first = _table("Z rel (nm)", "Current (nA)", "Current [bwd] (nA)", metadata=head)
     second = _table("Z rel (nm)", "Current (pA)", metadata=head)
@@ -49,11 +49,15 @@ def test_sweeps_of_several_files_are_taken_in_their_order():
     ]
 
 
-def test_an_average_is_taken_only_where_there_is_nothing_else():
-    alone = _table("Z rel (nm)", "Current [AVG] (pA)", "Bias [AVG] (V)")
-    both = _table("Z rel (nm)", "Current [AVG] (pA)", "Current [00001] (pA)", "Bias [00001] (V)")
-    assert [c.label for c in read_z_spectroscopy(alone)] == ["made.dat: Current [AVG] (pA)"]
-    assert [c.label for c in read_z_spectroscopy(both)] == ["made.dat: Current [00001] (pA)"]
+def test_an_average_is_read_only_without_single_sweeps():
+    average_only = _table("Z rel (nm)", "Current [AVG] (pA)", "Bias [AVG] (V)")
+    average_and_sweep = _table(
+        "Z rel (nm)", "Current [AVG] (pA)", "Current [00001] (pA)", "Bias [00001] (V)"
+    )
+    assert [c.label for c in read_z_spectroscopy(average_only)] == ["made.dat: Current [AVG] (pA)"]
+    assert [c.label for c in read_z_spectroscopy(average_and_sweep)] == [
+        "made.dat: Current [00001] (pA)"
+    ]
 
 
 def test_units_of_the_headings_are_converted():
@@ -63,7 +67,7 @@ def test_units_of_the_headings_are_converted():
     assert curve.bias_V == pytest.approx(3.5e-3)
 
 
-def test_the_bias_of_the_head_serves_where_the_sweep_has_none():
+def test_the_bias_of_the_header_is_used_for_a_sweep_without_bias():
     table = _table("Z rel (m)", "Current [bwd] (A)", metadata={"Bias>Bias (V)": "-20E-3"})
     (curve,) = read_z_spectroscopy(table)
     assert curve.bias_V == -0.02
@@ -96,8 +100,8 @@ def test_a_text_table_of_height_and_current_is_an_approach_curve(tmp_path, rng):
     (inspection,) = inspect_files([path])
     assert inspection.refusal is None
     assert "approach_curve" in {statement.quantity for statement in inspection.statements}
-    held = collect([path])
-    law = fit_junction(held.sweeps)
+    collection = collect([path])
+    law = fit_junction(collection.sweeps)
     assert law is not None
     assert law.gap_law is not None
     low_per_m, high_per_m = law.gap_law.decay_interval_per_m
