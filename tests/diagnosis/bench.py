@@ -1,6 +1,6 @@
 """Healthy campaigns of the virtual laboratory as recordings, and their residual views."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -10,10 +10,12 @@ from benchmarks.zoo.stages import draw_stage as drawn
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.residual_view import View
+from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
-from piezoid.records.recording import Recording
+from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
+NO_DECLARATIONS = Lab()
 PLANS = ("sweep", "rates", "staircase", "chirp", "other_axis")
 
 
@@ -29,6 +31,25 @@ def effects_of(diagnosis: Diagnosis) -> tuple[Finding, ...]:
         for finding in diagnosis.findings
         if finding.effect not in ("loop_shape", "something_else")
     )
+
+
+def finding_of(diagnosis: Diagnosis, effect: str) -> Finding:
+    """Return the only finding of an effect."""
+    (finding,) = (finding for finding in diagnosis.findings if finding.effect == effect)
+    return finding
+
+
+def single_axis_recording(
+    name: str, rate_Hz: float, voltage_V: Array, displacement_m: Array
+) -> Recording:
+    channels = tuple(
+        Channel(quantity=quantity, axis="x", values=values, label=quantity.name)
+        for quantity, values in (
+            (Quantity.VOLTAGE, voltage_V),
+            (Quantity.DISPLACEMENT, displacement_m),
+        )
+    )
+    return Recording(name=name, digest="", axis="x", sampling_rate_Hz=rate_Hz, channels=channels)
 
 
 def thinned(recordings: Iterable[Recording], every: int) -> tuple[Recording, ...]:
@@ -57,7 +78,7 @@ def healthy() -> tuple[tuple[Recording, ...], Lab]:
     return recorded(draw_campaign(20, truth="bouc_wen", plans=PLANS))
 
 
-def view_of_recordings(recordings: tuple[Recording, ...], lab: Lab) -> View:
+def view_of_recordings(recordings: Sequence[Recording], lab: Lab = NO_DECLARATIONS) -> View:
     return view_on(recordings, axis="x", lab=lab)
 
 

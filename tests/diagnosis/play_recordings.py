@@ -10,10 +10,9 @@ from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
-from piezoid.records.lab import Lab
 from piezoid.records.recording import Channel, Quantity, Recording
 
-from .bench import healthy, view_of_recordings
+from .bench import healthy, single_axis_recording, view_of_recordings
 
 WIDTH = np.linspace(0.05, 0.9, 12)
 WEIGHT = 0.12 * np.exp(-1.5 * WIDTH)
@@ -58,12 +57,7 @@ def memory_after(turns: TurnsBefore, first: float) -> Array:
 
 
 def drive_recording(name: str, rate_Hz: float, drive: Array, displacement_m: Array) -> Recording:
-    values = {Quantity.VOLTAGE: 5.0 + 5.0 * drive, Quantity.DISPLACEMENT: displacement_m}
-    channels = tuple(
-        Channel(quantity=quantity, axis="x", values=signal, label=quantity.name)
-        for quantity, signal in values.items()
-    )
-    return Recording(name=name, digest="", axis="x", sampling_rate_Hz=rate_Hz, channels=channels)
+    return single_axis_recording(name, rate_Hz, 5.0 + 5.0 * drive, displacement_m)
 
 
 @cache
@@ -127,4 +121,4 @@ def wobbling(recordings: Iterable[Recording], share: float) -> tuple[Recording, 
 @cache
 def view_after(*histories: TurnsBefore | None) -> View:
     """Return the residual view of the recordings after these turns."""
-    return view_of_recordings(recordings_after(*histories), Lab())
+    return view_of_recordings(recordings_after(*histories))

@@ -4,10 +4,9 @@ from functools import cache
 
 import numpy as np
 
-from piezoid.diagnosis.diagnose import view_on
 from piezoid.numerics.arrays import Array
-from piezoid.records.lab import Lab
-from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid.records.recording import Recording
+from tests.diagnosis.bench import single_axis_recording, view_of_recordings
 
 STROKE_m = 30e-6
 NOISE_m = 5e-4 * STROKE_m
@@ -30,39 +29,37 @@ def drive(kind: str) -> tuple[float, Array]:
 
 def stroke_fraction(field: Array) -> Array:
     """Return the displacement divided by the stroke."""
-    state, rub, out = np.zeros(6), 0.0, np.empty(len(field))
+    state, friction, out = np.zeros(6), 0.0, np.empty(len(field))
     width = np.linspace(0.05, 0.6, 6)
     for i, (u, step) in enumerate(zip(field, np.diff(field, prepend=field[0]), strict=True)):
         state = np.clip(state, u - width, u + width)
-        rub += 0.8 * step - 2.0 * abs(step) * rub
-        out[i] = 0.3 * u + 0.025 * state.sum() + 0.1 * rub + 0.01 * u * u
+        friction += 0.8 * step - 2.0 * abs(step) * friction
+        out[i] = 0.3 * u + 0.025 * state.sum() + 0.1 * friction + 0.01 * u * u
     return out
+
+
+def noisy_reading_m(field: Array, seed: int) -> Array:
+    noise_m = np.random.default_rng(seed).normal(0.0, NOISE_m, len(field))
+    return STROKE_m * stroke_fraction(field) + noise_m
 
 
 @cache
 def clean(kind: str) -> tuple[float, Array, Array]:
     rate_Hz, field = drive(kind)
-    noise = np.random.default_rng(len(kind)).normal(0.0, NOISE_m, len(field))
-    return rate_Hz, field, STROKE_m * stroke_fraction(field) + noise
+    return rate_Hz, field, noisy_reading_m(field, len(kind))
 
 
 def recording(kind: str, reading_m: Array | None = None, field: Array | None = None) -> Recording:
-    rate_Hz, default_field, measured_m = clean(kind)
-    values = {
-        Quantity.VOLTAGE: 50.0 + 40.0 * (default_field if field is None else field),
-        Quantity.DISPLACEMENT: measured_m if reading_m is None else reading_m,
-    }
-    channels = tuple(
-        Channel(quantity=quantity, axis="x", values=signal, label=quantity.name)
-        for quantity, signal in values.items()
-    )
-    return Recording(name=kind, digest="", axis="x", sampling_rate_Hz=rate_Hz, channels=channels)
+    rate_Hz, default_field, default_m = clean(kind)
+    voltage_V = 50.0 + 40.0 * (default_field if field is None else field)
+    displacement_m = default_m if reading_m is None else reading_m
+    return single_axis_recording(kind, rate_Hz, voltage_V, displacement_m)
 
 
 def view_with(**readings_m: Array):
     kinds = ("sweep", "walk", "waves")
     recordings = [recording(kind, readings_m.get(kind)) for kind in kinds]
-    return view_on(recordings, axis="x", lab=Lab())
+    return view_of_recordings(recordings)
 
 
 @cache

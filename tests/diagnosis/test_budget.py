@@ -7,11 +7,12 @@ import pytest
 
 from piezoid import diagnose
 from piezoid.diagnosis.budget import RemainingErrors, with_budget
-from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.diagnosis import BudgetPart, Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
 from piezoid.identification.simulation import simulate_recording
 from piezoid.records.frames import from_arrays
 from piezoid.records.recording import Recording
+from tests.diagnosis.bench import finding_of
 from tests.diagnosis.ceramic import NOISE_um, bouc_wen_um
 from tests.plays_alone import fit_one_order, fit_plays_alone
 from tests.reports.known_diagnosis import diagnosed, finding
@@ -34,21 +35,22 @@ def power(diagnosis: Diagnosis) -> float:
     return sum(part.rms_m**2 for part in diagnosis.budget)
 
 
+def part_of(diagnosis: Diagnosis, name: str) -> BudgetPart:
+    return next(part for part in diagnosis.budget if part.part == name)
+
+
 @pytest.mark.slow
 def test_loops_of_another_class_are_named_loop_shape_only():
     _, bouc_wen = bouc_wen_diagnosis()
     assert bouc_wen.names == ("loop_shape",)
-    part = next(part for part in bouc_wen.budget if part.part == "loop_shape")
-    assert part.rms_m > 3.0 * NOISE_um * 1e-6
+    assert part_of(bouc_wen, "loop_shape").rms_m > 3.0 * NOISE_um * 1e-6
 
 
 @pytest.mark.slow
 def test_the_final_error_is_that_of_the_model_and_the_budget_adds_up():
     loops, bouc_wen = bouc_wen_diagnosis()
-    assert bouc_wen.model is not None
     assert bouc_wen.final.rms_m == bouc_wen.model.quality.held_out_rms_m
-    part = next(part for part in bouc_wen.budget if part.part == "loop_shape")
-    assert part.is_explained
+    assert part_of(bouc_wen, "loop_shape").is_explained
     assert power(bouc_wen) == pytest.approx(bouc_wen.baseline.rms_m**2, rel=1e-9)
     assert read_diagnoses(write_diagnosis(bouc_wen))[0] == bouc_wen
     error_m = simulate_recording(bouc_wen.model, loops) - loops.displacement_m()
@@ -74,23 +76,18 @@ def test_each_error_is_split_by_the_next_smaller_one():
 def test_a_dominant_residual_is_something_else_with_its_coordinate():
     errors = RemainingErrors(explained_m=3e-8, wide_m=3e-8, scatter=0.01)
     diagnosis = with_budget(diagnosed(finding("creep", 0.4)), errors)
-    structure = next(
-        finding for finding in diagnosis.findings if finding.effect == "something_else"
-    )
-    assert structure.coordinate == "drive"
+    assert finding_of(diagnosis, "something_else").coordinate == "drive"
     assert diagnosis.largest_remaining.part in ("something_else", "unexplained")
 
 
 def test_unmodelled_structure_is_part_of_the_final_error():
     errors = RemainingErrors(explained_m=2.5e-8, wide_m=1e-8, scatter=0.01, structure_m=2e-8)
-    diagnosis = with_budget(
-        diagnosed(finding("creep", 0.4), finding("something_else", 0.4)), errors
-    )
-    parts = {part.part: part for part in diagnosis.budget}
-    assert not parts["something_else"].is_explained
-    assert parts["something_else"].rms_m == pytest.approx(2e-8)
-    assert parts["creep"].rms_m == pytest.approx(4e-8)
-    assert parts["loop_shape"].rms_m == pytest.approx(np.sqrt(1.25) * 1e-8)
+    findings = finding("creep", 0.4), finding("something_else", 0.4)
+    diagnosis = with_budget(diagnosed(*findings), errors)
+    assert not part_of(diagnosis, "something_else").is_explained
+    assert part_of(diagnosis, "something_else").rms_m == pytest.approx(2e-8)
+    assert part_of(diagnosis, "creep").rms_m == pytest.approx(4e-8)
+    assert part_of(diagnosis, "loop_shape").rms_m == pytest.approx(np.sqrt(1.25) * 1e-8)
     assert power(diagnosis) == pytest.approx(diagnosis.baseline.rms_m**2)
 
 
@@ -109,9 +106,8 @@ def test_the_error_of_coarse_readings_is_quantisation_and_not_something_else():
         diagnosis = diagnose([coarse])
     assert "quantisation" in diagnosis.names
     assert "something_else" not in diagnosis.names
-    part = next(part for part in diagnosis.budget if part.part == "quantisation")
+    part = part_of(diagnosis, "quantisation")
     assert not part.is_explained
-    assert np.hypot(part.rms_m, diagnosis.noise_floor_rms_m) == pytest.approx(
-        step_m / np.sqrt(12.0), rel=0.2
-    )
+    rms_m = np.hypot(part.rms_m, diagnosis.noise_floor_rms_m)
+    assert rms_m == pytest.approx(step_m / np.sqrt(12.0), rel=0.2)
     assert power(diagnosis) == pytest.approx(diagnosis.baseline.rms_m**2, rel=1e-9)

@@ -9,6 +9,7 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.numerics.arrays import Array
 from piezoid.records.collection import collect
+from tests.diagnosis.bench import finding_of
 from tests.laws import LAWS, RATE_Hz, write
 
 pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
@@ -53,7 +54,7 @@ def test_creep_at_a_constant_sensor_is_named_with_its_size(tmp_path, law):
     step = 1.8
     creep = -SHARE * step * np.log10(1.0 + HOLD_s / 0.02) * 0.5
     diagnosis = diagnosed(tmp_path, law, creep)
-    finding = next(candidate for candidate in diagnosis.findings if candidate.effect == "creep")
+    finding = finding_of(diagnosis, "creep")
     low, high = finding.size.ci95
     approach = LAWS[law](np.linspace(1.0, -0.8, MOVE))
     assert low < 100 * SHARE * step * 0.5 / abs(approach[-1] - approach[0]) < high

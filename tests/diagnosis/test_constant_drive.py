@@ -79,7 +79,6 @@ def test_a_jump_is_something_else_with_its_instant(jump_m, is_named):
         assert jump.effect == "something_else"
         assert jump.parameters["instant_s"] == pytest.approx(23.0, abs=0.05)
         assert jump.parameters["jump_m"] == pytest.approx(jump_m, rel=0.1)
-        assert jump.seen is not None
         assert jump.seen.unit == "s"
         assert jump.seen.fitted_m[-1] - jump.seen.fitted_m[0] == pytest.approx(jump_m, rel=0.1)
 
@@ -98,9 +97,8 @@ def test_a_finding_states_its_error_before_and_after_and_its_share_of_the_stroke
     assert (high_nm - low_nm) / 3.92 == pytest.approx(3.0 / SAMPLES**0.5, rel=0.6)
     assert diagnosis.baseline.rms_m == pytest.approx(finding.held_out_rms_before_m, rel=1e-9)
     assert diagnosis.final.rms_m == pytest.approx(finding.held_out_rms_after_m, rel=1e-9)
-    assert diagnosis.final.rms_percent == pytest.approx(
-        100.0 * diagnosis.final.rms_m / diagnosis.stroke_m
-    )
+    percent = 100.0 * diagnosis.final.rms_m / diagnosis.stroke_m
+    assert diagnosis.final.rms_percent == pytest.approx(percent)
     assert diagnosis.explained_fraction > 0.99
     assert diagnosis.unexplained.p_value > 1e-3
     assert finding.p_value < 1e-6
@@ -133,19 +131,15 @@ def test_a_line_off_the_mains_is_something_else_and_a_second_line_is_unexplained
     assert unexplained.coordinate == "frequency"
     assert unexplained.p_value < 1e-6
     assert unexplained.gain == pytest.approx(3.125 / (3.125 + 9.0), rel=0.1)
-    assert unexplained.share == pytest.approx(
-        (unexplained.rms_m / diagnosis.final.rms_m) ** 2, rel=1e-6
-    )
+    share = (unexplained.rms_m / diagnosis.final.rms_m) ** 2
+    assert unexplained.share == pytest.approx(share, rel=1e-6)
 
 
 def test_a_hum_is_detected_above_its_detection_limit_only():
-    limits_m = {
-        absent.effect: absent.detection_limit_m
-        for absent in diagnosis_at_rest(np.zeros(SAMPLES)).not_detected
-    }
+    not_detected = diagnosis_at_rest(np.zeros(SAMPLES)).not_detected
+    limits_m = {absent.effect: absent.detection_limit_m for absent in not_detected}
     assert limits_m["slew_limit"] is None
     limit_m = limits_m[MAINS]
-    assert limit_m is not None
     for factor, is_named in ((1.3, True), (0.6, False)):
         hum_m = factor * limit_m * 2**0.5 * np.sin(2.0 * np.pi * 50.0 * TIME_s)
         assert (MAINS in diagnosis_at_rest(hum_m).names) is is_named

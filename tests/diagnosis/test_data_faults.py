@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effects import (
     mains_interference,
     outliers,
@@ -15,14 +14,15 @@ from piezoid.diagnosis.effects import (
 )
 from piezoid.diagnosis.residual_view import with_tracks
 from piezoid.diagnosis.score_test import score_test
-from piezoid.records.lab import Lab
 
+from .bench import view_of_recordings
 from .play_stage import (
     NOISE_m,
     STROKE_m,
     clean,
     healthy,
     is_within_interval,
+    noisy_reading_m,
     recording,
     stroke_fraction,
     view_with,
@@ -91,11 +91,9 @@ def test_spikes_are_found_despite_fast_motion_elsewhere():
 def test_a_jump_of_the_drive_is_no_spike():
     field = np.array(clean("walk")[1])
     field[3000:3002] += 0.05
-    reading_m = STROKE_m * stroke_fraction(field) + np.random.default_rng(3).normal(
-        0.0, NOISE_m, 9000
-    )
+    reading_m = noisy_reading_m(field, seed=3)
     recordings = [recording("sweep"), recording("walk", reading_m, field), recording("waves")]
-    assert outliers.EFFECT.fault.find(view_on(recordings, axis="x", lab=Lab())) is None
+    assert outliers.EFFECT.fault.find(view_of_recordings(recordings)) is None
 
 
 @pytest.mark.parametrize("period", [16, 23])
@@ -184,22 +182,17 @@ def test_bridged_samples_are_excluded_and_are_no_quantisation_steps():
     reading_m = step_m * np.round(clean("sweep")[2] / step_m)
     bridged_rows = np.arange(50, 8950, 67)
     reading_m[bridged_rows] = (reading_m[bridged_rows - 1] + reading_m[bridged_rows + 1]) / 2
-    view = view_on(
-        [replace(recording("sweep", reading_m), bridged=tuple(bridged_rows.tolist()))],
-        axis="x",
-        lab=Lab(),
-    )
+    sweep = replace(recording("sweep", reading_m), bridged=tuple(bridged_rows.tolist()))
+    view = view_of_recordings([sweep])
     assert not np.isin(view.tracks[0].rows, bridged_rows).any()
     assert is_within_interval(quantisation.EFFECT.fault.find(view), 1e9 * step_m)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_up_to_three_wrong_readings_are_spikes_and_more_are_motion(count):
-    spiky = with_added(
-        track_following(np.linspace(-0.9, 0.9, 6000)), range(2000, 2000 + count), 0.05
-    )
-    assert spike_rows(spiky, spiky.drive) == list(range(2000, 2000 + count))
+    track = track_following(np.linspace(-0.9, 0.9, 6000))
+    rows = range(2000, 2000 + count)
+    assert spike_rows(with_added(track, rows, 0.05), track.drive) == list(rows)
     for sign in (1.0, -1.0):
-        rows = range(2000, 2004 + count)
-        dip = with_added(track_following(np.linspace(-0.9, 0.9, 6000)), rows, sign * 0.05)
-        assert spike_rows(dip, dip.drive) == []
+        dip = with_added(track, range(2000, 2004 + count), sign * 0.05)
+        assert spike_rows(dip, track.drive) == []

@@ -16,7 +16,7 @@ from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.signals import with_displacement
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
 
-from .bench import effects_of, recorded, thinned, view_of_recordings
+from .bench import effects_of, finding_of, recorded, thinned, view_of_recordings
 from .play_recordings import with_another_axis
 from .play_stage import recording
 
@@ -42,7 +42,6 @@ def clipping_cause(seed: int) -> tuple[Campaign, ScoreTest, Candidate]:
     )
     view = view_of_recordings(*recorded(campaign))
     test = score_test(amplifier_saturation.EFFECT, view)
-    assert test is not None
     start = initial_guess(amplifier_saturation.EFFECT, test.trial, float(test.cv.coefficient[0]))
     selected, refitted = refine(start, view, [])
     return campaign, test, evaluate(selected, refitted, view, test=test)
@@ -100,19 +99,15 @@ def test_the_size_of_creep_is_the_response_to_a_step_in_the_decade_about_ten_sec
     recordings = []
     for drive_V in (staircase(rng, hold_s), loops_V, staircase(rng, hold_s)):
         static_m = plays(drive_V)
-        measured_m = (
-            static_m + 0.01 * creep(static_m, TILT) + rng.normal(0.0, 0.3e-9, len(static_m))
-        )
+        noise_m = rng.normal(0.0, 0.3e-9, len(static_m))
         recordings.append(
             piezoid.from_arrays(
                 time_s=np.arange(len(drive_V)) / RATE_Hz,
                 voltage_V=drive_V,
-                displacement_m=measured_m,
+                displacement_m=static_m + 0.01 * creep(static_m, TILT) + noise_m,
             )
         )
-    (finding,) = [
-        finding for finding in piezoid.diagnose(recordings).findings if finding.effect == "creep"
-    ]
+    finding = finding_of(piezoid.diagnose(recordings), "creep")
     assert finding.size.value == pytest.approx(1.0, rel=0.05)
     low, high = finding.size.ci95
     assert low < 1.0 < high
@@ -124,10 +119,8 @@ def test_the_size_of_a_coupling_is_the_injected_coupling():
     """A free hysteresis absorbs two fifths of the coupling, but none of its stated size."""
     share, coupling = 0.005, cross_coupling.EFFECT
     stage = thinned([with_another_axis(recording(kind)) for kind in ("sweep", "walk")], EVERY)
-    diagnosis = piezoid.diagnose(
-        [coupling.inject(recording, share) for recording in stage], axis="x"
-    )
-    (size,) = [finding.size for finding in diagnosis.findings if finding.effect == coupling.name]
+    diagnosis = piezoid.diagnose([coupling.inject(r, share) for r in stage], axis="x")
+    size = finding_of(diagnosis, coupling.name).size
     assert size.value == pytest.approx(100.0 * share, rel=0.05)
     assert size.ci95[0] < 100.0 * share < size.ci95[1]
 
@@ -151,11 +144,8 @@ def test_a_parameter_without_influence_does_not_change_the_interval_of_a_size():
     """With such a parameter the interval of a rate dependence was not finite."""
     _, test, cause = clipping_cause(2)
     selected = cause.selected
-    with_idle = replace(
-        selected,
-        parameters={**selected.parameters, "idle": 1.0},
-        free={**selected.free, "idle": 2.0},
-    )
+    parameters, free = {**selected.parameters, "idle": 1.0}, {**selected.free, "idle": 2.0}
+    with_idle = replace(selected, parameters=parameters, free=free)
     expected = size_of(cause)
     size = size_of(evaluate(with_idle, cause.view, cause.without, test=test))
     assert size.value == expected.value

@@ -23,14 +23,14 @@ from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import causes, healthy, recorded, view_of_recordings
 
-LATE_s = 3e-4
+DELAY_s = 3e-4
 
 
 @cache
 def delayed_view() -> View:
     recordings, lab = healthy()
     delayed = [
-        with_displacement(r, later(r.displacement_m(), LATE_s * r.sampling_rate_Hz))
+        with_displacement(r, later(r.displacement_m(), DELAY_s * r.sampling_rate_Hz))
         for r in recordings
     ]
     return view_of_recordings(tuple(delayed), lab)
@@ -79,7 +79,7 @@ def test_a_delay_in_one_recording_is_no_delay_of_the_stage():
     selected, refitted = refine(initial_guess(delay.EFFECT, test.trial, 1.0), view, [])
     assert not is_consistent(selected, refitted)
     start = SelectedEffect(
-        effect=delay.EFFECT, parameters={"delay_s": LATE_s}, free={"delay_s": 1.5}
+        effect=delay.EFFECT, parameters={"delay_s": DELAY_s}, free={"delay_s": 1.5}
     )
     assert is_consistent(*refine(start, delayed_view(), []))
 
@@ -108,7 +108,7 @@ DRIFT_m = 1e-8  # at the end; the stroke is 46 um
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_drift_in_a_single_sweep_is_bounded_from_above():
+def test_the_bound_on_a_drift_covers_what_a_single_sweep_hides():
     (recording,), lab = recorded(draw_campaign(21, truth="preisach", plans=("sweep",)))
     drift_m = DRIFT_m * np.linspace(-1.0, 1.0, recording.samples)
     drifting = with_displacement(recording, recording.displacement_m() + drift_m)

@@ -62,16 +62,18 @@ class HiddenStage:
     faults: Mapping[str, Fault]
     runs: tuple[Run, ...]
 
-    def recorded(
-        self, drive: Drive | None
-    ) -> tuple[tuple[Rows, ...], dict[str, tuple[Rows, ...]]]:
-        """Return all recordings, the planned one last, and the same without each effect."""
+    def repeat(self, drive: Drive | None) -> tuple[tuple[Rows, ...], dict[str, tuple[Array, ...]]]:
+        """Return all recordings, the planned one last, and the contribution of each effect, m."""
         runs = self.runs if drive is None else (*self.runs, self._run(drive))
-        without = {
-            name: record_all(self.stage, runs, {k: v for k, v in self.faults.items() if k != name})
-            for name in self.faults
-        }
-        return record_all(self.stage, runs, self.faults), without
+        rows = record_all(self.stage, runs, self.faults)
+        contributions_m = {}
+        for name in self.faults:
+            remaining = {k: v for k, v in self.faults.items() if k != name}
+            without = record_all(self.stage, runs, remaining)
+            contributions_m[name] = tuple(
+                a.noise_free_m - b.noise_free_m for a, b in zip(rows, without, strict=True)
+            )
+        return rows, contributions_m
 
     def _run(self, drive: Drive) -> Run:
         return Run(
@@ -91,12 +93,10 @@ def hidden_stage(
     ceramic = named(TRUTHS, truth).draw(_rng(seed, "ceramic"))
     stage = Stage(rig=rig, ceramic=ceramic, seed=seed)
     runs = tuple(run_of(named(PLANS, name), rig, _rng(seed, name)) for name in plans)
-    healthy_bench = healthy(stage, runs)
+    bench = healthy(stage, runs)
     faults = {
         effect.name: effect.install(
-            sizes_percent[effect.name] / 100.0 * rig.stroke_m,
-            healthy_bench,
-            _rng(seed, effect.name),
+            sizes_percent[effect.name] / 100.0 * rig.stroke_m, bench, _rng(seed, effect.name)
         )
         for effect in EFFECTS
         if effect.name in sizes_percent
@@ -172,11 +172,7 @@ def finding_of_size(
 
 def change_percent(case: HiddenStage, name: str) -> float:
     """Return the size of an effect in all recordings, rms about the mean of each."""
-    complete, without = case.recorded(None)
-    changes = [
-        a.noise_free_m - b.noise_free_m for a, b in zip(complete, without[name], strict=True)
-    ]
-    square = np.mean([np.var(change) for change in changes])
+    square = np.mean([np.var(change_m) for change_m in case.repeat(None)[1][name]])
     return 100.0 * float(np.sqrt(square)) / case.rig.stroke_m
 
 
@@ -192,30 +188,19 @@ def true_separability(
 
     is_drift  the rival is a quadratic drift of each recording instead of its true contribution
     """
-    complete, without = case.recorded(drive)
-    effect_changes_m = [
-        a.noise_free_m - b.noise_free_m for a, b in zip(complete, without[names[0]], strict=True)
-    ]
-    rival_changes_m = [
-        a.noise_free_m - b.noise_free_m for a, b in zip(complete, without[names[1]], strict=True)
-    ]
-    rows = [np.linspace(0, len(c) - 1, 1500).astype(int) for c in effect_changes_m]
-    zeros = block_diag(*(np.ones((len(p), 1)) for p in rows))
-    states = [
-        _model_columns(axis, recorded)[p] for recorded, p in zip(complete, rows, strict=True)
-    ]
+    recorded, contributions_m = case.repeat(drive)
+    effect_m, rival_m = (contributions_m[name] for name in names)
+    picks = [np.linspace(0, len(c) - 1, 1500).astype(int) for c in effect_m]
+    zeros = block_diag(*(np.ones((len(p), 1)) for p in picks))
+    states = [_model_columns(axis, rows)[p] for rows, p in zip(recorded, picks, strict=True)]
     model = np.hstack([np.vstack(states), zeros])
     if is_drift:
-        alternative = block_diag(*(np.column_stack([p / p[-1], (p / p[-1]) ** 2]) for p in rows))
+        rival = block_diag(*(np.column_stack([p / p[-1], (p / p[-1]) ** 2]) for p in picks))
     else:
-        alternative = np.concatenate([c[p] for c, p in zip(rival_changes_m, rows, strict=True)])[
-            :, None
-        ]
-    effect = np.concatenate([c[p] for c, p in zip(effect_changes_m, rows, strict=True)])
-    residual = _residual(effect, model)
-    return float(
-        (_residual(effect, np.hstack([model, alternative])) ** 2).sum() / (residual**2).sum()
-    )
+        rival = np.concatenate([c[p] for c, p in zip(rival_m, picks, strict=True)])[:, None]
+    effect = np.concatenate([c[p] for c, p in zip(effect_m, picks, strict=True)])
+    residual, remainder = _residual(effect, model), _residual(effect, np.hstack([model, rival]))
+    return float((remainder**2).sum() / (residual**2).sum())
 
 
 def _model_columns(axis: AxisModel, rows: Rows) -> Array:
@@ -239,8 +224,8 @@ def _rng(seed: int, purpose: str) -> np.random.Generator:
 
 
 CLOCK_Hz = 20_000.0
-SLOW = ("creep", "thermal_drift")
-LATE = ("delay", "lag")
+CREEP_OR_DRIFT = ("creep", "thermal_drift")
+DELAY_OR_LAG = ("delay", "lag")
 
 
 @cache
@@ -248,30 +233,31 @@ def _slow_case() -> tuple[HiddenStage, Diagnosis]:
     case = hidden_stage(3, {"creep": 0.6, "thermal_drift": 0.3}, ("sweep", "long_hold"))
     share = change_percent(case, "creep")
     return case, diagnosis_of(
-        case, [finding_of_size("creep", share_percent=share, confounded=SLOW[1:])]
+        case, [finding_of_size("creep", share_percent=share, confounded=CREEP_OR_DRIFT[1:])]
     )
 
 
 @cache
 def _slow_plan() -> Plan:
     case, diagnosis = _slow_case()
-    recordings = recordings_of(case.recorded(None)[0])
+    recordings = recordings_of(case.repeat(None)[0])
     return plan(model_of(case), diagnosis, recordings=recordings, clock_Hz=CLOCK_Hz)
 
 
 def test_creep_and_drift_after_one_hold_are_separated_by_random_levels():
     planned = _slow_plan()
     assert planned.question.kind == "separate"
-    assert planned.question.effects == SLOW
+    assert planned.question.effects == CREEP_OR_DRIFT
     assert planned.drive.name in ("held_levels", "held_levels_mirrored")
 
 
 def test_a_planned_recording_separates_creep_from_drift_as_predicted():
     case, _ = _slow_case()
     slow_plan, axis = _slow_plan(), model_of(case).axes["x"]
-    recorded_separability = true_separability(case, axis, SLOW, None, is_drift=True)
-    planned_separability = true_separability(case, axis, SLOW, slow_plan.drive, is_drift=True)
-    assert slow_plan.recorded is not None
+    recorded_separability = true_separability(case, axis, CREEP_OR_DRIFT, None, is_drift=True)
+    planned_separability = true_separability(
+        case, axis, CREEP_OR_DRIFT, slow_plan.drive, is_drift=True
+    )
     assert slow_plan.recorded.separability < 0.2
     assert recorded_separability < 0.2
     assert planned_separability > 2.0 * recorded_separability
@@ -285,18 +271,16 @@ def test_a_planned_recording_separates_creep_from_drift_as_predicted():
 def test_a_fast_small_multisine_separates_delay_from_lag_as_predicted():
     case = hidden_stage(4, {"delay": 0.5, "lag": 0.4}, ("sweep", "rates"), "bouc_wen")
     model = model_of(case)
-    delay_finding = finding_of_size(
-        "delay", share_percent=change_percent(case, "delay"), confounded=LATE[1:]
-    )
-    recordings = recordings_of(case.recorded(None)[0])
-    diagnosis = diagnosis_of(case, [delay_finding])
+    size_percent = change_percent(case, "delay")
+    delay = finding_of_size("delay", share_percent=size_percent, confounded=DELAY_OR_LAG[1:])
+    recordings = recordings_of(case.repeat(None)[0])
+    diagnosis = diagnosis_of(case, [delay])
     delay_plan = plan(model, diagnosis, recordings=recordings, clock_Hz=CLOCK_Hz)
     axis = model.axes["x"]
     assert delay_plan.drive.name == "small_multisine"
-    assert delay_plan.recorded is not None
     promised = delay_plan.planned.separability / delay_plan.recorded.separability
-    achieved = true_separability(case, axis, LATE, delay_plan.drive, is_drift=False)
-    achieved /= true_separability(case, axis, LATE, None, is_drift=False)
+    achieved = true_separability(case, axis, DELAY_OR_LAG, delay_plan.drive, is_drift=False)
+    achieved /= true_separability(case, axis, DELAY_OR_LAG, None, is_drift=False)
     assert promised > 5.0
     assert promised / 4 < achieved < promised * 4
 
@@ -315,14 +299,11 @@ def test_an_undetectable_effect_is_planned_for():
     case, _ = _slow_case()
     diagnosis = diagnosis_of(case, [])
     not_detected = tuple(
-        replace(absent, upper_bound_m=None, detection_limit_m=None)
-        if absent.effect == "delay"
-        else absent
-        for absent in diagnosis.not_detected
+        replace(a, upper_bound_m=None, detection_limit_m=None) if a.effect == "delay" else a
+        for a in diagnosis.not_detected
     )
-    planned = plan(
-        model_of(case), replace(diagnosis, not_detected=not_detected), clock_Hz=CLOCK_Hz
-    )
+    diagnosis = replace(diagnosis, not_detected=not_detected)
+    planned = plan(model_of(case), diagnosis, clock_Hz=CLOCK_Hz)
     assert planned.question.effects == ("delay",)
     assert "cannot show delay" in sentences(planned)[0]
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from piezoid import diagnose, read
-from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.diagnosis import Finding
 from piezoid.diagnosis.effects import mains_interference
 from piezoid.diagnosis.identified_modes import with_modes
@@ -19,12 +18,12 @@ from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.numerics.arrays import Array
 from piezoid.records.frames import from_arrays
 from piezoid.records.invalid_samples import find_invalid_readings
-from piezoid.records.lab import Lab
 from tests.diagnosis.ceramic import bouc_wen_um
 from tests.records.responses import write_csv
 from tests.reports.known_diagnosis import diagnosed
 from tests.reports.known_stage import axis_model
 
+from .bench import view_of_recordings
 from .play_stage import NOISE_m, STROKE_m, drive, recording
 from .play_stage import stroke_fraction as plays
 
@@ -57,7 +56,6 @@ def test_held_levels_have_neither_invalid_readings_nor_outliers():
         [from_arrays(time_s=time_s, voltage_V=drive_V, displacement_m=1e-6 * reading_um)]
     )
     assert "outliers" not in levels.names
-    assert levels.model is not None
     assert not any("single readings" in remark for remark in levels.model.verdict.remarks)
 
 
@@ -69,7 +67,7 @@ def test_hum_near_a_harmonic_of_the_drive_is_a_line_and_states_the_clock_error(t
     reading_um = bouc_wen_um(drive_V) + hum_um + noise_um
     path = tmp_path / "hum.csv"
     write_csv(path, "time [s],voltage [V],displacement [um]", time_s, drive_V, reading_um)
-    view = view_on(read(path).recordings, axis="x", lab=Lab())
+    view = view_of_recordings(read(path).recordings)
     test = score_test(mains_interference.EFFECT, view)
     assert test.trial.parameters["frequency_Hz"] == pytest.approx(50.18, abs=0.03)
     assert test.cv.gain > 0.3
@@ -104,7 +102,7 @@ def driven_by_tones(law: Callable[[Array], Array], *, rings: bool) -> View:
         recording("sweep", STROKE_m * law(sweep) + noise_m[0], sweep),
         recording("waves", STROKE_m * response + noise_m[1], tones),
     )
-    return view_on(recordings, axis="x", lab=Lab())
+    return view_of_recordings(recordings)
 
 
 def resonance_of(view: View, ratio: float, peak_Hz: float = 130.0) -> Finding | None:
@@ -128,7 +126,6 @@ def resonance_of(view: View, ratio: float, peak_Hz: float = 130.0) -> Finding | 
 def test_a_gain_that_rises_to_the_end_of_the_band_is_a_resonance_beyond_it(law):
     view, ratio = driven_by_tones(law, rings=True), 1.0 / (1.0 - (130.0 / 160.0) ** 2)
     finding = resonance_of(view, ratio)
-    assert finding is not None
     low_Hz, high_Hz = finding.size.ci95
     assert finding.size.value == pytest.approx(160.0)
     assert low_Hz < 160.0 < high_Hz

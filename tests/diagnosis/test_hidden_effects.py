@@ -26,7 +26,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
-from tests.diagnosis.bench import causes, effects_of
+from tests.diagnosis.bench import causes, effects_of, finding_of
 from tests.laws import LAWS
 from tests.plays_alone import fit_one_order, fit_plays_alone
 
@@ -198,7 +198,7 @@ def extension_of(name: str) -> Any:
 def test_only_the_hidden_effect_is_named_with_its_interval_and_gain(name):
     diagnosis, extended = diagnosed_stage(name)
     assert causes(diagnosis) == (name,)
-    finding = next(finding for finding in diagnosis.findings if finding.effect == name)
+    finding = finding_of(diagnosis, name)
     assert finding.size.ci95[0] < finding.size.value < finding.size.ci95[1]
     assert finding.held_out_gain > 0.0
     assert finding.held_out_rms_after_m < finding.held_out_rms_before_m
@@ -215,7 +215,6 @@ def test_a_healthy_stage_has_no_findings_and_a_bound_on_every_effect(law, drives
     assert causes(diagnosis) == ()
     listed = {absent.effect for absent in diagnosis.not_detected} | set(diagnosis.names)
     assert listed == {effect.name for effect in EFFECTS}
-    assert diagnosis.unexplained is not None
     assert 0.0 < diagnosis.unexplained.p_value <= 1.0
     for absent in diagnosis.not_detected:
         assert len(absent.reason) > 20
@@ -257,7 +256,7 @@ def test_cross_coupling_is_stated_per_volt_of_the_other_axis():
 
 
 @pytest.mark.parametrize(("name", "late_s"), [("delay", 1.3e-3), ("lag", mean_delay_s(3e-3))])
-def test_a_delay_has_its_time(name, late_s):
+def test_a_delay_or_lag_has_its_time(name, late_s):
     _, extended = diagnosed_stage(name)
     assert not extended.extensions  # the lag of the model includes it
     assert extended.lag.time_s == pytest.approx(late_s, rel=0.1)
@@ -331,7 +330,6 @@ def test_a_stage_without_a_known_history_was_cycled_over_its_range():
     recordings = recorded(ONE_SPEED, sensitive, law="sum of plays")
     model, recording = fit(recordings).axes["x"], recordings[0]
     cycled = effect_named("initial_state").without(model, recording)
-    assert cycled is not None
     assert [start.recording for start in cycled.starts].count(recording.name) == 1
     (start,) = [start for start in cycled.starts if start.recording == recording.name]
     first_V = float(recording.voltage_V()[start.first])

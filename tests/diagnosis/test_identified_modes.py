@@ -44,14 +44,11 @@ def ringing_response(static: np.ndarray, rate_Hz: float) -> np.ndarray:
 @cache
 def mode_diagnosis() -> tuple[Diagnosis, float]:
     """Return the diagnosis and the true contribution of the mode to the multisine, m rms."""
-    recordings, waves = (
-        ringing(drives(), ringing_response, np.random.default_rng(1)),
-        [*drives().values()][-1],
-    )
+    recordings = ringing(drives(), ringing_response, np.random.default_rng(1))
+    waves = drives()["multisine", 5000.0]
     static, _ = play_response(waves, memory_after(cycled, float(waves[0])))
-    added_m = HALF_STROKE_m * float(
-        np.sqrt(np.mean((ringing_response(static, 5000.0) - static) ** 2))
-    )
+    change = ringing_response(static, 5000.0) - static
+    added_m = HALF_STROKE_m * float(np.sqrt(np.mean(change**2)))
     return diagnose(recordings, model=fit(recordings)), added_m
 
 
@@ -60,13 +57,10 @@ def test_a_mode_also_improves_the_model_of_the_other_recordings():
     fast = 0.8 * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * 8.0 * np.arange(5000) / 5000.0))
     all_drives = {**drives(), ("fast", 5000.0): fast}
     recordings = ringing(all_drives, ringing_response, np.random.default_rng(2))
-    axis, other_recordings = (
-        fit(recordings).axes["x"],
-        [r for r in recordings if r.name != "multisine"],
-    )
-    scales = scales_of(other_recordings, "x")
+    slow_recordings = [recording for recording in recordings if recording.name != "multisine"]
+    axis, scales = fit(recordings).axes["x"], scales_of(slow_recordings, "x")
     errors = refit_model(
-        other_recordings, (), model=axis, lab=Lab(), scales=scales, raw=other_recordings
+        slow_recordings, (), model=axis, lab=Lab(), scales=scales, raw=slow_recordings
     )
     (mode_of_model,) = [e for e in errors.model.extensions if isinstance(e, LinearMode)]
     assert errors.final_m < 0.5 * errors.without_m["resonance"]

@@ -17,13 +17,13 @@ from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from tests.journeys.test_batch import write_stages
 
-from .bench import causes, recorded, thinned
+from .bench import causes, finding_of, recorded, thinned
 from .play_stage import NOISE_m, clean, view_with
 
 pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
-LOUD_m = 60e-9  # in addition to the sensor noise
-Level = Callable[[Recording], Array]  # (recording) -> (samples,) as fractions of LOUD_m
+ADDED_NOISE_m = 60e-9  # in addition to the sensor noise
+Level = Callable[[Recording], Array]  # (recording) -> (samples,) as fractions of ADDED_NOISE_m
 
 
 def level_by_position(recording: Recording) -> Array:
@@ -40,7 +40,7 @@ def noisy_stage(level: Level) -> tuple[tuple[Recording, ...], Lab, float]:
     recordings, lab = recorded(draw_campaign(41, truth="bouc_wen", plans=("sweep", "rates")))
     rng, noisy, added_variances_m2 = np.random.default_rng(3), [], []
     for recording in recordings:
-        sigma_m = LOUD_m * level(recording)
+        sigma_m = ADDED_NOISE_m * level(recording)
         added_variances_m2.append(np.mean(sigma_m**2))
         noise_m = sigma_m * rng.standard_normal(len(sigma_m))
         noisy.append(with_displacement(recording, recording.displacement_m() + noise_m))
@@ -52,12 +52,11 @@ def test_noise_that_grows_with_position_is_a_finding_with_its_coordinate():
     noisy, lab, added_rms_m = noisy_stage(level_by_position)
     diagnosis = diagnose(thinned(noisy, 3), lab=lab)
     assert causes(diagnosis) == ("something_else",)
-    (finding,) = (finding for finding in diagnosis.findings if finding.effect == "something_else")
+    finding = finding_of(diagnosis, "something_else")
     assert finding.coordinate in {"displacement", "reading"}
     assert finding.size.value == pytest.approx(1e9 * added_rms_m, rel=0.25)
     assert finding.held_out_gain == 0.0
     assert "noise of the readings changes along the displacement" in finding.explanation
-    assert finding.seen is not None
     assert max(finding.seen.fitted_m) > 3.0 * min(finding.seen.fitted_m)
 
 
@@ -68,7 +67,6 @@ def noise_level_of(recordings: Iterable[Recording], lab: Lab) -> NoiseLevel | No
 def test_noise_that_grows_with_speed_has_speed_as_its_coordinate():
     noisy, lab, _ = noisy_stage(level_by_speed)
     level = noise_level_of(noisy, lab)
-    assert level is not None
     assert level.score.basis.coordinate == "speed"
     assert level.range[1] > 3.0 * level.range[0]
 
@@ -83,7 +81,7 @@ def test_uniform_noise_has_no_coordinate(tmp_path):
     assert noise_level_of(collect([folder / "sweep.csv"], lab).recordings, lab) is None
 
 
-@pytest.mark.parametrize(("wave_m", "is_stated"), [(0.0, True), (20 * LOUD_m, False)])
+@pytest.mark.parametrize(("wave_m", "is_stated"), [(0.0, True), (20 * ADDED_NOISE_m, False)])
 def test_a_noise_level_is_stated_if_most_of_the_residual_is_noise(wave_m, is_stated):
     recordings, lab, _ = noisy_stage(level_by_position)
     disturbed = []

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.candidate import size_of
-from piezoid.diagnosis.diagnose import diagnose, view_on
+from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.findings import not_detected
 from piezoid.diagnosis.selection import search
@@ -15,12 +15,12 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import relaxed
 from piezoid.records.collection import collect
 from piezoid.records.frames import from_arrays
-from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
+from tests.diagnosis.bench import finding_of, view_of_recordings
 from tests.laws import LAWS, RATE_Hz, triangles, write
 
 LAG_s = 0.01
-GREW_percent = 5.0
+GAIN_CHANGE_percent = 5.0
 DRIFT_um = 0.6
 
 
@@ -38,11 +38,11 @@ def lagging_triangles(
 @pytest.mark.slow
 def test_a_lag_is_not_separable_at_similar_speeds(tmp_path):
     first = lagging_triangles(tmp_path, 16, 250, 1.0, DRIFT_um)
-    more_sensitive = lagging_triangles(tmp_path, 10, 180, 1.0 + GREW_percent / 100.0, 0.0)
-    outcome = search(view_on([first, more_sensitive], axis="x", lab=Lab()))
+    more_sensitive = lagging_triangles(tmp_path, 10, 180, 1.0 + GAIN_CHANGE_percent / 100.0, 0.0)
+    outcome = search(view_of_recordings([first, more_sensitive]))
     causes = {cause.effect.name: cause for cause in outcome.causes}
     assert set(causes) == {"thermal_drift", "gain_change"}
-    assert size_of(causes["gain_change"]).value == pytest.approx(GREW_percent, abs=1.0)
+    assert size_of(causes["gain_change"]).value == pytest.approx(GAIN_CHANGE_percent, abs=1.0)
     for name, rival in (("lag", "delay"), ("delay", "lag"), ("rate_dependence", "lag")):
         absent = not_detected(effect_named(name), outcome)
         assert absent.upper_bound_m is None
@@ -60,7 +60,7 @@ def test_loop_shape_of_a_single_loop_is_not_separable_from_a_lag(tmp_path):
     reading_um = relaxed(10.0 * LAWS["preisach"](cycled)[len(field) :], LAG_s, RATE_Hz)
     reading_um = reading_um + 0.002 * np.random.default_rng(3).standard_normal(len(field))
     diagnosis = diagnose(collect([write(tmp_path / "loop.csv", field, reading_um)]).recordings)
-    (shape,) = [finding for finding in diagnosis.findings if finding.effect == "loop_shape"]
+    shape = finding_of(diagnosis, "loop_shape")
     assert {"lag", "creep", "thermal_drift", "initial_state"} <= set(shape.not_separable_from)
     assert "ten times slower" in shape.next_experiment
 
@@ -101,11 +101,8 @@ def test_a_loss_of_sensitivity_is_named_with_dropouts_and_a_lag():
     assert "gain_change" in findings
     assert set(findings) <= {"gain_change", "loop_shape", "outliers"}
     size = findings["gain_change"].size
-    assert size is not None
     assert size.value == pytest.approx(-100.0 * LOSS, rel=0.1)
-    assert diagnosis.model is not None
     remarks = " ".join(diagnosis.model.verdict.remarks)
     stated = re.search(r"the sensitivity changes by (\S+) %", remarks)
-    assert stated is not None
     assert float(stated.group(1)) == pytest.approx(size.value, rel=0.1)
     assert diagnosis.final.rms_m < 1.5 * NOISE_M

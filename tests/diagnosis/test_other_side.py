@@ -13,7 +13,6 @@ from piezoid.diagnosis.refinement import initial_guess, with_step
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.selection import search
 from piezoid.numerics.arrays import Array
-from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
 from .bench import thinned, view_of_recordings
@@ -40,7 +39,7 @@ def noisy(reading_m: Array) -> Array:
 
 
 def causes_in(recordings: Sequence[Recording]) -> tuple[Candidate, ...]:
-    return search(view_of_recordings(thinned(recordings, EVERY), Lab())).causes
+    return search(view_of_recordings(thinned(recordings, EVERY))).causes
 
 
 def test_a_lag_of_the_drive_is_named_alone_and_sized():
@@ -84,8 +83,7 @@ def test_the_instant_of_a_gain_change_is_found():
         if kind == "waves":
             displacement_m[int(instant * len(displacement_m)) :] *= 0.97
         recordings.append(recording(kind, displacement_m))
-    result = score_test(gain_change.EFFECT, view_of_recordings(thinned(recordings, EVERY), Lab()))
-    assert result is not None
+    result = score_test(gain_change.EFFECT, view_of_recordings(thinned(recordings, EVERY)))
     assert result.trial.parameters["track"] == 2.0
     assert result.trial.parameters["place"] == pytest.approx(instant, abs=0.02)
     guess = initial_guess(gain_change.EFFECT, result.trial, -0.03)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import piezoid.diagnosis.effects as effects
-from piezoid.diagnosis.diagnose import diagnose, view_on
+from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.effect import EffectEstimate
 from piezoid.diagnosis.refit import ModelErrors, refit_model, repair_recordings
 from piezoid.identification.extensions import CreepLadder, Delay, GainChange, SlewLimit
@@ -18,6 +18,7 @@ from piezoid.identification.model import Lag
 from piezoid.identification.simulation import simulate_recording
 from piezoid.records.lab import Acquisition, Lab
 from piezoid.records.recording import Recording
+from tests.diagnosis.bench import view_of_recordings
 from tests.identification.joint.stage import NOISE_m, disturbed, known_model, recordings_of
 
 SCALES = Scales(voltage_V=5.0, voltage_offset_V=5.0, displacement_m=1.2e-5)
@@ -132,8 +133,8 @@ def test_a_model_without_findings_states_its_error():
 def test_a_repair_changes_the_faulty_samples_only():
     recordings = recordings_of()
     spiked = (disturbed(recordings[0], slice(700, 701), 4e-7), recordings[1])
-    view = view_on(spiked, axis="x", lab=Lab())
-    repaired = view_on(recordings, axis="x", lab=Lab())
+    view = view_of_recordings(spiked)
+    repaired = view_of_recordings(recordings)
     scales = scales_of(spiked, "x")
     first, second = repair_recordings(spiked, "x", view.tracks, repaired.tracks, scales)
     np.testing.assert_allclose(

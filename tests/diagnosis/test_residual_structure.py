@@ -20,7 +20,7 @@ from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from tests.identification.hysteresis.stages import decaying, recording
 from tests.identification.hysteresis.test_estimate import stage
 
-from .bench import causes, recorded, recorded_zoo_stage, thinned
+from .bench import causes, finding_of, recorded, recorded_zoo_stage, thinned
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
@@ -50,7 +50,7 @@ def with_hidden(hidden: str) -> Diagnosis:
 
 def structure_in(diagnosis: Diagnosis) -> Finding:
     """Return the finding of structure outside the catalogue."""
-    return next(finding for finding in diagnosis.findings if finding.effect == SOMETHING_ELSE)
+    return finding_of(diagnosis, SOMETHING_ELSE)
 
 
 @pytest.mark.usefixtures("one_order")
@@ -63,7 +63,6 @@ def test_structure_outside_the_catalogue_is_something_else_with_its_coordinate(h
     assert structure.coordinate == HIDDEN[hidden][1]
     assert structure.p_value <= 0.05
     assert SOMETHING_ELSE not in {absent.effect for absent in diagnosis.not_detected}
-    assert diagnosis.unexplained is not None
     assert diagnosis.unexplained.rms_m > diagnosis.noise_floor_rms_m
 
 
@@ -88,16 +87,15 @@ def test_the_end_of_the_sensor_range_is_named_with_its_level():
 
 @pytest.mark.usefixtures("one_order")
 def test_something_else_survives_its_file_and_locates_the_error():
-    dented = with_hidden("dent")
-    written = write_diagnosis(dented)
-    assert read_diagnoses(written)[0] == dented
+    diagnosis = with_hidden("dent")
+    written = write_diagnosis(diagnosis)
+    assert read_diagnoses(written)[0] == diagnosis
     content = unseal(written, SCHEMA, "diagnosis.json")
     assert set(content["unexplained"]) >= {"rms_m", "share", "p_value"}
     entry = next(entry for entry in content["findings"] if entry["effect"] == SOMETHING_ELSE)
     assert entry["coordinate"] == "displacement"
     assert len(entry["seen"]["place"]) == len(entry["seen"]["fitted_m"])
-    trace = structure_in(dented).seen
-    assert trace is not None
+    trace = structure_in(diagnosis).seen
     peak = int(np.argmax(np.abs(trace.fitted_m)))
     assert abs(trace.median_m[peak]) > 0.3 * abs(trace.fitted_m[peak])
 
@@ -109,7 +107,6 @@ def test_structure_that_the_model_represents_is_no_finding():
     model = fit([loops])["x"]
     diagnosis = diagnose([loops], model=model)
     assert SOMETHING_ELSE not in diagnosis.names
-    assert diagnosis.model is not None
     assert diagnosis.model.quality.rms_m < 1.1 * model.quality.rms_m
 
 

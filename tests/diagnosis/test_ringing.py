@@ -11,7 +11,6 @@ from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.selection import search
 from piezoid.diagnosis.signals import mode
 from piezoid.numerics.arrays import Array
-from piezoid.records.lab import Lab
 
 from .bench import view_of_recordings
 from .play_recordings import RINGING_NOISE as NOISE
@@ -44,7 +43,7 @@ def ringing_view() -> View:
         ("waves", 500.0): np.linspace(0.2, 1.0, 3000) * np.sin(2 * np.pi * 0.7 * count / 500.0),
         ("fast", 5000.0): 0.8 * triangle(FAST_Hz * count / 5000.0),
     }
-    return view_of_recordings(ringing(drives, ringing_response, np.random.default_rng(1)), Lab())
+    return view_of_recordings(ringing(drives, ringing_response, np.random.default_rng(1)))
 
 
 def test_a_sharp_mode_on_a_harmonic_of_the_drive_is_identified():
@@ -87,7 +86,7 @@ def test_ringing_after_steps_between_samples_leaves_no_residual():
         reading = ringing_response(static, fine_Hz)[::every]
         reading_m = HALF_STROKE_m * (reading + NOISE * rng.normal(size=len(reading)))
         recordings.append(drive_recording(name, fine_Hz / every, drive[::every], reading_m))
-    outcome = search(view_of_recordings(tuple(recordings), Lab()))
+    outcome = search(view_of_recordings(tuple(recordings)))
     (cause,) = [c for c in outcome.causes if c.effect.name == "resonance"]
     assert cause.selected.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.01)
     assert outcome.final.rms < 2.0 * NOISE
@@ -107,6 +106,6 @@ def test_a_mode_is_refitted_where_few_loops_do_not_determine_a_noisy_drive():
         return ringing_response(response + 0.04 * np.sin(3.0 * response), rate_Hz)
 
     recordings = ringing(drives, curved_response, rng)
-    outcome = search(view_of_recordings(recordings, Lab()))
+    outcome = search(view_of_recordings(recordings))
     (cause,) = [c for c in outcome.causes if c.effect.name == "resonance"]
     assert cause.selected.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.01)

@@ -63,10 +63,8 @@ def test_an_entry_of_another_type_is_refused():
 
 
 def test_a_diagnosis_of_several_axes_survives_its_file():
-    assert read_diagnoses(write_diagnosis(DIAGNOSIS, further_axes=(DIAGNOSIS,))) == (
-        DIAGNOSIS,
-        DIAGNOSIS,
-    )
+    written = write_diagnosis(DIAGNOSIS, further_axes=(DIAGNOSIS,))
+    assert read_diagnoses(written) == (DIAGNOSIS, DIAGNOSIS)
 
 
 def test_an_unknown_effect_is_refused():

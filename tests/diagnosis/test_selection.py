@@ -8,13 +8,12 @@ import pytest
 
 import piezoid.diagnosis.diagnose as diagnose
 import piezoid.diagnosis.selection as search
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.effects import creep, cross_coupling, initial_state, thermal_drift
 from piezoid.diagnosis.signals import with_displacement
-from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
-from .bench import causes, view_of_recordings
+from .bench import causes, finding_of, view_of_recordings
 from .play_recordings import (
     NOISE,
     cycled,
@@ -47,10 +46,6 @@ def creeping(recordings: Iterable[Recording], share: float) -> tuple[Recording, 
     return tuple(creep.EFFECT.inject(recording, share) for recording in recordings)
 
 
-def finding_of(diagnosis: Diagnosis, name: str) -> Finding:
-    return next(finding for finding in diagnosis.findings if finding.effect == name)
-
-
 @cache
 def creep_with_unknown_initial_state(share: float) -> Diagnosis:
     """Diagnose creep in recordings of which the second has an unknown history."""
@@ -68,7 +63,7 @@ def test_an_initial_state_below_other_structure_is_dismissed_and_not_separable()
     stage = recordings_after(cycled, nearly_cycled, cycled)
     disturbed = map(with_another_axis, creeping(wobbling(stage, 0.006), 0.01))
     coupled = tuple(cross_coupling.EFFECT.inject(recording, 0.004) for recording in disturbed)
-    outcome = search.search(view_of_recordings(coupled, Lab()))
+    outcome = search.search(view_of_recordings(coupled))
     assert [cause.effect.name for cause in outcome.causes] == ["cross_coupling", "creep"]
     assert outcome.inseparable == ("initial_state",)
     assert "initial_state" in {candidate.effect.name for candidate in outcome.dismissed}

@@ -8,35 +8,37 @@ import pytest
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import EffectEstimate
 from piezoid.diagnosis.effects import resonance
-from piezoid.diagnosis.selection import Outcome, search
+from piezoid.diagnosis.residual_view import View
+from piezoid.diagnosis.selection import search
 from piezoid.diagnosis.step_responses import modes_after_steps, step_response_view
 from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
 from piezoid.record_json import from_json, to_json
 from piezoid.records.collection import collect
-from piezoid.records.lab import Lab, read_lab
+from piezoid.records.lab import read_lab
 
+from .bench import view_of_recordings
 from .play_stage import NOISE_m, STROKE_m, recording, stroke_fraction
 
 LAYOUTS = (LAYOUT_OF_EXTENSIONS,)
 RATE_Hz = 500.0  # of the recording with the step
-JUMP_AT = 4100
-FINER = 40  # integration steps per sample
+STEP_ROW = 4100
+OVERSAMPLING = 40  # integration steps per sample
 
 
 def step_drive(delay: float = 0.0) -> Array:
     """Return a drive at rest, then a step, between two samples if delayed, then slow waves."""
-    time = np.arange(-JUMP_AT - delay, 9000 - JUMP_AT - delay)
+    time = np.arange(-STEP_ROW - delay, 9000 - STEP_ROW - delay)
     return np.where(time < 0.0, 0.6, -0.3 + 0.5 * np.sin(2 * np.pi * np.maximum(time, 0) / 1600))
 
 
 def ringing_response(response: Array, frequency_Hz: float, quality: float) -> Array:
     """Return the response of a spring-mass system to a motion, integrated in small steps."""
-    w, step_s = 2 * np.pi * frequency_Hz, 1.0 / (RATE_Hz * FINER)
+    w, step_s = 2 * np.pi * frequency_Hz, 1.0 / (RATE_Hz * OVERSAMPLING)
     position, speed, ringing = response[0], 0.0, np.empty_like(response)
     for i, target in enumerate(response):
-        for _ in range(FINER):
+        for _ in range(OVERSAMPLING):
             speed += step_s * (w * w * (target - position) - w / quality * speed)
             position += step_s * speed
         ringing[i] = position
@@ -57,13 +59,11 @@ def with_creep(response: Array) -> Array:
     return 0.9 * response + 0.1 * creep
 
 
-def search_walk(response: Array) -> Outcome:
+def view_of_response(response: Array) -> View:
+    """Return the view of a sweep, and of a response to the step drive."""
     noise_m = np.random.default_rng(8).normal(0.0, NOISE_m, len(response))
-    recordings = [
-        recording("sweep"),
-        recording("walk", STROKE_m * response + noise_m, step_drive()),
-    ]
-    return search(view_on(recordings, axis="x", lab=Lab()))
+    walk = recording("walk", STROKE_m * response + noise_m, step_drive())
+    return view_of_recordings([recording("sweep"), walk])
 
 
 @cache
@@ -72,11 +72,9 @@ def static_response() -> Array:
 
 
 def test_a_mode_excited_by_one_step_is_named_with_its_frequency():
-    delayed = stroke_fraction(
-        step_drive(0.4)
-    )  # the stage feels a jump that lies between two samples
+    delayed = stroke_fraction(step_drive(0.4))  # the step lies between two samples
     ringing = 0.5 * delayed + 0.5 * ringing_response(delayed, 61.0, 15.0)
-    (cause,) = search_walk(ringing).causes
+    (cause,) = search(view_of_response(ringing)).causes
     assert cause.effect.name == "resonance"
     assert cause.selected.parameters["frequency_Hz"] == pytest.approx(61.0, rel=0.02)
     assert cause.selected.parameters["quality"] == pytest.approx(15.0, rel=0.3)
@@ -87,6 +85,10 @@ def with_hum(response: Array) -> Array:
     return response + 10.0 * NOISE_m / STROKE_m * np.sin(0.4 * np.arange(len(response)))
 
 
+def with_weak_ringing(response: Array) -> Array:
+    return response + 0.005 * (ringing_response(response, 61.0, 15.0) - response)
+
+
 @pytest.mark.parametrize(
     "response",
     [
@@ -94,25 +96,19 @@ def with_hum(response: Array) -> Array:
         lambda: lagged(static_response(), 2.0),
         lambda: with_creep(static_response()),
         lambda: with_hum(static_response()),
-        lambda: (
-            static_response()
-            + 0.005 * (ringing_response(static_response(), 61.0, 15.0) - static_response())
-        ),
+        lambda: with_weak_ringing(static_response()),
     ],
     ids=["static", "lagged", "creeping", "humming", "ringing below the noise"],
 )
 def test_lag_creep_and_hum_after_a_step_are_no_mode(response):
-    noise_m = np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
-    reading_m = STROKE_m * response() + noise_m
-    recordings = [recording("sweep"), recording("walk", reading_m, step_drive())]
-    assert modes_after_steps(view_on(recordings, axis="x", lab=Lab())) == ()
+    assert modes_after_steps(view_of_response(response())) == ()
 
 
 def test_a_step_followed_by_fast_motion_shows_no_mode():
-    sample = np.arange(9000 - JUMP_AT)
-    drive = np.concatenate([np.full(JUMP_AT, 0.6), -0.3 + 0.5 * np.sin(2 * np.pi * sample / 180)])
+    sample = np.arange(9000 - STEP_ROW)
+    drive = np.concatenate([np.full(STEP_ROW, 0.6), -0.3 + 0.5 * np.sin(2 * np.pi * sample / 180)])
     recordings = [recording("sweep"), recording("walk", STROKE_m * stroke_fraction(drive), drive)]
-    assert step_response_view(view_on(recordings, axis="x", lab=Lab())) is None
+    assert step_response_view(view_of_recordings(recordings)) is None
 
 
 def test_a_measured_actuator_rings_near_970_hertz_after_a_step(realdata, tmp_path):
@@ -129,10 +125,9 @@ def test_a_measured_actuator_rings_near_970_hertz_after_a_step(realdata, tmp_pat
 
 
 def test_a_mode_found_after_steps_is_fixed_in_the_model():
-    parameters = {"frequency_Hz": 961.0, "quality": 12.0}
     estimate = EffectEstimate(
         effect="resonance",
-        parameters=parameters,
+        parameters={"frequency_Hz": 961.0, "quality": 12.0},
         coefficient=np.array([0.1, 0.4]),
         from_jumps=True,
     )

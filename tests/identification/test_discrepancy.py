@@ -97,6 +97,5 @@ def test_a_recording_without_noise_has_a_finite_slope():
     """A simulated recording without noise caused a division by zero."""
     exact = replace(axis_model(), quality=replace(QUALITY, rms_m=0.0, held_out_rms_m=0.0))
     shape = with_discrepancy(exact, [recording(noise_m=0.0)]).discrepancy
-    assert shape is not None
     assert np.isfinite(shape.steepest_m_per_V)
     assert 0.0 <= shape.steepest_m_per_V < 1e-12

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from piezoid.identification.displacement_budget import displacement_budget
-from piezoid.identification.model import Lag
+from piezoid.identification.model import AxisModel, Lag
+from piezoid.numerics.uncertainty_budget import Contribution
 from piezoid.records.lab import Acquisition, Certificates, Lab, Sensor
 from tests.reports.known_stage import axis_model
 
@@ -23,17 +24,15 @@ FULL_LAB = Lab(
     ),
 )
 
+RESIDUAL = "residual on held-out data, sensor noise included"
 
-def contributions_of(lab: Lab | None = None) -> dict[str, tuple[str, float]]:
-    displacement = displacement_budget(axis_model(), lab)
-    return {
-        contribution.name: (contribution.kind, contribution.standard)
-        for contribution in displacement.budget.contributions
-    }
+
+def contributions_of(axis: AxisModel, lab: Lab | None = None) -> dict[str, Contribution]:
+    return {c.name: c for c in displacement_budget(axis, lab).budget.contributions}
 
 
 def test_declared_sources_are_type_b_and_have_their_closed_forms():
-    contributions = contributions_of(FULL_LAB)
+    contributions = contributions_of(axis_model(), FULL_LAB)
     midrange_m = 0.5 * 2.4e-5
     for name, standard_m in (
         ("gain of the sensor", 1e-3 * midrange_m),
@@ -42,36 +41,28 @@ def test_declared_sources_are_type_b_and_have_their_closed_forms():
         ("temperature of the room", 3e-8 / math.sqrt(3)),
         ("step of the converter", 20 / 2**16 / 2e5 / math.sqrt(12)),
     ):
-        assert contributions[name] == ("B", pytest.approx(standard_m))
+        assert contributions[name].kind == "B"
+        assert contributions[name].standard == pytest.approx(standard_m)
     assert not displacement_budget(axis_model(), FULL_LAB).unknown
 
 
 def test_noise_is_independent_at_each_position_and_calibration_errors_are_shared():
-    contributions = displacement_budget(axis_model(), FULL_LAB).budget.contributions
-    independent = {
-        contribution.name for contribution in contributions if not contribution.is_shared
-    }
-    assert independent == {
-        "residual on held-out data, sensor noise included",
-        "step of the converter",
-    }
+    contributions = contributions_of(axis_model(), FULL_LAB)
+    independent = {name for name, source in contributions.items() if not source.is_shared}
+    assert independent == {RESIDUAL, "step of the converter"}
 
 
 def test_the_full_residual_contributes_and_sources_from_data_are_type_a():
-    contributions = contributions_of()
-    assert contributions["residual on held-out data, sensor noise included"] == ("A", 3e-8)
-    assert {evaluation for evaluation, _ in contributions.values()} == {"A"}
+    contributions = contributions_of(axis_model())
+    assert contributions[RESIDUAL].standard == 3e-8
+    assert {source.kind for source in contributions.values()} == {"A"}
 
 
 def test_parameters_contribute_their_largest_uncertainty_of_the_loading_curve():
     axis = axis_model()
     half_m = np.linspace(1e-9, 5e-9, len(axis.uncertainty.loading_half_m))
     axis = replace(axis, uncertainty=replace(axis.uncertainty, blocks=5, loading_half_m=half_m))
-    contributions = {
-        contribution.name: contribution
-        for contribution in displacement_budget(axis).budget.contributions
-    }
-    parameters = contributions["parameters of the model"]
+    parameters = contributions_of(axis)["parameters of the model"]
     assert parameters.freedom == 4
     assert parameters.standard == pytest.approx(5e-9 / 2.7764, rel=1e-4)  # Student's t at 4
 
@@ -101,22 +92,19 @@ def test_the_lag_contributes_at_the_highest_drive_speed():
     covariance = np.array(axis.uncertainty.covariance)
     covariance[-1, -1] = 1e-6**2
     axis = replace(axis, uncertainty=replace(axis.uncertainty, covariance=covariance))
-    contributions = {
-        contribution.name: contribution
-        for contribution in displacement_budget(axis).budget.contributions
-    }
     uncertainty = axis.uncertainty
     speed_m_per_s = 40.0 * uncertainty.loading_m[-1] / uncertainty.reach_V[-1]
-    lag = contributions["lag, at the fastest drive of the fitted samples"]
+    lag = contributions_of(axis)["lag, at the fastest drive of the fitted samples"]
     assert lag.standard == pytest.approx(1e-6 * speed_m_per_s)
 
 
 def test_a_larger_remainder_raises_the_largest_error_only():
     axis = axis_model()
-    small_remainder = replace(axis, certificate=replace(axis.certificate, remainder_m=9e-8))
-    large_remainder = replace(axis, certificate=replace(axis.certificate, remainder_m=2e-7))
     small, large = (
-        displacement_budget(model).budget for model in (small_remainder, large_remainder)
+        displacement_budget(
+            replace(axis, certificate=replace(axis.certificate, remainder_m=remainder_m))
+        ).budget
+        for remainder_m in (9e-8, 2e-7)
     )
     assert large.combined == small.combined
     assert large.largest[1] > small.largest[1]

@@ -105,7 +105,6 @@ def test_a_law_other_than_plays_is_explained_to_the_noise(law, polarity):
     ]
     rms_m = np.sqrt(np.mean(np.concatenate(errors_m) ** 2))
     assert rms_m == pytest.approx(axis.quality.rms_m, rel=0.1)
-    assert axis.loop_shape is not None
     assert abs(axis.loop_shape.plays_weight) < 0.2  # without the kinks of plays
 
 

@@ -46,7 +46,6 @@ def walk(folder: Path, lines: Iterator[str]) -> int:
     shell = subprocess.Popen(
         ["bash"], cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
-    assert shell.stdin is not None
     assert shell.stdout is not None
     status = 0
     for line in lines:

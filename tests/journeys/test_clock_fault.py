@@ -10,7 +10,7 @@ import pytest
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
 from piezoid.numerics.arrays import Array
-from tests.diagnosis.bench import causes
+from tests.diagnosis.bench import causes, finding_of
 from tests.diagnosis.play_stage import with_slip
 from tests.diagnosis.test_hidden_effects import ONE_SPEED, RATE_Hz, Reading, recorded, unchanged
 from tests.journeys.command import run
@@ -46,9 +46,7 @@ def diagnosed(folder: Path, read: Reading) -> tuple[Diagnosis, str]:
 def test_a_clock_that_loses_samples_is_named_with_their_number(tmp_path):
     diagnosis, output = diagnosed(tmp_path, with_lost_samples)
     assert causes(diagnosis) == ("timestamp_fault",)
-    finding = next(
-        candidate for candidate in diagnosis.findings if candidate.effect == "timestamp_fault"
-    )
+    finding = finding_of(diagnosis, "timestamp_fault")
     assert finding.size.unit == "samples"
     assert finding.size.value == -LOST
     assert finding.size.ci95[0] < -LOST < finding.size.ci95[1]

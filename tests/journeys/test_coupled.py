@@ -48,7 +48,6 @@ def model(stage: tuple[Path, str]) -> piezoid.ActuatorModel:
 
 
 def test_the_coupling_of_the_stage_is_identified(model):
-    assert model.coupled is not None
     # Plays increase the gain for small drives, equally for all axes.
     coupling = model.coupled.coupling_m_per_V
     relative_coupling = coupling / np.diag(coupling)
@@ -58,17 +57,14 @@ def test_the_coupling_of_the_stage_is_identified(model):
 
 
 def test_modes_are_identified_and_assigned_to_their_axis(model):
-    assert model.coupled is not None
     frequencies_Hz = model.coupled.mode_frequency_Hz(float(model.coupled.levels_V[0]))
     for mode_Hz in MODE_HZ:
         assert np.abs(frequencies_Hz / mode_Hz - 1.0).min() < 2e-3
     dynamics = model["x"].dynamics
-    assert dynamics is not None
     assert np.abs(dynamics.mode_frequency_Hz / MODE_HZ[0] - 1.0).min() < 5e-3
 
 
 def test_held_out_realisations_are_predicted_to_two_percent(model):
-    assert model.coupled is not None
     assert model.coupled.error_is_left_out
     assert (model.coupled.error_rms_m < 0.02 * model.coupled.moved_rms_m).all()
 

@@ -21,6 +21,7 @@ from piezoid.records.collection import collect
 from piezoid_cli.main import app
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.write import write_campaign
+from tests.diagnosis.bench import finding_of
 from tests.journeys.readme_walk import first_rows
 from tests.plays_alone import fit_one_order, fit_plays_alone
 from tests.reports.anatomy import Anatomy
@@ -87,9 +88,7 @@ def test_a_diagnosis_with_a_model_states_what_changed(sweeps, today):
 def test_without_a_model_the_axis_is_fitted_and_its_budget_adds_up(sweeps, without_model):
     assert without_model.exit_code == 0, without_model.output
     (diagnosis,) = read_diagnoses((sweeps / "plain/diagnosis.json").read_bytes())
-    finding = next(
-        candidate for candidate in diagnosis.findings if candidate.effect == "quantisation"
-    )
+    finding = finding_of(diagnosis, "quantisation")
     assert finding.size.value == pytest.approx(1e3 * STEP_um["x"])
     power_m2 = sum(part.rms_m**2 for part in diagnosis.budget)
     assert power_m2 == pytest.approx(diagnosis.baseline.rms_m**2)
@@ -172,7 +171,7 @@ def test_a_sweep_a_thousand_times_slower_is_fitted_and_diagnosed(tmp_path):
     """Hours instead of seconds: a parameter that one block determines is dominated by rounding."""
     lines = piezoid_datasets.recordings()[0].read_text().splitlines()[:1501]
     rows = [line.partition(",") for line in lines[1:]]
-    text = "".join(f"{1000.0 * float(time):.0f},{rest}\n" for time, _, rest in rows)
+    text = "".join(f"{1000.0 * float(time):.0f},{columns}\n" for time, _, columns in rows)
     (tmp_path / "slow.csv").write_text(f"{lines[0]}\n{text}")
     words = ["diagnose", str(tmp_path / "slow.csv"), "--out", str(tmp_path / "out"), "--quiet"]
     result = CliRunner().invoke(app, words)

@@ -18,7 +18,7 @@ LOOP = 10 * (1 - np.cos(2 * np.pi * np.arange(480) / 120)) / 2  # too few rows f
 BUTTERFLY_um = 0.1 * (LOOP - 5) ** 2
 
 
-def write_sweep(path: Path, displacement_um: np.ndarray, heading: str = "pos [um]") -> None:  # type: ignore[type-arg]
+def write_sweep(path: Path, displacement_um: np.ndarray, heading: str = "pos [um]") -> None:
     lines = [f"time [s],voltage [V],{heading}"]
     lines += [
         f"{k / 500:.3f},{u:.5f},{y:.5f}"

@@ -86,15 +86,12 @@ def fitted(folder: Path) -> None:
 @pytest.mark.usefixtures("fitted")
 def test_model_and_diagnosis_contain_the_mode_of_the_response(folder):
     axis = read_model((folder / "stage" / "model.json").read_bytes())["x"]
-    assert axis.dynamics is not None
     low_Hz, high_Hz = axis.dynamics.mode_frequency_interval_Hz()[0]
     assert low_Hz - 0.5 < MODE_Hz < high_Hz + 0.5
-    assert axis.response is not None
     assert axis.response.used <= 400 - 10
     missing = json.loads((folder / "stage" / "diagnosis.json").read_text())["not_detected"]
     (reason,) = [absent["reason"] for absent in missing if absent["effect"] == "resonance"]
     stated_Hz = re.search(r"response.csv shows it at (\S+) Hz", reason)
-    assert stated_Hz is not None
     assert float(stated_Hz[1]) == pytest.approx(MODE_Hz, rel=2e-3)
 
 
@@ -144,7 +141,7 @@ def test_the_designed_loop_is_fast_and_stable_on_the_simulated_stage(folder):
     assert float(np.sqrt(np.mean(error_m**2))) < 0.03 * reach_m
 
 
-def closed_loop_m(values: dict, reference_m: Array) -> Array:  # type: ignore[type-arg]
+def closed_loop_m(values: dict, reference_m: Array) -> Array:
     """Run the shipped controller on the stage: plays, mode, poles, a delay of one sample."""
     poles = (first_order(AMPLIFIER_Hz), first_order(SENSOR_Hz))
     plant = sample(cascade(resonance(MODE_Hz, 0.5 / QUALITY), *poles), RATE_Hz)

@@ -71,10 +71,10 @@ def test_json_contains_the_inspection(folder):
     assert status == 3
     content = json.loads(text)
     assert content["schema"] == "piezoid.inspection/1"
-    good, scope = content["files"]
-    assert good["sampling_rate_Hz"] == 1000
-    assert good["breaks"] == 0
-    assert next((p["kind"], "bridged" in p["text"]) for p in good["problems"]) == ("gap", True)
-    assert [column["si_unit"] for column in good["columns"]] == ["s", "V", "m", ""]
-    assert good["refusal"] is None
+    complete, scope = content["files"]
+    assert complete["sampling_rate_Hz"] == 1000
+    assert complete["breaks"] == 0
+    assert next((p["kind"], "bridged" in p["text"]) for p in complete["problems"]) == ("gap", True)
+    assert [column["si_unit"] for column in complete["columns"]] == ["s", "V", "m", ""]
+    assert complete["refusal"] is None
     assert "lab.toml" in scope["refusal"]

@@ -17,9 +17,9 @@ import sys
 import piezoid_cli.calibration as calibration
 from piezoid_cli.main import main
 
-def calibrate(*given):
+def calibrate(*arguments):
     print("working", flush=True)
-    return original(*given)
+    return original(*arguments)
 
 original, calibration.calibrate = calibration.calibrate, calibrate
 main()
@@ -49,7 +49,6 @@ def exit_status_after_interrupt(
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    assert process.stdout is not None
     assert process.stdout.readline() == b"working\n"
     time.sleep(after_s)
     process.send_signal(signal.SIGINT)
@@ -95,7 +94,6 @@ def test_an_interruption_during_imports_gives_status_130_and_one_line(tmp_path):
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
         )
-        assert process.stdout is not None
         process.stdout.readline()
         time.sleep(0.02 + 0.2 * k)
         process.send_signal(signal.SIGINT)

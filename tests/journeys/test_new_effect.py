@@ -156,13 +156,11 @@ def with_leak(recording: piezoid.Recording) -> piezoid.Recording:
 
 
 @pytest.fixture(scope="module")
-def leaking_stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LeakingStage]:
+def leaking(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LeakingStage]:
     """Write the file, add it to the catalogue, and run the verbs on the stage."""
     file: Path = tmp_path_factory.mktemp("effects") / "charge_leak.py"
     file.write_text(FILE)
     spec = importlib.util.spec_from_file_location("charge_leak", file)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     with pytest.MonkeyPatch.context() as patch:
@@ -176,67 +174,55 @@ def leaking_stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LeakingS
         yield LeakingStage(module.EFFECT, recordings, model.extended(diagnosis), diagnosis)
 
 
-def test_the_diagnosis_names_a_new_effect_and_estimates_its_size(leaking_stage):
-    (finding,) = effects_of(leaking_stage.found)
+def test_the_diagnosis_names_a_new_effect_and_estimates_its_size(leaking):
+    (finding,) = effects_of(leaking.diagnosis)
     assert finding.effect == "charge_leak"
     assert finding.size.ci95[0] < 100.0 * SHARE < finding.size.ci95[1]
     assert finding.held_out_gain > 0.3
     assert finding.explanation.startswith("Charge leak: what was moved fast")
-    assert (
-        read_diagnoses(write_diagnosis(leaking_stage.found))[0].names == leaking_stage.found.names
-    )
+    assert read_diagnoses(write_diagnosis(leaking.diagnosis))[0].names == leaking.diagnosis.names
 
 
-def test_the_model_contains_a_new_effect_and_survives_its_file(leaking_stage):
-    (leak,) = (e for e in leaking_stage.model["x"].extensions if e.kind == "charge_leak")
+def test_the_model_contains_a_new_effect_and_survives_its_file(leaking):
+    (leak,) = (e for e in leaking.model["x"].extensions if e.kind == "charge_leak")
     share, time_s = leak.free().value
     assert share == pytest.approx(SHARE, abs=3.0 * leak.std[0])
     assert time_s == pytest.approx(TIME_s, abs=3.0 * leak.std[1])
-    assert (
-        read_model(write_model(leaking_stage.model))["x"].extensions
-        == leaking_stage.model["x"].extensions
-    )
+    restored = read_model(write_model(leaking.model))["x"]
+    assert restored.extensions == leaking.model["x"].extensions
 
 
-def test_an_experiment_is_planned_for_a_new_effect(leaking_stage):
+def test_an_experiment_is_planned_for_a_new_effect(leaking):
     plan = piezoid.plan(
-        leaking_stage.model,
-        leaking_stage.found,
-        recordings=leaking_stage.recordings,
+        leaking.model,
+        leaking.diagnosis,
+        recordings=leaking.recordings,
         effect="charge_leak",
         clock_Hz=1e3,
     )
     assert plan.question.effects == ("charge_leak",)
-    assert plan.recorded is not None
     assert plan.planned.errors[0] < plan.recorded.errors[0]
 
 
-def test_the_plant_of_verification_contains_a_new_effect(leaking_stage):
-    plant = lateral_plant(leaking_stage.model["x"], sampling_rate_Hz=1000.0)
+def test_the_plant_of_verification_contains_a_new_effect(leaking):
+    plant = lateral_plant(leaking.model["x"], sampling_rate_Hz=1000.0)
     assert plant.measured is not None
     displacement, _ = sample(plant.measured, 1000.0).run(np.ones(5000))
     assert displacement[100:].max() / displacement[-1] == pytest.approx(1.0 + SHARE, abs=0.01)
     assert np.argmax(displacement) < 100
 
 
-def test_the_report_plots_a_new_effect_and_states_its_meaning(leaking_stage):
-    page = Anatomy(
-        piezoid.report(
-            leaking_stage.model, leaking_stage.recordings, diagnoses=[leaking_stage.found]
-        )
-    )
-    prose = [paragraph.text for paragraph in page.all("p", "prose")]
-    assert any(
-        paragraph.endswith(f"For control: {leaking_stage.effect.control}") for paragraph in prose
-    )
-    assert any(f"Axis x: {words('charge_leak')}" in paragraph.text for paragraph in page.all("h3"))
-    axes = [paragraph.text for paragraph in page.all("text", "axis-name")]
+def test_the_report_plots_a_new_effect_and_states_its_meaning(leaking):
+    report = piezoid.report(leaking.model, leaking.recordings, diagnoses=[leaking.diagnosis])
+    page = Anatomy(report)
+    prose = [element.text for element in page.all("p", "prose")]
+    assert any(text.endswith(f"For control: {leaking.effect.control}") for text in prose)
+    assert any(f"Axis x: {words('charge_leak')}" in element.text for element in page.all("h3"))
+    axes = [element.text for element in page.all("text", "axis-name")]
     assert any(name.startswith("quick part of the drive") for name in axes)
-    captions = [paragraph.text for paragraph in page.all("figcaption")]
+    captions = [element.text for element in page.all("figcaption")]
     assert any("A leak: a straight line through zero." in caption for caption in captions)
-    axis = leaking_stage.model["x"]
-    pictures = compare_effects(
-        axis, traces_of(axis, leaking_stage.recordings), leaking_stage.found
-    )["charge_leak"]
-    for paragraph in pictures:
-        assert rms(paragraph.without_m) > 1.2 * rms(paragraph.with_m)
+    axis = leaking.model["x"]
+    comparisons = compare_effects(axis, traces_of(axis, leaking.recordings), leaking.diagnosis)
+    for comparison in comparisons["charge_leak"]:
+        assert rms(comparison.without_m) > 1.2 * rms(comparison.with_m)

@@ -77,12 +77,12 @@ def test_make_does_not_change_a_foreign_environment(mark, tmp_path):
 def test_every_piezoid_command_of_the_pages_is_accepted():
     """``readme_walk.py`` runs them in the gate."""
     walked = [line for name in WALKED for line in lines_of(text_of(name))]
-    shown = [line for line in walked if line.startswith("piezoid ")]
-    assert {line.split()[1] for line in shown} == {verb.__name__ for verb in VERBS}
+    commands = [line for line in walked if line.startswith("piezoid ")]
+    assert {line.split()[1] for line in commands} == {verb.__name__ for verb in VERBS}
     command = typer.main.get_command(app)
-    for line in shown:
+    for line in commands:
         verb, *words = shlex.split(line, comments=True)[1:]
-        command.commands[verb].make_context(verb, words)  # type: ignore[attr-defined]
+        command.commands[verb].make_context(verb, words)
 
 
 def test_every_page_with_a_shell_block_is_walked():

@@ -10,6 +10,7 @@ from piezoid.identification.fit_statements import fit_statements
 from piezoid.identification.model import AxisModel
 from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab
+from tests.diagnosis.bench import finding_of
 
 ACTUATOR = """
 [[recording]]
@@ -72,5 +73,5 @@ def test_the_lagging_positioner_is_not_reported_as_hysteresis(realdata):
 def test_the_hold_of_an_approach_shows_creep(realdata):
     recordings = collect([realdata / "capsensor_hold" / "approach_hold_retract.csv.gz"]).recordings
     diagnosis = diagnose(recordings)
-    (creep,) = [finding for finding in diagnosis.findings if finding.effect == "creep"]
+    creep = finding_of(diagnosis, "creep")
     assert 1.0 < creep.size.value < 2.0  # percent of the step per decade

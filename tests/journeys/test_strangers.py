@@ -17,7 +17,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import IN_SAMPLE
 from piezoid.numerics.arrays import Array
 from piezoid_datasets.virtual_lab.signals import first_order
-from tests.diagnosis.bench import causes
+from tests.diagnosis.bench import causes, finding_of
 from tests.journeys.command import piezoid
 from tests.laws import LAWS, RATE_Hz, recorded, swept_um, triangles, write
 
@@ -174,12 +174,9 @@ def test_an_external_vibration_is_no_lag_and_has_its_frequency(tmp_path):
     cycle = np.arange(len(field)) / 500
     reading_um = 10 * LAWS["duhem"](field) + 0.2 * np.sin(2 * np.pi * 2.83 * cycle)
     diagnosis = diagnose([recorded(tmp_path, field, reading_um + noise_um(len(field)))])
-    assert diagnosis.model is not None
     assert diagnosis.model.verdict.applies
     assert causes(diagnosis) == ("something_else",)
-    finding = next(
-        candidate for candidate in diagnosis.findings if candidate.effect == "something_else"
-    )
+    finding = finding_of(diagnosis, "something_else")
     assert finding.coordinate == "frequency"
     assert finding.parameters["frequency_Hz"] == pytest.approx(2.83 * RATE_Hz / 500, rel=0.02)
     assert finding.size.value == pytest.approx(200 / np.sqrt(2), rel=0.15)

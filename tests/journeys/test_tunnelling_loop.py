@@ -185,5 +185,5 @@ def test_a_short_recording_of_a_tip_is_a_usage_error(tmp_path):
     assert "too short" in output
 
 
-def _read(path: Path, lab: Lab):  # type: ignore[no-untyped-def]
+def _read(path: Path, lab: Lab):
     return loops_of([collect([path], lab)[0]], lab)

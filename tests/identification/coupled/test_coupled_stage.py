@@ -12,14 +12,14 @@ RATE_HZ, SAMPLES, REALISATIONS = 1000.0, 2048, 5
 LINES = np.arange(1, 820)
 LOW_V, HIGH_V = 0.1, 0.3
 MODE_HZ, DAMPING = np.array([60.0, 140.0, 230.0]), np.array([0.02, 0.015, 0.02])
-SOFTER = np.array([-0.012, 0.0, -0.006])  # from 0.1 to 0.3 V
+SOFTENING = np.array([-0.012, 0.0, -0.006])  # from 0.1 to 0.3 V
 GAIN = 1e-6 * np.array([[[2, 1], [1, 2]], [[2, -1], [-2, 1]], [[0.5, 0.4], [0.4, -0.6]]])
 NOISE_M = 2e-9
 
 
 def shift(level_V: float) -> np.ndarray:
     """Return the logarithmic change of the frequencies, linear in the logarithm of the level."""
-    return SOFTER * np.log(level_V / np.sqrt(LOW_V * HIGH_V)) / np.log(HIGH_V / LOW_V)
+    return SOFTENING * np.log(level_V / np.sqrt(LOW_V * HIGH_V)) / np.log(HIGH_V / LOW_V)
 
 
 def displacement(drive: np.ndarray, level_V: float) -> np.ndarray:
@@ -84,7 +84,7 @@ def test_modes_and_their_level_dependence_are_identified_with_finite_intervals(m
     np.testing.assert_allclose(model.mode_frequency_Hz(LOW_V)[indices], expected_Hz, rtol=2e-3)
     np.testing.assert_allclose(model.mode_damping(HIGH_V)[indices], DAMPING, rtol=0.05)
     change = model.frequency_change()[indices]
-    np.testing.assert_allclose(change[:, 0], np.expm1(SOFTER), atol=1.5e-3)
+    np.testing.assert_allclose(change[:, 0], np.expm1(SOFTENING), atol=1.5e-3)
     low_Hz, high_Hz = model.mode_frequency_interval_Hz(HIGH_V).T
     assert (
         (low_Hz < model.mode_frequency_Hz(HIGH_V)) & (model.mode_frequency_Hz(HIGH_V) < high_Hz)

@@ -62,7 +62,6 @@ def axis(chirped: Recording) -> AxisModel:
 
 def test_a_mode_behind_large_hysteresis_is_identified(axis):
     dynamics = axis.dynamics
-    assert dynamics is not None
     strongest = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
     # The windows widen a resonance of 40 Hz by a few of their 1.2 Hz.
     assert dynamics.mode_frequency_Hz[strongest] == pytest.approx(MODE_Hz, rel=0.01)
@@ -89,7 +88,6 @@ def test_a_mode_is_identified_with_a_drive_that_is_not_held():
     noise_m = 5e-9 * np.random.default_rng(3).standard_normal(len(reading_m))
     recording = recording_of(voltage_V[::oversampling], reading_m + noise_m, "chirp.csv", RATE_Hz)
     dynamics = with_dynamics(replace(axis_model(), rig=rig), [recording]).dynamics
-    assert dynamics is not None
     assert dynamics.mode_frequency_Hz == pytest.approx([MODE_Hz], rel=0.01)
     assert dynamics.delay_s < 2e-6
 
@@ -113,7 +111,6 @@ def test_a_sweep_excites_a_mode_in_its_band(drive_V, rng):
     sweep = recorded(drive_V, rng, "sweep.csv")
     assert [recording.name for recording, _ in excites_dynamics([sweep], "x")] == ["sweep.csv"]
     dynamics = with_dynamics(axis_model(), [sweep]).dynamics
-    assert dynamics is not None
     strongest = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
     assert dynamics.mode_frequency_Hz[strongest] == pytest.approx(MODE_Hz, rel=0.02)
 
@@ -163,7 +160,6 @@ def test_a_model_with_dynamics_survives_its_file_bit_by_bit(axis):
     assert write_model(read_model(content)) == content
     assert read_model(content)["x"].dynamics is not None
     assert read_model(content)["x"].bandwidth == axis.bandwidth
-    assert axis.bandwidth is not None
     assert axis.bandwidth.kind == "resonance"
     assert axis.bandwidth.text in axis.dynamics_remarks
 
@@ -172,7 +168,6 @@ def test_the_report_shows_gain_phase_coherence_and_poles(axis, chirped):
     page = render(Page(model=stage_model(axis), recordings=[chirped]))
     for words in ('id="dynamics"', "Axis x: phase", "Axis x: coherence", "Axis x: poles"):
         assert words in page
-    assert axis.bandwidth is not None
     assert axis.bandwidth.text in page
 
 

@@ -56,7 +56,6 @@ def test_a_mode_is_identified_as_a_resonance_with_or_without_a_peak(rng, damping
         response_of(rng, resonance(630, damping)), DECLARATION, delay_s=NO_DELAY
     )
     assert verdict.kind == "resonance"
-    assert verdict.phase_interval_deg is not None
     assert verdict.phase_interval_deg[1] < -88.0
 
 
@@ -83,7 +82,6 @@ def test_a_response_without_static_gain_or_roll_off_is_undecided(rng, system):
 def test_a_stated_bandwidth_beyond_the_recordings_is_undecided():
     recording = recorded(5.0 + np.sin(np.arange(5000) / 500.0), np.random.default_rng(41))
     axis = with_dynamics(axis_model(), [recording], stated_Hz=630.0)
-    assert axis.bandwidth is not None
     assert axis.bandwidth.kind == "undecided"
     assert axis.bandwidth.text in axis.dynamics_remarks
 
@@ -109,7 +107,6 @@ def test_a_slew_limit_is_no_pole(rng):
         limited = replace(measured, response=measured.response * slewed(f, 300.0))
         verdict = decide_bandwidth(limited, DECLARATION, delay_s=delay_s)
         assert verdict.kind == "undecided"
-        assert verdict.phase_interval_deg is not None
         assert verdict.phase_interval_deg[0] == pytest.approx(-29.0, abs=3.0)
 
 

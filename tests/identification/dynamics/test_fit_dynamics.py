@@ -90,11 +90,11 @@ def test_more_parameters_than_values_are_refused(rng):
 
 def test_a_declared_filter_does_not_count_as_delay(rng):
     measured = first_response(record(rng, noise_m=1e-10))
-    without = fit_dynamics(measured, STRUCTURE, Declaration())
+    undeclared = fit_dynamics(measured, STRUCTURE, Declaration())
     declared = fit_dynamics(measured, STRUCTURE, DECLARATION)
-    added = without.delay_s - declared.delay_s
+    added = undeclared.delay_s - declared.delay_s
     assert added == pytest.approx(1 / (2 * np.pi * 4000), rel=0.25)
-    assert without.cost_ratio > 10 * declared.cost_ratio
+    assert undeclared.cost_ratio > 10 * declared.cost_ratio
     assert declared.declared == (Filter(name="amplifier", frequency_Hz=4000.0),)
 
 

@@ -60,7 +60,6 @@ def test_modes_delay_and_creep_are_identified(modes, rng):
     np.testing.assert_allclose(0.5 / dynamics.mode_damping, quality, rtol=0.03)
     np.testing.assert_allclose(dynamics.mode_gain_m_per_V, 2e-7 * share, rtol=0.03)
     assert dynamics.delay_s == pytest.approx(2e-4, abs=2e-6)
-    assert fit.slow is not None
     assert fit.slow.falls
     assert fit.slow.slope_dB == pytest.approx(-0.15, abs=0.03)
 
@@ -124,9 +123,6 @@ def test_the_response_determines_the_dynamics_and_the_hysteresis_keeps_its_gain(
     axis, sweep = slow_axis(polarity)
     measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
     axis_with_dynamics = with_dynamics(axis, [sweep], response=measured)
-    assert axis_with_dynamics.dynamics is not None
-    assert axis_with_dynamics.response is not None
-    assert axis_with_dynamics.bandwidth is not None
     assert axis_with_dynamics.bandwidth.kind == "resonance"
     assert np.sign(axis_with_dynamics.dynamics.static_gain_m_per_V) == axis.polarity == polarity
     middle = 0.5 * sum(axis.hysteresis.slope_sector_m_per_V)

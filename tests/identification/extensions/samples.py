@@ -1,4 +1,4 @@
-"""One of every kind, with numbers a stage could have."""
+"""One extension of every kind with realistic parameters."""
 
 import numpy as np
 
@@ -32,7 +32,7 @@ def where(samples: int = 8000, recording: str = "sweep.csv", first: int = 0) -> 
 
 def one_of_each() -> tuple[Extension, ...]:
     drift, mains = ThermalDrift.of([where()]), MainsLines.of([where()], 50.0)
-    chance = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     return (
         SlewLimit(limit_V_per_s=123.4),
         AmplifierLimits(low_V=None, high_V=9.5),
@@ -54,8 +54,8 @@ def one_of_each() -> tuple[Extension, ...]:
             play_threshold_V=(1.0, 2.0),
             play_weight_m_per_V=(2e-9, 1e-9),
         ),
-        drift.moved_to(1e-8 * chance.standard_normal(len(drift.free().value))),
-        mains.moved_to(1e-8 * chance.standard_normal(len(mains.free().value))),
+        drift.moved_to(1e-8 * rng.standard_normal(len(drift.free().value))),
+        mains.moved_to(1e-8 * rng.standard_normal(len(mains.free().value))),
         PeriodicError(
             wavelength_m=6e-7,
             cosine_m=(2e-9, 5e-10),

@@ -21,7 +21,7 @@ from tests.laws import LAWS, recorded
 pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 
-def noisy(values: np.ndarray, seed: int = 1) -> np.ndarray:  # type: ignore[type-arg]
+def noisy(values: np.ndarray, seed: int = 1) -> np.ndarray:
     return values + np.random.default_rng(seed).normal(0, 3e-9, len(values))
 
 
@@ -49,9 +49,10 @@ def test_a_butterfly_loop_is_refused():
 
 
 @pytest.mark.parametrize(("leading", "is_refused"), [(1, False), (2, True)])
-def test_loops_of_wrong_direction_in_one_of_three_recordings_are_tolerated(leading, is_refused):
+def test_loops_of_wrong_direction_are_tolerated_in_one_of_three_recordings_only(
+    leading, is_refused
+):
     """Its readings are too early, as after a clock slip."""
-    """Its readings come early, as behind a slip of the clock."""
     recordings = []
     for k in range(3):
         drive = (1.0 - 0.1 * k) * np.tile(decaying(2, per_unit=20)[:-1], 6)
@@ -102,7 +103,7 @@ def test_an_unrelated_reading_is_not_called_lag():
     assert "phase lag" not in verdict.reason
 
 
-def reason_of(drive: np.ndarray, response_m: np.ndarray) -> str:  # type: ignore[type-arg]
+def reason_of(drive: np.ndarray, response_m: np.ndarray) -> str:
     return fit([recording(drive, response_m)])["x"].verdict.reason
 
 

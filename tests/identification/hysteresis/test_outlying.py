@@ -15,7 +15,7 @@ SIZES = (1.0, 0.8, 0.6, 0.9, 0.5, 1.0)
 FIELD = np.concatenate([size * (triangles(1, 200) + 1.0) - 1.0 for size in SIZES])
 NO_POLES = Rig(amplifier_bandwidth_Hz=None, sensor_bandwidth_Hz=None)
 pytestmark = pytest.mark.usefixtures("one_order")
-BENT = ("dahl", "generalised_bouc_wen", "coleman_hodgdon", "wall_pinning")
+FRICTION_LAWS = ("dahl", "generalised_bouc_wen", "coleman_hodgdon", "wall_pinning")
 
 
 def outlier_remark(folder: Path, reading_um: Array) -> str:
@@ -32,7 +32,7 @@ def clean_um(law: str) -> Array:
     )
 
 
-@pytest.mark.parametrize("law", BENT)
+@pytest.mark.parametrize("law", FRICTION_LAWS)
 def test_the_response_after_a_turn_is_no_outlier(law, tmp_path):
     assert outlier_remark(tmp_path, clean_um(law)) == ""
 

@@ -61,7 +61,7 @@ def test_intervals_agree_with_the_scatter_over_noise():
         fit, scales = fitted(seed)
         spread = jackknife(fit.theta, fit.task)
         estimates.append(width(fit.theta, fit, scales)[0])
-        half_width = spread.half_width(lambda v, fit=fit, scales=scales: width(v, fit, scales))  # type: ignore[misc]
+        half_width = spread.half_width(lambda v, fit=fit, scales=scales: width(v, fit, scales))
         half_widths.append(half_width[0])
     scatter = 2 * float(np.std(estimates, ddof=1))
     assert 0.5 * scatter < np.median(half_widths) < 4 * scatter

@@ -1,4 +1,4 @@
-"""Closed-loop records of virtual junctions, as a laboratory would hand them over."""
+"""Closed-loop records of virtual junctions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -39,13 +39,13 @@ JUNCTIONS = (
 
 @cache
 def _long_records() -> Mapping[Junction, LoopRecord]:
-    """Simulate all junctions at once, which takes as long as one of them."""
+    """Simulate all junctions at once, which takes as long as a single junction."""
     records = loop_records(JUNCTIONS, periods=41, seed=1)
     return dict(zip(JUNCTIONS, records, strict=True))
 
 
 def record_of(junction: Junction, periods: int = 41) -> LoopRecord:
-    """Return the first periods of the record of one of the junctions."""
+    """Return the first periods of the record of a junction."""
     record, samples = _long_records()[junction], PERIOD_SAMPLES * periods
     return replace(
         record,
@@ -64,7 +64,7 @@ def loop_records(
     periodic: bool = True,
     in_drive: bool = False,
 ) -> tuple[LoopRecord, ...]:
-    """Records under one dither, in nepers or (``in_drive``) in volts; without a period: noise."""
+    """Simulate records with one dither, in nepers or (``in_drive``) volts; aperiodic: noise."""
     rng = np.random.default_rng(seed)
     if periodic:
         dither = multisine(PERIOD_SAMPLES, periods, lines=LINES, rms=rms, rng=rng)
@@ -92,8 +92,8 @@ def loop_records(
     )
 
 
-def rig_of(junction: Junction, **changed: float | None) -> LoopRig:
-    """What a laboratory declares: no pole of the sensor, unless it is changed."""
+def rig_of(junction: Junction, **declared: float | None) -> LoopRig:
+    """Return the declarations of a laboratory, by default without a pole of the sensor."""
     rig = LoopRig(
         axis="z",
         set_point_A=1e-9,
@@ -104,9 +104,9 @@ def rig_of(junction: Junction, **changed: float | None) -> LoopRig:
         feedback_ohm=None,
         extension_uncertainty=0.0,
     )
-    return replace(rig, **changed)  # type: ignore[arg-type]
+    return replace(rig, **declared)
 
 
-def identified(record: LoopRecord, junction: Junction, **changed: float | None) -> ClosedLoopFit:
-    """The fit of one record from what a laboratory declares."""
-    return identify_closed_loop(record, rig_of(junction, **changed))
+def identified(record: LoopRecord, junction: Junction, **declared: float | None) -> ClosedLoopFit:
+    """Fit a record with the declarations of its laboratory."""
+    return identify_closed_loop(record, rig_of(junction, **declared))

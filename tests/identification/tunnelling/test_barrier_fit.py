@@ -8,9 +8,9 @@ from piezoid.operators.tunnelling import barrier_of_decay
 from tests.identification.tunnelling.sweeps import DECAY_PER_M, OFFSET_A, changed, sweep
 
 
-def test_a_sweep_without_noise_gives_back_its_decay_and_offset(rng):
+def test_decay_and_offset_of_a_sweep_without_noise_are_recovered(rng):
     fit = fit_barrier([sweep(rng, floor_A=0.0, relative=0.0)])
-    assert fit.decay_per_m == pytest.approx(DECAY_PER_M, rel=1e-6)  # the search's own tolerance
+    assert fit.decay_per_m == pytest.approx(DECAY_PER_M, rel=1e-6)  # tolerance of the search
     assert fit.offset_A == pytest.approx(OFFSET_A, rel=1e-3, abs=0.0)
     assert fit.barrier_eV == pytest.approx(barrier_of_decay(DECAY_PER_M), rel=2e-6)
 
@@ -31,10 +31,10 @@ def test_either_polarity_gives_the_same_decay(rng, polarity):
     assert fit.offset_A == pytest.approx(OFFSET_A, abs=4.0 * fit.offset_standard_A)
 
 
-def test_an_inverting_amplifier_is_seen_in_the_data(rng):
-    upright = sweep(rng)
-    inverted = fit_barrier([changed(upright, -upright.current_A)])
-    assert inverted.polarity == -fit_barrier([upright]).polarity
+def test_an_inverting_amplifier_is_detected(rng):
+    original = sweep(rng)
+    inverted = fit_barrier([changed(original, -original.current_A)])
+    assert inverted.polarity == -fit_barrier([original]).polarity
 
 
 def test_the_floor_and_the_jitter_of_the_gap_are_estimated(rng):

@@ -254,7 +254,6 @@ def test_a_mode_of_the_drive_biases_neither_gain_nor_delay():
         sensor_pole_Hz=6300.0,
         sampling_rate_Hz=20e3,
     )
-    assert fit.mode is not None
     assert fit.mode.frequency_Hz == pytest.approx(5000.0, rel=0.01)
     assert fit.mode.share == pytest.approx(0.2, rel=0.1)
     assert fit.plant.gain_nepers_per_V == pytest.approx(0.3, rel=0.01)

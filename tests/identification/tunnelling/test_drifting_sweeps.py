@@ -74,7 +74,6 @@ def test_both_directions_together_cancel_a_drift_of_a_fifth_of_the_speed(
     assert law.decay_interval_per_m[0] < DECAY_per_m < law.decay_interval_per_m[1]
     assert law.decay_per_m == pytest.approx(DECAY_per_m, rel=0.01)
     assert np.ptp(law.decay_interval_per_m) < 0.1 * DECAY_per_m
-    assert model.forward is not None
     share = drift_m_per_s / SPEED_m_per_s
     assert model.forward.decay_per_m == pytest.approx(DECAY_per_m * (1.0 + share), rel=0.02)
     is_stated = any("drifted or crept" in reason for reason in law.reasons)

@@ -33,6 +33,6 @@ def test_estimates_that_disagree_widen_their_mean():
 def test_an_unbounded_estimate_has_no_weight_and_two_stay_unbounded():
     joint = join_barriers((30e9, WIDE), (20e9, (19e9, 21e9)))
     assert joint.decay_per_m == pytest.approx(20e9, rel=1e-3)
-    nothing = join_barriers((30e9, WIDE), (20e9, WIDE))
-    assert nothing.decay_interval_per_m == WIDE
-    assert nothing.decay_per_m == pytest.approx(math.sqrt(20e9 * 30e9))
+    unbounded = join_barriers((30e9, WIDE), (20e9, WIDE))
+    assert unbounded.decay_interval_per_m == WIDE
+    assert unbounded.decay_per_m == pytest.approx(math.sqrt(20e9 * 30e9))

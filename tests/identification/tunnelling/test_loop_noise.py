@@ -53,23 +53,23 @@ def test_the_hum_is_found_at_its_frequency_and_size():
     assert noise.mains[0].amplitude_m == pytest.approx(6e-12, rel=0.15, abs=0.0)
 
 
-def test_without_hum_no_line_is_claimed():
+def test_a_record_without_hum_has_no_mains_line():
     noise = measured(HUMLESS_JUNCTION)
     assert noise.mains == ()
 
 
-def test_the_vibration_stands_in_the_spectrum():
+def test_a_vibration_is_a_peak_of_the_spectrum():
     record = record_of(VIBRATING_JUNCTION, 21)
     fit = identified(record, VIBRATING_JUNCTION)
     decay_per_m = decay_of_barrier(fit.barrier_eV)
     motion_m = gap_motion(record, fit.plant, decay_per_m)
     frequency_Hz, density = power_density(motion_m, record.sampling_rate_Hz)
-    around = (frequency_Hz > 70.0) & (frequency_Hz < 1000.0)
-    assert frequency_Hz[around][np.argmax(density[around])] == pytest.approx(140.0, abs=10.0)
+    band = (frequency_Hz > 70.0) & (frequency_Hz < 1000.0)
+    assert frequency_Hz[band][np.argmax(density[band])] == pytest.approx(140.0, abs=10.0)
 
 
 def test_the_published_budget_at_one_nanoampere_and_ten_kilohertz():
-    """Shot 1.79 pA, Johnson of 1 GOhm 4.0e-15 A/rtHz; the drive's steps limit, not physics."""
+    """Shot noise 1.79 pA, Johnson noise of 1 GOhm 4.0e-15 A/rtHz; steps of the drive dominate."""
     chain = CurrentChain(bandwidth_Hz=10e3, feedback_ohm=1e9, adc_step_A=0.305e-12)
     assert chain.shot_A(1e-9) == pytest.approx(1.79e-12, rel=5e-3, abs=0.0)
     assert chain.johnson_A / 100.0 == pytest.approx(4.0e-15, rel=0.02, abs=0.0)
@@ -111,7 +111,7 @@ def test_the_limiting_electronics_change_with_an_attenuator():
     assert direct.limiting_source == attenuated.limiting_source == "gap"
 
 
-def test_the_budget_is_for_the_declared_bandwidth_or_for_the_pole_below_half_the_rate():
+def test_the_bandwidth_of_the_budget_is_declared_or_that_of_the_pole():
     record = record_of(Junction(), 6)
     for declared_Hz, pole_Hz, expected_Hz in ((7e3, 3e3, 7e3), (None, 3e3, 3e3), (None, 3e4, 1e4)):
         plant = JunctionPlant(
@@ -122,7 +122,6 @@ def test_the_budget_is_for_the_declared_bandwidth_or_for_the_pole_below_half_the
             sampling_rate_Hz=record.sampling_rate_Hz,
         )
         noise = measure_loop_noise(record, plant, replace(RIG, bandwidth_Hz=declared_Hz))
-        assert noise is not None
         assert noise.bandwidth_Hz == pytest.approx(expected_Hz)
 
 

@@ -32,10 +32,10 @@ def test_the_published_decay_lies_in_the_interval_and_three_sweeps_agree_with_it
     assert fit.decay_per_m == pytest.approx(PUBLISHED_PER_M[direction], rel=0.005)
     assert (high - low) / fit.decay_per_m < 0.03
     assert 3.9 < fit.barrier_interval_eV[0] < fit.barrier_interval_eV[1] < 4.3
-    together = _fit(realdata, direction, "00001", "00002", "00003")
-    assert together.decay_per_m == pytest.approx(fit.decay_per_m, rel=0.003)
-    assert np.ptp(together.sweep_decay_per_m) < 0.003 * together.decay_per_m
-    assert together.confidence is Confidence.HIGH
+    joint_fit = _fit(realdata, direction, "00001", "00002", "00003")
+    assert joint_fit.decay_per_m == pytest.approx(fit.decay_per_m, rel=0.003)
+    assert np.ptp(joint_fit.sweep_decay_per_m) < 0.003 * joint_fit.decay_per_m
+    assert joint_fit.confidence is Confidence.HIGH
 
 
 def test_the_negative_polarity_and_the_offset_are_found(realdata):

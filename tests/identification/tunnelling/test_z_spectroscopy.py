@@ -30,8 +30,9 @@ def _table(*labels: str, metadata: dict[str, str] | None = None) -> RawTable:
 def test_the_real_file_holds_three_sweeps_each_way(realdata):
     table = real_table(realdata)
     curves = read_z_spectroscopy(table)
-    ways = [curve.direction for curve in curves]
-    assert ways == [Direction.FORWARD] * 3 + [Direction.BACKWARD] * 3
+    assert [curve.direction for curve in curves] == [Direction.FORWARD] * 3 + [
+        Direction.BACKWARD
+    ] * 3
     assert {curve.bias_V for curve in curves} == {-0.02}
     expected = real_sweep(table, "00002", Direction.BACKWARD)
     assert np.array_equal(curves[4].current_A, expected.current_A)
@@ -102,7 +103,5 @@ def test_a_text_table_of_height_and_current_is_an_approach_curve(tmp_path, rng):
     assert "approach_curve" in {statement.quantity for statement in inspection.statements}
     collection = collect([path])
     law = fit_junction(collection.sweeps)
-    assert law is not None
-    assert law.gap_law is not None
     low_per_m, high_per_m = law.gap_law.decay_interval_per_m
     assert low_per_m < 19e9 < high_per_m
