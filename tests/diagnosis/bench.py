@@ -4,9 +4,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
 
-from benchmarks.zoo.score import read_campaign as recorded
-from benchmarks.zoo.stages import KINDS, NAMES, PER_KIND, PER_LAW, stage
-from benchmarks.zoo.stages import draw_stage as drawn
+from benchmarks.zoo.score import read_campaign as read_campaign
+from benchmarks.zoo.stages import KINDS, NAMES, PER_KIND, PER_LAW, draw_stage, stage
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.residual_view import View
@@ -69,13 +68,13 @@ def thinned(recordings: Iterable[Recording], every: int) -> tuple[Recording, ...
 def recorded_zoo_stage(law: str, kind: str, seed: int) -> tuple[tuple[Recording, ...], Lab, float]:
     """Return the recordings of a stage of the zoo, its declarations and its noise, rms in m."""
     offset = NAMES.index(law) * PER_LAW + list(KINDS).index(kind) * PER_KIND
-    campaign = drawn(stage(law, kind, 0, seed - offset))
-    return (*recorded(campaign), campaign.answer.noise_rms_m)
+    campaign = draw_stage(stage(law, kind, 0, seed - offset))
+    return (*read_campaign(campaign), campaign.answer.noise_rms_m)
 
 
 @cache
 def healthy() -> tuple[tuple[Recording, ...], Lab]:
-    return recorded(draw_campaign(20, truth="bouc_wen", plans=PLANS))
+    return read_campaign(draw_campaign(20, truth="bouc_wen", plans=PLANS))
 
 
 def view_of_recordings(recordings: Sequence[Recording], lab: Lab = NO_DECLARATIONS) -> View:

@@ -14,7 +14,7 @@ from piezoid.diagnosis.refinement import initial_guess, refine
 from piezoid.diagnosis.score_test import score_test
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
-from .bench import healthy, healthy_view, recorded, view_of_recordings
+from .bench import healthy, healthy_view, read_campaign, view_of_recordings
 
 NAMES = [effect.name for effect in EFFECTS]
 # Compared with the class of the model instead of with a column.
@@ -82,7 +82,7 @@ def test_an_effect_is_named_at_twice_its_detectable_size(effect):
     if effect.name in CAMPAIGN_EFFECTS:
         percent = {effect.name: 200.0 * effect.detectable_share}
         campaign = draw_campaign(20, truth="preisach", plans=("sweep", "check"), effects=percent)
-        assert is_named(effect, view_of_recordings(*recorded(campaign)))
+        assert is_named(effect, view_of_recordings(*read_campaign(campaign)))
         return
     recordings, lab = healthy()
     widest_V = max(float(np.ptp(r.voltage_V())) for r in recordings)

@@ -16,7 +16,7 @@ from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.signals import with_displacement
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
 
-from .bench import effects_of, finding_of, recorded, thinned, view_of_recordings
+from .bench import effects_of, finding_of, read_campaign, thinned, view_of_recordings
 from .play_recordings import with_another_axis
 from .play_stage import recording
 
@@ -40,7 +40,7 @@ def clipping_cause(seed: int) -> tuple[Campaign, ScoreTest, Candidate]:
     campaign = draw_campaign(
         seed, truth="preisach", effects=("amplifier_saturation",), plans=("sweep", "check")
     )
-    view = view_of_recordings(*recorded(campaign))
+    view = view_of_recordings(*read_campaign(campaign))
     test = score_test(amplifier_saturation.EFFECT, view)
     start = initial_guess(amplifier_saturation.EFFECT, test.trial, float(test.cv.coefficient[0]))
     selected, refitted = refine(start, view, [])

@@ -21,7 +21,7 @@ from piezoid.diagnosis.signals import with_displacement
 from piezoid.operators.filters import later
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
-from .bench import causes, healthy, recorded, view_of_recordings
+from .bench import causes, healthy, read_campaign, view_of_recordings
 
 DELAY_s = 3e-4
 
@@ -37,12 +37,12 @@ def delayed_view() -> View:
 
 
 def test_an_initial_state_is_fitted_to_careless_recordings_but_not_to_cycled_ones():
-    cycled, lab = recorded(draw_campaign(404, truth="preisach", plans=("sweep", "check")))
+    cycled, lab = read_campaign(draw_campaign(404, truth="preisach", plans=("sweep", "check")))
     view = view_of_recordings(cycled, lab)
     assert (
         with_individual_initial_states(view, with_shared_initial_state(view)).rms > 0.95 * view.rms
     )
-    careless, lab = recorded(
+    careless, lab = read_campaign(
         draw_campaign(407, truth="preisach", plans=("sweep", "check"), careless=True)
     )
     view = view_of_recordings(careless, lab)
@@ -88,7 +88,7 @@ def test_a_slew_limit_and_a_lag_are_refined_together():
     sizes = {"slew_limit": 0.5, "lag": 0.3}
     campaign = draw_campaign(12, truth="preisach", plans=("sweep", "rates"), effects=sizes)
     numbers = {effect.name: effect.numbers for effect in campaign.answer.effects}
-    clean = view_of_recordings(*recorded(campaign))
+    clean = view_of_recordings(*read_campaign(campaign))
     selected, view = [], clean
     for effect in (slew_limit.EFFECT, lag.EFFECT):
         test = score_test(effect, view)
@@ -109,7 +109,7 @@ DRIFT_m = 1e-8  # at the end; the stroke is 46 um
 @pytest.mark.slow
 @pytest.mark.usefixtures("plays_alone", "one_order")
 def test_the_bound_on_a_drift_covers_what_a_single_sweep_hides():
-    (recording,), lab = recorded(draw_campaign(21, truth="preisach", plans=("sweep",)))
+    (recording,), lab = read_campaign(draw_campaign(21, truth="preisach", plans=("sweep",)))
     drift_m = DRIFT_m * np.linspace(-1.0, 1.0, recording.samples)
     drifting = with_displacement(recording, recording.displacement_m() + drift_m)
     diagnosis = diagnose([drifting], lab=lab)

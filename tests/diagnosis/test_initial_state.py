@@ -39,7 +39,7 @@ from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
-from .bench import recorded, recorded_zoo_stage, thinned, view_of_recordings
+from .bench import read_campaign, recorded_zoo_stage, thinned, view_of_recordings
 from .play_recordings import (
     NOISE,
     WIDTH,
@@ -96,7 +96,7 @@ def test_a_different_history_of_one_recording_is_an_unknown_initial_state():
 
 def test_a_campaign_with_different_histories_needs_individual_initial_states():
     campaign = draw_campaign(104133, truth="preisach", effects={"initial_state": 2.5})
-    view = view_of_recordings(*recorded(campaign))
+    view = view_of_recordings(*read_campaign(campaign))
     shared = with_shared_initial_state(view)
     individual = with_individual_initial_states(view, shared)
     assert individual.rms < 0.85 * shared.rms

@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import pytest
 
-from benchmarks.zoo.stages import draw_stage as drawn
-from benchmarks.zoo.stages import stage
+from benchmarks.zoo.stages import draw_stage, stage
 from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.diagnosis.structure_findings import NoiseLevel, noise_level
@@ -17,7 +16,7 @@ from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from tests.journeys.test_batch import write_stages
 
-from .bench import causes, finding_of, recorded, thinned
+from .bench import causes, finding_of, read_campaign, thinned
 from .play_stage import NOISE_m, clean, view_with
 
 pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
@@ -37,7 +36,7 @@ def level_by_speed(recording: Recording) -> Array:
 
 
 def noisy_stage(level: Level) -> tuple[tuple[Recording, ...], Lab, float]:
-    recordings, lab = recorded(draw_campaign(41, truth="bouc_wen", plans=("sweep", "rates")))
+    recordings, lab = read_campaign(draw_campaign(41, truth="bouc_wen", plans=("sweep", "rates")))
     rng, noisy, added_variances_m2 = np.random.default_rng(3), [], []
     for recording in recordings:
         sigma_m = ADDED_NOISE_m * level(recording)
@@ -75,7 +74,9 @@ def test_uniform_noise_has_no_coordinate(tmp_path):
     """Signs alone give a false alarm on the second stage; the third has few samples."""
     noisy, lab, _ = noisy_stage(lambda recording: np.full(len(recording.voltage_V()), 0.3))
     assert noise_level_of(noisy, lab) is None
-    assert noise_level_of(*recorded(drawn(stage("lugre", "healthy", 1, 3_300_000)))) is None
+    assert (
+        noise_level_of(*read_campaign(draw_stage(stage("lugre", "healthy", 1, 3_300_000)))) is None
+    )
     folder = write_stages(tmp_path) / "unit-1"
     lab = read_lab(folder / "lab.toml")
     assert noise_level_of(collect([folder / "sweep.csv"], lab).recordings, lab) is None

@@ -20,7 +20,7 @@ from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from tests.identification.hysteresis.stages import decaying, recording
 from tests.identification.hysteresis.test_estimate import stage
 
-from .bench import causes, finding_of, recorded, recorded_zoo_stage, thinned
+from .bench import causes, finding_of, read_campaign, recorded_zoo_stage, thinned
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
@@ -39,7 +39,7 @@ def diagnosed(index: int, hidden: str = "", percent: float = 0.0, truth: str = "
         plans=PLANS,
         uncatalogued={hidden: percent} if hidden else None,
     )
-    recordings, lab = recorded(campaign)
+    recordings, lab = read_campaign(campaign)
     is_in_samples = hidden == "every_nth"
     return diagnose(recordings if is_in_samples else thinned(recordings, 6), lab=lab)
 
@@ -75,7 +75,7 @@ def test_structure_in_the_model_reduces_the_final_error():
 @pytest.mark.usefixtures("one_order")
 def test_the_end_of_the_sensor_range_is_named_with_its_level():
     campaign = draw_campaign(401, truth="bouc_wen", plans=PLANS, uncatalogued={"range_end": 4.0})
-    recordings, lab = recorded(campaign)
+    recordings, lab = read_campaign(campaign)
     diagnosis = diagnose(thinned(recordings, EVERY), lab=lab)
     assert causes(diagnosis) == (SOMETHING_ELSE,)
     assert structure_in(diagnosis).coordinate == "reading"
@@ -114,7 +114,7 @@ def test_structure_that_the_model_represents_is_no_finding():
 def test_the_end_of_the_sensor_range_is_named_where_the_search_class_predicts_poorly():
     """Readings beyond the end are excluded and need no prediction."""
     campaign = draw_campaign(407, truth="duhem", plans=PLANS, uncatalogued={"range_end": 16.0})
-    recordings, lab = recorded(campaign)
+    recordings, lab = read_campaign(campaign)
     diagnosis = diagnose(thinned(recordings, 2 * EVERY), lab=lab)
     assert causes(diagnosis) == (SOMETHING_ELSE,)
     assert structure_in(diagnosis).coordinate == "reading"

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.zoo.score import read_campaign as recorded
-from benchmarks.zoo.stages import draw_stage as drawn
-from benchmarks.zoo.stages import stage
+from benchmarks.zoo.score import read_campaign
+from benchmarks.zoo.stages import draw_stage, stage
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import timestamp_fault
@@ -147,7 +146,9 @@ def test_slips_of_a_nearly_constant_recording_stay_within_the_limit(seed):
 @pytest.mark.slow
 def test_the_residual_of_a_healthy_stage_is_no_slip():
     """Repairing the apparent slip of other_axis.csv raises the held-out error."""
-    recordings, lab = recorded(drawn(stage("preisach_lorentzian", "healthy", 0, 990_000)))
+    recordings, lab = read_campaign(
+        draw_stage(stage("preisach_lorentzian", "healthy", 0, 990_000))
+    )
     selected = [r for r in recordings if r.name in ("sweep.csv", "check.csv", "other_axis.csv")]
     assert len(selected) == 3
     outcome = search(view_on(selected, axis="x", lab=lab))
@@ -157,7 +158,7 @@ def test_the_residual_of_a_healthy_stage_is_no_slip():
 @pytest.mark.slow
 def test_a_slip_in_fast_motion_does_not_add_a_delay():
     """Slow motion does not show the slip; for all other effects the fast half is delayed."""
-    recordings, lab = recorded(drawn(stage("duhem", "single", 0, 2_100_000)))
+    recordings, lab = read_campaign(draw_stage(stage("duhem", "single", 0, 2_100_000)))
     selected = [r for r in recordings if r.name in ("sweep.csv", "chirp.csv")]
     outcome = search(view_on(selected, axis="x", lab=lab))
     assert (set(outcome.faults), outcome.causes) == ({"timestamp_fault"}, ())
@@ -166,7 +167,7 @@ def test_a_slip_in_fast_motion_does_not_add_a_delay():
 @pytest.mark.slow
 def test_slips_are_found_in_the_presence_of_other_effects():
     """The first search finds a gain change and a mode; the chirp never repeats a speed."""
-    recordings, lab = recorded(drawn(stage("coleman_hodgdon", "triple", 0, 7_400_000)))
+    recordings, lab = read_campaign(draw_stage(stage("coleman_hodgdon", "triple", 0, 7_400_000)))
     selected = [recording for recording in recordings if recording.name != "check.csv"]
     outcome = search(view_on(selected, axis="x", lab=lab))
     assert set(outcome.faults) == {"timestamp_fault"}

@@ -10,7 +10,7 @@ from piezoid.diagnosis.segments import staircase_response, tracks_of
 from piezoid.identification.hysteresis.pieces import Rig, behind_pole, scales_of
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
-from .bench import recorded, view_of_recordings
+from .bench import read_campaign, view_of_recordings
 from .play_stage import STROKE_m, drive, recording, stroke_fraction
 
 POLE_Hz, CUT = 100.0, 700
@@ -57,6 +57,6 @@ def test_the_response_to_a_held_command_agrees_with_the_state_space_model(poles_
 
 
 def test_a_fast_chirp_of_a_healthy_stage_leaves_the_noise_only():
-    view = view_of_recordings(*recorded(draw_campaign(70055, plans=("sweep", "chirp"))))
+    view = view_of_recordings(*read_campaign(draw_campaign(70055, plans=("sweep", "chirp"))))
     chirp = view.null.residual[slice(*view.nuisance.edges[1:3])]
     assert np.std(chirp) < 1.25 * view.noise

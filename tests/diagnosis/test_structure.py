@@ -14,14 +14,14 @@ from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.selection import search
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
-from .bench import recorded, view_of_recordings
+from .bench import read_campaign, view_of_recordings
 
 EVERY = 12  # rows: enough for a search of Bouc-Wen states
 
 
 def healthy_stage(truth: str, seed: int) -> View:
     campaign = draw_campaign(seed, truth=truth, plans=("sweep", "check"))
-    return view_of_recordings(*recorded(campaign))
+    return view_of_recordings(*read_campaign(campaign))
 
 
 def test_a_healthy_wall_pinning_stage_is_represented_down_to_the_noise():
@@ -65,7 +65,7 @@ def test_a_product_that_no_bouc_wen_state_explains_may_be_named():
     campaign = draw_campaign(
         1, truth="jiles_atherton", effects={"non_congruence": 3.0}, plans=("sweep", "check")
     )
-    view = view_of_recordings(*recorded(campaign))
+    view = view_of_recordings(*read_campaign(campaign))
     thinned_tracks = [
         replace(t, rows=t.rows[::EVERY], block=t.block[::EVERY]) for t in view.tracks
     ]
