@@ -19,7 +19,7 @@ PLANS = ("sweep", "rates", "staircase", "chirp", "other_axis")
 
 
 def causes(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """Return the findings except loop shape, which is no fault of the stage."""
+    """Return the findings except loop shape, which is not a fault of the stage."""
     return tuple(name for name in diagnosis.names if name != "loop_shape")
 
 

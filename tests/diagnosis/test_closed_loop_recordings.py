@@ -61,11 +61,11 @@ def test_creep_at_a_constant_sensor_is_named_with_its_size(tmp_path, law):
     assert "b.csv a feedback holds the sensor" in finding.explanation
 
 
-def test_a_linear_change_of_a_constant_sensor_is_no_creep(tmp_path):
+def test_a_linear_change_of_a_constant_sensor_is_not_creep(tmp_path):
     diagnosis = diagnosed(tmp_path, "preisach", -0.05 * HOLD_s / HOLD_s[-1])
     assert "creep" not in diagnosis.names
 
 
-def test_a_change_against_the_previous_move_is_no_creep(tmp_path):
+def test_a_change_against_the_previous_move_is_not_creep(tmp_path):
     reverse = 0.02 * np.log10(1.0 + HOLD_s / 0.02)
     assert "creep" not in diagnosed(tmp_path, "preisach", reverse).names

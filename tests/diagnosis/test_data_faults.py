@@ -71,7 +71,7 @@ def spike_rows(track, static):
     return np.flatnonzero(outliers.spikes(track, static)[0]).tolist()
 
 
-def test_a_reading_at_a_sharp_turn_is_no_spike():
+def test_a_reading_at_a_sharp_turn_is_not_a_spike():
     up = np.arange(-1.0, 1.0, 0.004)
     drive = np.tile(np.concatenate([up, up[::-1]]), 8)
     static = np.array(drive)
@@ -88,7 +88,7 @@ def test_spikes_are_found_despite_fast_motion_elsewhere():
     assert spike_rows(spiky, drive) == [470, 2110, 6330]
 
 
-def test_a_jump_of_the_drive_is_no_spike():
+def test_a_jump_of_the_drive_is_not_a_spike():
     field = np.array(clean("walk")[1])
     field[3000:3002] += 0.05
     reading_m = noisy_reading_m(field, seed=3)
@@ -97,7 +97,7 @@ def test_a_jump_of_the_drive_is_no_spike():
 
 
 @pytest.mark.parametrize("period", [16, 23])
-def test_the_ends_of_a_recording_on_a_ramp_are_no_spikes(period):
+def test_the_ends_of_a_recording_on_a_ramp_are_not_spikes(period):
     drive = np.linspace(-0.9, 0.9, 4000)
     noise = 1e-6 * np.random.default_rng(1).normal(size=len(drive))
     for phase in np.linspace(0.0, 2 * np.pi, 8, endpoint=False):
@@ -114,7 +114,7 @@ def coarse_reading(step_m: float):
 
 
 @pytest.mark.parametrize("spikes", ["", "off the lattice", "between two steps"])
-def test_a_coarse_reading_is_named_with_its_step_and_is_no_periodic_error(spikes):
+def test_a_coarse_reading_is_named_with_its_step_and_is_not_a_periodic_error(spikes):
     """Spikes off the lattice, or repaired ones between two steps, do not hide it."""
     step_m, kinds = 4e-3 * STROKE_m, ("sweep", "walk", "waves")
     readings_m = {kind: step_m * np.round(clean(kind)[2] / step_m) for kind in kinds}
@@ -177,7 +177,7 @@ def test_a_fault_above_its_detection_bound_is_found():
     assert quantisation.EFFECT.fault.find(view) is not None
 
 
-def test_bridged_samples_are_excluded_and_are_no_quantisation_steps():
+def test_bridged_samples_are_excluded_and_are_not_quantisation_steps():
     step_m = 4e-3 * STROKE_m
     reading_m = step_m * np.round(clean("sweep")[2] / step_m)
     bridged_rows = np.arange(50, 8950, 67)

@@ -66,7 +66,7 @@ def test_errors_of_coefficients_account_for_dependent_rows_of_a_block():
     assert np.mean(stated_errors) == pytest.approx(np.std(estimates), rel=0.2)
 
 
-def test_a_delay_in_one_recording_is_no_delay_of_the_stage():
+def test_a_delay_in_one_recording_is_not_a_delay_of_the_stage():
     recordings, lab = healthy()
     delayed_rates = [
         with_displacement(r, later(r.displacement_m(), 4e-4 * r.sampling_rate_Hz))

@@ -38,7 +38,7 @@ from piezoid.records.collection import collect
 from piezoid.records.frames import from_arrays
 from piezoid.records.lab import Amplifier, Lab
 from piezoid.records.recording import Recording
-from piezoid_datasets.virtual_lab.campaign import healthy, named, record_all
+from piezoid_datasets.virtual_lab.campaign import healthy, member_named, record_all
 from piezoid_datasets.virtual_lab.effects import EFFECTS
 from piezoid_datasets.virtual_lab.effects.effect import Fault
 from piezoid_datasets.virtual_lab.plans import PLANS, cycled_history_V, run_of
@@ -90,9 +90,9 @@ def hidden_stage(
 ) -> HiddenStage:
     """Draw a stage and hide effects of these sizes in it."""
     rig = draw_rig(_rng(seed, "rig"))
-    ceramic = named(TRUTHS, truth).draw(_rng(seed, "ceramic"))
+    ceramic = member_named(TRUTHS, truth).draw(_rng(seed, "ceramic"))
     stage = Stage(rig=rig, ceramic=ceramic, seed=seed)
-    runs = tuple(run_of(named(PLANS, name), rig, _rng(seed, name)) for name in plans)
+    runs = tuple(run_of(member_named(PLANS, name), rig, _rng(seed, name)) for name in plans)
     bench = healthy(stage, runs)
     faults = {
         effect.name: effect.install(

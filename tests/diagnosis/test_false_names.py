@@ -135,12 +135,12 @@ def test_a_gain_that_rises_to_the_end_of_the_band_is_a_resonance_beyond_it(law):
 
 
 @pytest.mark.parametrize("law", [dahl, plays], ids=["dahl", "plays"])
-def test_a_gain_that_rises_by_hysteresis_is_no_resonance(law):
+def test_a_gain_that_rises_by_hysteresis_is_not_a_resonance(law):
     """The gain rises relative to the model; a wider class of hysteresis represents the tones."""
     assert resonance_of(driven_by_tones(law, rings=False), 2.0) is None
 
 
-def test_a_gain_at_a_frequency_without_excitation_is_no_resonance():
+def test_a_gain_at_a_frequency_without_excitation_is_not_a_resonance():
     """All motion at this frequency is noise, which no hysteresis represents."""
     view = driven_by_tones(dahl, rings=True)
     for peak_Hz in (171.0, 184.0, 250.0, 310.0):

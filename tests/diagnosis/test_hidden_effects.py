@@ -1,4 +1,4 @@
-"""Every effect of the catalogue, hidden in a stage whose loops are no sum of plays.
+"""Every effect of the catalogue, hidden in a stage whose loops are not a sum of plays.
 
 The stage follows Dahl's friction law and has one effect, computed by another formula than the
 model's. The diagnosis must name this effect only, estimate its parameters and state the gain. On a
@@ -313,7 +313,7 @@ def test_clipping_of_half_the_range_is_found_with_its_initial_state():
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-def test_a_very_slow_amplifier_is_found_and_is_no_butterfly():
+def test_a_very_slow_amplifier_is_found_and_is_not_a_butterfly():
     """The fastest recording moves against its drive; slow ones show that the ceramic does not."""
     limit_V_per_s = 12.5
     step = limit_V_per_s / (5.0 * RATE_Hz)

@@ -1,4 +1,4 @@
-"""The usual history before a recording is no unknown initial state; a careless one is."""
+"""The usual history before a recording is not an unknown initial state; a careless one is."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -77,7 +77,7 @@ def structure_of(view: View) -> Candidate:
     ],
     ids=["cycled", "demagnetised", "cycled in reverse", "continued", "demagnetised once"],
 )
-def test_a_usual_history_is_no_unknown_initial_state(turns):
+def test_a_usual_history_is_not_an_unknown_initial_state(turns):
     view = view_after(*turns)
     assert not structure_of(view).is_significant
     if turns[0] is not cycled:
@@ -105,7 +105,7 @@ def test_a_campaign_with_different_histories_needs_individual_initial_states():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_order")
-def test_an_initial_state_that_decays_is_no_step_of_the_zero():
+def test_an_initial_state_that_decays_is_not_a_step_of_the_zero():
     """A step at the first maximum of the drive left 6.8 times the noise."""
     recordings, lab, noise_rms_m = recorded_zoo_stage("preisach", "quarter", 48522301)
     sweep = [recording for recording in recordings if recording.name == "sweep.csv"]

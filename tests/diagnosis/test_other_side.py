@@ -91,5 +91,5 @@ def test_the_instant_of_a_gain_change_is_found():
         assert 0.05 < with_step(guess, "place", steps).parameters["place"] < 0.95
 
 
-def test_a_gain_of_the_last_recording_only_is_no_gain_change():
+def test_a_gain_of_the_last_recording_only_is_not_a_gain_change():
     assert not any(name.startswith("gain_change") for name in with_gains(1.0, 1.0, 1.02))

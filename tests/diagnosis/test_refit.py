@@ -101,7 +101,7 @@ def test_a_repaired_fault_is_credited_with_its_error_in_the_raw_recordings():
 
 
 @pytest.mark.parametrize("delay_s", [1e-3, 0.0], ids=["held by the clock", "not held"])
-def test_the_declared_clock_of_the_laboratory_is_no_finding(delay_s):
+def test_the_declared_clock_of_the_laboratory_is_not_a_finding(delay_s):
     """A drive that moves between samples, as of a generator, does not become a lag either."""
     lab = Lab(acquisition=Acquisition(sampling_rate_Hz=500.0))
     if delay_s:

@@ -100,7 +100,7 @@ def test_something_else_survives_its_file_and_locates_the_error():
     assert abs(trace.median_m[peak]) > 0.3 * abs(trace.fitted_m[peak])
 
 
-def test_structure_that_the_model_represents_is_no_finding():
+def test_structure_that_the_model_represents_is_not_a_finding():
     """With 700 samples the search class leaves a residual that the fitted model does not have."""
     drive = decaying(7, per_unit=20)
     loops = recording(drive, stage(drive, np.random.default_rng(5)))

@@ -55,12 +55,12 @@ def test_two_recordings_with_different_slips_are_repaired():
     assert fault.value in (5, -4)
 
 
-def test_a_delay_of_a_whole_recording_is_no_slip():
+def test_a_delay_of_a_whole_recording_is_not_a_slip():
     view = view_with(sweep=with_slip(clean("sweep")[2], 0, 4))
     assert timestamp_fault.EFFECT.fault.find(view) is None
 
 
-def test_a_delay_of_fast_motion_only_is_no_slip():
+def test_a_delay_of_fast_motion_only_is_not_a_slip():
     # Slow triangles first, fast ones after: a lag of fast motion begins at one instant.
     time_s = np.arange(9000) / 4000.0
     phase = np.where(time_s < 1.25, 1.6 * time_s, 2.0 + 20.0 * (time_s - 1.25))
@@ -112,7 +112,7 @@ def test_faults_of_time_stamps_add_to_the_slip_in_samples():
 
 
 @pytest.mark.parametrize("is_driven", [True, False], ids=["driven", "constant"])
-def test_a_slip_that_another_drive_explains_as_well_is_no_slip(is_driven):
+def test_a_slip_that_another_drive_explains_as_well_is_not_a_slip(is_driven):
     reading_m = clean("walk")[2]
     delayed_m = with_slip(reading_m, 4000, 10)
     other_drive = Channel(
@@ -144,7 +144,7 @@ def test_slips_of_a_nearly_constant_recording_stay_within_the_limit(seed):
 
 
 @pytest.mark.slow
-def test_the_residual_of_a_healthy_stage_is_no_slip():
+def test_the_residual_of_a_healthy_stage_is_not_a_slip():
     """Repairing the apparent slip of other_axis.csv raises the held-out error."""
     recordings, lab = read_campaign(
         draw_stage(stage("preisach_lorentzian", "healthy", 0, 990_000))

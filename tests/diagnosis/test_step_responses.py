@@ -100,7 +100,7 @@ def with_weak_ringing(response: Array) -> Array:
     ],
     ids=["static", "lagged", "creeping", "humming", "ringing below the noise"],
 )
-def test_lag_creep_and_hum_after_a_step_are_no_mode(response):
+def test_lag_creep_and_hum_after_a_step_are_not_a_mode(response):
     assert modes_after_steps(view_of_response(response())) == ()
 
 

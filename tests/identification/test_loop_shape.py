@@ -181,7 +181,7 @@ def test_initial_states_of_recordings_are_fitted_with_loop_shape():
         assert np.sqrt(np.mean(error_m[: len(error_m) // 5] ** 2)) < 1.5 * NOISE_M
 
 
-def test_a_drifting_zero_in_a_held_out_block_is_no_model_error():
+def test_a_drifting_zero_in_a_held_out_block_is_not_a_model_error():
     """Each of 25 knots of the zero lies in one block; other blocks do not determine it."""
     recordings, plays, _ = fitted("dahl", 1.0)
     starts = [replace(start, zero_m=np.full(25, start.zero_m.mean())) for start in plays.starts]

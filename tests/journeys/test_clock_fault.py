@@ -1,4 +1,4 @@
-"""`piezoid fit` names clock slips in a stage whose loops are no sum of plays.
+"""`piezoid fit` names clock slips in a stage whose loops are not a sum of plays.
 
 Other effects are hidden in the same stage in tests/diagnosis/test_hidden_effects.py.
 """

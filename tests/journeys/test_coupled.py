@@ -69,7 +69,7 @@ def test_held_out_realisations_are_predicted_to_two_percent(model):
     assert (model.coupled.error_rms_m < 0.02 * model.coupled.moved_rms_m).all()
 
 
-def test_modelled_coupling_is_no_finding(stage):
+def test_modelled_coupling_is_not_a_finding(stage):
     diagnosis = json.loads((stage[0] / "out" / "diagnosis.json").read_bytes())
     assert "cross_coupling" not in {finding["effect"] for finding in diagnosis["findings"]}
 

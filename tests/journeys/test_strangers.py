@@ -82,7 +82,7 @@ def test_a_servo_lag_that_an_envelope_could_fit_is_called_lag(tmp_path):
     assert len(axis.hysteresis.dead_zones.weight) <= 5
 
 
-def test_noise_at_constant_drive_is_no_sweep(tmp_path):
+def test_noise_at_constant_drive_is_not_a_sweep(tmp_path):
     rng = np.random.default_rng(7)
     constant_drive = write(
         tmp_path / "rest.csv", 1e-5 * rng.standard_normal(4000), 5 + noise_um(4000)
@@ -136,7 +136,7 @@ def test_a_random_drive_has_a_reversal_at_nearly_every_sample(tmp_path):
 
 @pytest.mark.usefixtures("one_order")
 @pytest.mark.parametrize(("law", "drift_um"), [("dahl", 0.0), ("duhem", 2.0)])
-def test_the_model_error_of_another_law_is_no_drift(law, drift_um, tmp_path):
+def test_the_model_error_of_another_law_is_not_drift(law, drift_um, tmp_path):
     """With triangles of decreasing size, the model error shifts the zero from size to size."""
     field, reading_um = swept_um(law)
     warming_um = drift_um * np.linspace(0.0, 1.0, len(field)) ** 0.5
@@ -168,7 +168,7 @@ def test_the_order_is_selected_with_a_first_order_lag(tmp_path):
 
 
 @pytest.mark.usefixtures("one_order")
-def test_an_external_vibration_is_no_lag_and_has_its_frequency(tmp_path):
+def test_an_external_vibration_is_not_a_lag_and_has_its_frequency(tmp_path):
     """The tone is one period of the recording away from the third harmonic of the drive."""
     field = triangles(6, 500)
     cycle = np.arange(len(field)) / 500

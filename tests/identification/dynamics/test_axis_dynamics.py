@@ -116,7 +116,7 @@ def test_a_sweep_excites_a_mode_in_its_band(drive_V, rng):
 
 
 @pytest.mark.parametrize("levels", [12, 40])
-def test_stairs_noise_and_single_sines_are_no_sweeps(levels, rng):
+def test_stairs_noise_and_single_sines_are_not_sweeps(levels, rng):
     time_s = np.arange(30000) / RATE_Hz
     climb = 1.0 - np.abs(1.0 - np.arange(30000) / 15000.0)
     slow = 5.0 + 4.0 * np.sin(2 * np.pi * 2.0 * time_s)

@@ -99,7 +99,7 @@ def slewed(frequency_Hz: np.ndarray, limited_from_Hz: float) -> np.ndarray:
     return fundamental
 
 
-def test_a_slew_limit_is_no_pole(rng):
+def test_a_slew_limit_is_not_a_pole(rng):
     """The phase is -29 degrees and not -45, and 3 dB of the gain are lost later."""
     for delay_s in ((0.0, 0.0), (0.0, np.inf)):
         measured = response_of(rng, first_order(1e6))

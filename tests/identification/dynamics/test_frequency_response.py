@@ -55,7 +55,7 @@ def test_mains_interference_is_rejected_at_its_line_only(rng):
     assert estimate.frequency_Hz[estimate.is_rejected].tolist() == [150.0]
 
 
-def test_a_sharp_resonance_is_no_interference(rng):
+def test_a_sharp_resonance_is_not_interference(rng):
     assert not first_response(record(rng, cubic=0.02)).is_interference.any()
 
 

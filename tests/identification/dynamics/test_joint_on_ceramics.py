@@ -1,4 +1,4 @@
-"""The joint fit of a ceramic that is no sum of plays."""
+"""The joint fit of a ceramic that is not a sum of plays."""
 
 from benchmarks.dynamics_coverage import coverage, draw, fit_stage
 

@@ -105,6 +105,6 @@ def test_a_corner_of_a_wide_interval_is_an_extension(extension, sign):
         assert wide.at_corner(sign, sign).kind == extension.kind
 
 
-def test_a_mode_without_participation_is_no_state_of_a_loop():
+def test_a_mode_without_participation_is_not_a_state_of_a_loop():
     mode = LinearMode(frequency_Hz=240.0, quality=4.0, participation=0.0)
     assert mode.loop_effect(RATE_Hz) is NOTHING

@@ -72,7 +72,7 @@ def test_the_opening_of_a_loop_is_the_distance_of_its_branches():
         assert loop.span == pytest.approx(2.0, abs=0.02)
 
 
-def test_a_sequence_of_held_levels_is_no_loop():
+def test_a_sequence_of_held_levels_is_not_a_loop():
     """There are no samples between two levels, and interpolated lines would cross."""
     levels = 5.0 * np.array([0.0, 1, -0.55, -0.34, 1, 0, 0.6])
     holds = [[b - 0.08 * (b - a)] + [b] * 200 for a, b in itertools.pairwise(levels)]

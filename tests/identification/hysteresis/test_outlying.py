@@ -33,7 +33,7 @@ def clean_um(law: str) -> Array:
 
 
 @pytest.mark.parametrize("law", FRICTION_LAWS)
-def test_the_response_after_a_turn_is_no_outlier(law, tmp_path):
+def test_the_response_after_a_turn_is_not_an_outlier(law, tmp_path):
     assert outlier_remark(tmp_path, clean_um(law)) == ""
 
 
