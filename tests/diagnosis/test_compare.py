@@ -14,7 +14,8 @@ from tests.identification.joint.stage import NOISE_m, known_model, recordings_of
 
 def test_an_unchanged_stage_confirms_the_model():
     comparison = compare(known_model(), recordings_of())
-    assert "still holds" in comparison.statement.text
+    assert comparison.holds
+    assert not comparison.sensitivity_changed
     assert comparison.unchanged_error_m < 1.3 * NOISE_m
     value, low, high = comparison.gain_ratio
     assert low <= 1.0 <= high
@@ -33,7 +34,7 @@ def test_a_changed_sensitivity_is_measured_and_explains_the_error(ratio, phrase)
 
 def test_a_changed_lag_is_not_attributed_to_the_sensitivity():
     comparison = compare(known_model(), recordings_of(FirstOrderLag(lag_s=0.01)))
-    assert "more than the sensitivity changed" in comparison.statement.text
+    assert not comparison.only_sensitivity_changed
     assert comparison.refitted_error_m < 0.9 * comparison.rescaled_error_m
 
 
@@ -49,7 +50,6 @@ def test_a_model_of_another_stage_does_not_hold(is_random):
     comparison = compare(known_model(), unrelated)
     assert not comparison.holds
     text = comparison.statement.text
-    assert "does not hold" in text
     assert "% of the motion" in text
     assert not is_random or not ("90.00" in text or "e+" in text)
 
@@ -63,22 +63,20 @@ def test_a_changed_sensitivity_is_measured_despite_outliers():
         disturbed.append(with_displacement(recording, reading_m))
     comparison = compare(known_model(), disturbed)
     assert comparison.gain_ratio[0] == pytest.approx(1.12, abs=2e-3)
-    assert "only the sensitivity changed" in comparison.statement.text
+    assert comparison.only_sensitivity_changed
     assert "12." in comparison.statement.text
     assert not comparison.holds
 
 
 def test_a_noisier_sensor_is_not_another_stage():
     rng = np.random.default_rng(5)
-    noisy = [
-        with_displacement(
-            recording,
-            recording.displacement_m() + 5 * NOISE_m * rng.normal(size=recording.samples),
-        )
-        for recording in recordings_of()
-    ]
+    noisy = []
+    for recording in recordings_of():
+        noise_m = 5 * NOISE_m * rng.normal(size=recording.samples)
+        noisy.append(with_displacement(recording, recording.displacement_m() + noise_m))
     comparison = compare(known_model(), noisy)
-    assert "still holds" in comparison.statement.text
+    assert comparison.holds
+    assert not comparison.sensitivity_changed
     assert "sensor noise rose" in comparison.statement.text
 
 
@@ -86,14 +84,10 @@ def test_an_inapplicable_model_does_not_hold():
     inapplicable = replace(known_model(), verdict=Verdict(applies=False, reason="loops turn back"))
     comparison = compare(inapplicable, recordings_of())
     assert not comparison.holds
-    assert "still holds" not in comparison.statement.text
     assert "loops turn back" in comparison.statement.text
 
 
 def test_drift_of_earlier_recordings_does_not_affect_a_comparison():
-    drift = ThermalDrift.of([])
-    extended = replace(known_model(), extensions=(drift,))
-    assert (
-        compare(extended, recordings_of()).to_json()
-        == compare(known_model(), recordings_of()).to_json()
-    )
+    drifted = replace(known_model(), extensions=(ThermalDrift.of([]),))
+    expected = compare(known_model(), recordings_of())
+    assert compare(drifted, recordings_of()).to_json() == expected.to_json()
