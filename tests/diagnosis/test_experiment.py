@@ -254,18 +254,15 @@ def test_creep_and_drift_after_one_hold_are_separated_by_random_levels():
 def test_a_planned_recording_separates_creep_from_drift_as_predicted():
     case, _ = _slow_case()
     slow_plan, axis = _slow_plan(), model_of(case).axes["x"]
-    recorded_separability = true_separability(case, axis, CREEP_OR_DRIFT, None, is_drift=True)
-    planned_separability = true_separability(
-        case, axis, CREEP_OR_DRIFT, slow_plan.drive, is_drift=True
+    recorded, planned = (
+        true_separability(case, axis, CREEP_OR_DRIFT, drive, is_drift=True)
+        for drive in (None, slow_plan.drive)
     )
+    predicted = slow_plan.planned.separability
     assert slow_plan.recorded.separability < 0.2
-    assert recorded_separability < 0.2
-    assert planned_separability > 2.0 * recorded_separability
-    assert (
-        slow_plan.planned.separability / 2
-        < planned_separability
-        < 2.5 * slow_plan.planned.separability
-    )
+    assert recorded < 0.2
+    assert planned > 2.0 * recorded
+    assert predicted / 2 < planned < 2.5 * predicted
 
 
 def test_a_fast_small_multisine_separates_delay_from_lag_as_predicted():

@@ -69,12 +69,9 @@ def response_of(law: str, drive: Array, turns: tuple[float, ...]) -> Array:
     ]
     history = np.concatenate(path)
     full_drive = np.concatenate([history, drive])
-    response = (
-        play_response(full_drive, np.zeros(len(WIDTH)))[0]
-        if law == "sum of plays"
-        else LAWS[law](full_drive)
-    )
-    return response[len(history) :]
+    if law == "sum of plays":
+        return play_response(full_drive, np.zeros(len(WIDTH)))[0][len(history) :]
+    return LAWS[law](full_drive)[len(history) :]
 
 
 def unchanged(_: str, __: Array, response: Array) -> Array:
