@@ -27,7 +27,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 SEED = int(os.environ.get("PIEZOID_SEED", "1"))
 PLANS = ("sweep", "check")
 EVERY = 10  # samples of a sensor of limited range, at any rate
-# Name: percent of the stroke, coordinate. Tones: tests/journeys/test_something_else.py.
+# Name: percent of the stroke, coordinate. Tones: tests/journeys/test_diagnose.py.
 HIDDEN = {"dent": (1.2, "displacement"), "every_nth": (1.0, "sample_index")}
 
 

@@ -100,7 +100,7 @@ def slewed(frequency_Hz: np.ndarray, limited_from_Hz: float) -> np.ndarray:
 
 
 def test_a_slew_limit_is_not_a_pole(rng):
-    """The phase is -29 degrees and not -45, and 3 dB of the gain are lost later."""
+    """At -3 dB its phase is -29 degrees; that of a pole is -45 degrees."""
     for delay_s in ((0.0, 0.0), (0.0, np.inf)):
         measured = response_of(rng, first_order(1e6))
         f = measured.frequency_Hz
