@@ -11,6 +11,7 @@ Source: Krejci (1996) on forgetting; Mayergoyz (1991) on wiping out.
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from operator import attrgetter
 
 import numpy as np
@@ -175,4 +176,5 @@ def _sketch(view: View, k: int, weight: Array) -> Sketch:
             model = model + bouc_wen_columns(state, drive) @ weight[SHARED:]
         return float(np.std(model - response))
 
-    return hypotheses(drive), deviation
+    # a hypothesis is compared with its neighbours, for the track alone and for all tracks
+    return hypotheses(drive), cache(deviation)

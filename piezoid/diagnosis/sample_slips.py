@@ -17,6 +17,7 @@ Source: Rao (1948) for the score; Page, Biometrika 41 (1954) for the running sum
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -241,49 +242,56 @@ def refine_slip(
     refit       refits repaired tracks with the effects of the view; None: the view has no effects
     has_length  whether the length is fixed and only the instant is refined
 
-    The static response is refitted with the slip undone. The contribution of the zero and of the
-    initial state is interpolated from rows to all samples.
+    The static response is refitted with the slip undone, for every trial of the length: a response
+    that was fitted with a wrong length absorbs a part of the rest. For its instant the
+    contribution of the zero and of the initial state is interpolated from rows to all samples.
     """
-    k, samples = slip.track, round(slip.samples) or int(np.sign(slip.samples))
-    slip = replace(slip, samples=samples)
-    width = instant_error(len(view.tracks[k].drive))
-    reach = 0 if has_length else max(2, abs(samples) // 6)
+    slip = replace(slip, samples=round(slip.samples) or int(np.sign(slip.samples)))
+    longest = max_slip(len(view.tracks[slip.track].drive))
+
+    def repaired(trial: Slip) -> View:
+        undone = undo_slip(view, trial)
+        return undone if refit is None else refit(undone.tracks)
+
     for _ in range(MAX_ROUNDS):
-        repaired = undo_slip(view, slip)
-        if refit is not None:
-            repaired = refit(repaired.tracks)
-        track, static = repaired.tracks[k], repaired.static[k]
-        residual = repaired.null.residual[repaired.track_rows(k)]
-        offsets = track.response[track.rows] - residual - static[track.rows]
-        offset = np.interp(np.arange(len(static)), track.rows, offsets)
-        measured = view.tracks[k].response - offset
-        refined = _best_neighbour(measured, static, slip, width, reach)
+        refined = _best_instant(view, repaired(slip), slip)
+        if not has_length:
+            rms = repaired(refined).rms
+            step = max(1, int(abs(slip.samples)) // 6)
+            while step:
+                trials = [
+                    (repaired(trial).rms, trial)
+                    for change in (step, -step)
+                    if 0 < np.sign(slip.samples) * (refined.samples + change) <= longest
+                    and (trial := replace(refined, samples=refined.samples + change))
+                ]
+                best_rms, best = min(trials, key=itemgetter(0), default=(np.inf, refined))
+                if best_rms < rms:
+                    rms, refined = best_rms, best
+                else:
+                    step //= 2
         if refined == slip:
             break
         slip = refined
     return slip
 
 
-def _best_neighbour(measured: Array, static: Array, slip: Slip, width: int, reach: int) -> Slip:
-    """Return the slip with the smallest error near a slip.
+def _best_instant(view: View, repaired: View, slip: Slip) -> Slip:
+    """Return the slip at the instant with the smallest error, near its own.
 
-    width  largest difference of the instant, in samples
-    reach  largest difference of the length, in samples
+    repaired  the view with the slip undone
     """
-    n, samples = len(static), int(slip.samples)
-    shortest, longest = max(samples - reach, -max_slip(n)), min(samples + reach, max_slip(n))
+    k = slip.track
+    track, static, n = repaired.tracks[k], repaired.static[k], len(repaired.static[k])
+    residual = repaired.null.residual[repaired.track_rows(k)]
+    offsets = track.response[track.rows] - residual - static[track.rows]
+    error = view.tracks[k].response - np.interp(np.arange(n), track.rows, offsets) - static
+    later_error = error - delay_change(static, np.arange(n), int(slip.samples))
+    before = np.concatenate([[0.0], np.cumsum(error**2)])
+    behind = np.cumsum((later_error**2)[::-1])[::-1]
+    width = instant_error(len(view.tracks[k].drive))
     first, stop = max(slip.instant - width, 2), min(slip.instant + width, n - 2)
-    cumulative = np.concatenate([[0.0], np.cumsum((measured - static) ** 2)])
-    smallest, best = np.inf, slip
-    for length in range(shortest, longest + 1):
-        if length == 0:
-            continue
-        error = measured - static - delay_change(static, np.arange(n), length)
-        total = cumulative[first:stop] + np.cumsum((error**2)[::-1])[::-1][first:stop]
-        j = int(np.argmin(total))
-        if total[j] < smallest:
-            smallest, best = float(total[j]), replace(slip, instant=first + j, samples=length)
-    return best
+    return replace(slip, instant=first + int(np.argmin((before[:-1] + behind)[first:stop])))
 
 
 def undo_slip(view: View, slip: Slip) -> View:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
+from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 
 from piezoid.numerics.arrays import Array
 
@@ -103,13 +103,19 @@ class FamilyRidge:
 
     def _determined(self, moments: Moments) -> tuple[Array, Array]:
         """Return the coefficients, and g_f: the number determined by the data in each family."""
-        w, spread = self._posterior(moments)
+        w, factor, scale = self._posterior(moments)
+        inverse = solve_triangular(factor, np.eye(len(factor)), lower=True)
+        spread = (inverse**2).sum(axis=0) * scale**2
         sizes = np.bincount(self.family, minlength=len(self.variance))
         undetermined = np.bincount(self.family, spread, len(self.variance)) / self.variance
         return w, np.maximum(sizes - undetermined, 1e-3)
 
-    def _posterior(self, moments: Moments) -> tuple[Array, Array]:
-        """Return mean and variance of every coefficient."""
+    def _posterior(self, moments: Moments) -> tuple[Array, Array, Array]:
+        """Return the mean, the Cholesky factor of the scaled posterior precision, and the scale.
+
+        The factor is lower triangular, (columns, columns), zero above its diagonal; the posterior
+        covariance is D (L L')^-1 D, with D the diagonal matrix of the scale.
+        """
         largest = 1e4 * moments.square / max(moments.count, 1)
         scale = np.sqrt(np.minimum(self.variance, largest))[self.family]
         matrix = moments.gram * (scale[:, None] * scale) / self.noise
@@ -118,10 +124,9 @@ class FamilyRidge:
         for jitter in JITTER:
             matrix[diagonal] += jitter * np.trace(matrix)
             try:
-                factor = cho_factor(matrix, lower=True)
+                factor = cholesky(matrix, lower=True)
                 break
             except LinAlgError:
                 continue
-        mean = scale * cho_solve(factor, scale * moments.moment / self.noise)
-        inverse = solve_triangular(factor[0], np.eye(len(matrix)), lower=True)
-        return mean, (inverse**2).sum(axis=0) * scale**2
+        mean = scale * cho_solve((factor, True), scale * moments.moment / self.noise)
+        return mean, factor, scale

@@ -63,7 +63,7 @@ def test_loop_shape_of_a_single_loop_is_not_told_from_a_lag(tmp_path: Path) -> N
     assert "ten times slower" in shape.next_experiment
 
 
-CYCLES, SAMPLES, CYCLES_RATE_Hz = 60, 120, 120.0  # one cycle in a second
+CYCLES, SAMPLES, CYCLES_RATE_Hz = 60, 60, 60.0  # one cycle in a second
 LOSS = 0.013  # of the sensitivity, over all cycles
 NOISE_M = 5e-9
 LAG_S = 0.02

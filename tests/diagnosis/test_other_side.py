@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 KINDS = ("sweep", "walk", "waves")
 ORDER = ("sweep", "sweep", "waves")
 LAG_s = 1.5e-3
-EVERY = 3  # samples
+EVERY = 6  # samples
 
 
 def behind(signal: Array, rate_Hz: float) -> Array:

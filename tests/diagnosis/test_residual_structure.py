@@ -41,7 +41,7 @@ def diagnosed(turn: int, hidden: str = "", percent: float = 0.0, truth: str = ""
     )
     recordings, lab = recorded(campaign)
     is_in_samples = hidden == "every_nth"
-    return diagnose(recordings if is_in_samples else thinned(recordings, 3), lab=lab)
+    return diagnose(recordings if is_in_samples else thinned(recordings, 6), lab=lab)
 
 
 def with_hidden(hidden: str) -> Diagnosis:
@@ -120,7 +120,7 @@ def test_an_end_of_the_range_is_told_where_the_class_does_not_foretell_the_rest(
     """The readings beyond it are left out, so that no foretelling of them is asked for."""
     campaign = draw_campaign(407, truth="duhem", plans=PLANS, uncatalogued={"range_end": 16.0})
     recordings, lab = recorded(campaign)
-    found = diagnose(thinned(recordings, EVERY), lab=lab)
+    found = diagnose(thinned(recordings, 2 * EVERY), lab=lab)
     assert causes(found) == (SOMETHING_ELSE,)
     assert structure_in(found).coordinate == "reading"
 

@@ -15,7 +15,7 @@ import pytest
 
 from tests.journeys.command import PIEZOID, started
 
-COUNT = 4
+COUNT = 3
 DEAD = 2  # the stage whose drive never changes
 
 
@@ -124,8 +124,8 @@ def test_a_batch_of_nothing_and_a_folder_of_something_else_are_refused(tmp_path:
 def test_a_batch_that_was_interrupted_goes_on_with_the_stages_that_are_missing(
     tmp_path: Path,
 ) -> None:
-    """A worker that was killed outright: above."""
-    night, out = write_night(tmp_path / "night", count=2), tmp_path / "out"
+    """A worker that was killed outright, and stages that are not done again: above."""
+    night, out = write_night(tmp_path / "night", count=1), tmp_path / "out"
     words = [*PIEZOID, "batch", night, "--out", out, "--workers", "1", "--quiet"]
     process = subprocess.Popen(words, stderr=subprocess.PIPE)
     while process.poll() is None and not out.exists():
@@ -136,4 +136,4 @@ def test_a_batch_that_was_interrupted_goes_on_with_the_stages_that_are_missing(
     assert said == b"interrupted: no file is left half written\n"
     again = started("batch", night, "--out", out, "--workers", "1", "--quiet")
     assert again.returncode == 0, again.stderr
-    assert states(out) == {"unit-0": "passed", "unit-1": "passed"}
+    assert states(out) == {"unit-0": "passed"}

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 DRIVE = [min(k % 80, 80 - k % 80) / 4 for k in range(320)]
 ROWS = "".join(f"{k / 100},{u},{2 * u + 0.03 * u * u}\n" for k, u in enumerate(DRIVE))
 # A butterfly, to which no model applies: soon fitted by a worker, which tries every order.
-BUTTERFLY = "".join(f"{k / 100},{u},{0.1 * (u - 5) ** 2}\n" for k, u in enumerate(DRIVE))
+BUTTERFLY = "".join(f"{k / 100},{u},{0.1 * (u - 5) ** 2}\n" for k, u in enumerate(DRIVE[:160]))
 STAGE = {
     "model.json": write_model(stage_model(axis_model())),
     "diagnosis.json": write_diagnosis(diagnosed()),

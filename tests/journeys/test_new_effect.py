@@ -18,7 +18,7 @@ from piezoid.operators.linear import sample
 from piezoid.verification.plant import lateral_plant
 from piezoid_reports.effect_comparison import compare_effects
 from piezoid_reports.page import rms, traces_of
-from tests.diagnosis.bench import effects_of
+from tests.diagnosis.bench import effects_of, thinned
 from tests.plays_alone import fit_one_order, fit_plays_alone
 from tests.reports.anatomy import Anatomy
 
@@ -170,7 +170,7 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Known]:
         fit_plays_alone(patch)
         fit_one_order(patch)
         stage = piezoid.simulate(3, drives=("sweep", "staircase"), truth="bouc_wen")
-        recordings = tuple(leaking(one) for one in stage.recordings)
+        recordings = tuple(leaking(one) for one in thinned(stage.recordings, 3))
         model = piezoid.fit(recordings, lab=stage.lab)
         found = piezoid.diagnose(recordings, model=model, lab=stage.lab)
         yield Known(module.EFFECT, recordings, model.extended(found), found)
