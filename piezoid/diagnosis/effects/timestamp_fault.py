@@ -265,7 +265,7 @@ def _undone(slips: Sequence[SlipEvidence], view: View) -> list[Track]:
 def _refined_beside(
     slips: Sequence[SlipEvidence], evidence: SlipEvidence, view: View, refit: Refit
 ) -> SlipEvidence:
-    """Refine the only slip of a track with all others undone, if that clearly reduces the error."""
+    """Refine the only slip of a track, all others undone, if that clearly reduces the error."""
     others = [other for other in slips if other is not evidence]
     if any(other.slip.track == evidence.slip.track for other in others):
         return evidence
