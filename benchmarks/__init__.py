@@ -1,7 +1,8 @@
-"""What piezoid is measured by, against what its authors did not write.
+"""Programs behind the published figures.
 
-One thread of linear algebra, as on the command line: at these sizes threads wait for each other
-(a diagnosis beside other work takes four times the processor) and change last digits.
+Linear algebra uses one thread, as on the command line. More threads wait for each other at these
+sizes (on a busy machine a diagnosis takes four times the processor time) and change the last
+digits.
 """
 
 import os

@@ -1,15 +1,14 @@
-"""What a batch costs its client: processor time a stage, bytes that come back, memory.
+"""Cost of a batch for its client: processor time per stage, returned bytes, memory.
 
     python -m benchmarks.batch_client [--stubbed 20000] [--real 200]
 
-Two workers on this machine; the scheduler is a thread of the client and is counted as such.
-Stubbed stages are folders with a lab.toml and a recording of one line, digested by workers, which
-write a record of three axes and a page of 10 kB. Real stages are 300 samples of two plays, without
-a controller, fitted and reported as `piezoid batch` does.
+There are two local workers. The scheduler is a thread of the client, so its time is included.
+Stub stages are folders with a lab.toml and a recording of one line, for which workers write a
+record of three axes and a page of 10 kB. Real stages have 300 samples of two plays and no
+controller, and are fitted as by `piezoid batch`.
 """
 
 import argparse
-import resource
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -19,7 +18,8 @@ from time import monotonic, process_time
 
 import numpy as np
 
-from benchmarks.fleet_summary import stage_of
+from benchmarks.fleet_summary import synthetic_stage
+from benchmarks.speed.stopwatch import peak_megabytes
 from piezoid_cli.batch import calibrate_stages, write_summary
 from piezoid_cli.batch_cluster import cluster_client, find_stages
 from piezoid_cli.batch_stage import StageTask, run_task
@@ -29,67 +29,68 @@ PAGE = {"report.html": b"x" * 10_000}
 
 
 def write_stubs(folder: Path, count: int) -> None:
-    """Write folders of stages with next to nothing in them."""
+    """Write folders of stages with minimal files."""
     for number in range(count):
-        place = folder / f"unit-{number:07d}"
-        place.mkdir(parents=True)
-        (place / "lab.toml").write_text("")
-        (place / "sweep.csv").write_text("1,2\n")
+        stage_folder = folder / f"unit-{number:07d}"
+        stage_folder.mkdir(parents=True)
+        (stage_folder / "lab.toml").write_text("")
+        (stage_folder / "sweep.csv").write_text("1,2\n")
 
 
 def write_real(folder: Path, count: int) -> None:
-    """Write recordings of three cycles of two plays with noise."""
+    """Write recordings of two plays with noise, of three cycles each."""
     phase = 2 * np.pi * np.arange(300) / 100
     drive = 5 - 5 * np.cos(phase)
     for number in range(count):
-        place = folder / f"unit-{number:07d}"
-        place.mkdir(parents=True)
-        memory, moved = 0.0, np.empty(len(drive))
+        stage_folder = folder / f"unit-{number:07d}"
+        stage_folder.mkdir(parents=True)
+        memory, position = 0.0, np.empty(len(drive))
         for k, u in enumerate(drive):
             memory = max(u - 1.5, min(u + 1.5, memory))
-            moved[k] = (2 + 0.001 * number) * u + 0.6 * memory
-        moved += 0.002 * np.random.default_rng(number).standard_normal(len(moved))
-        rows = np.column_stack([np.arange(300) / 100, drive, moved])
+            position[k] = (2 + 0.001 * number) * u + 0.6 * memory
+        position += 0.002 * np.random.default_rng(number).standard_normal(len(position))
+        rows = np.column_stack([np.arange(300) / 100, drive, position])
         heading = "time [s],voltage [V],position [um]"
-        np.savetxt(place / "sweep.csv", rows, "%.6f", ",", header=heading, comments="")
-        (place / "lab.toml").write_text("")
+        np.savetxt(stage_folder / "sweep.csv", rows, "%.6f", ",", header=heading, comments="")
+        (stage_folder / "lab.toml").write_text("")
 
 
 def stub(task: StageTask, inputs: Mapping[str, str]) -> tuple[FleetStage, Mapping[str, bytes]]:
-    """Do what takes no time instead of a calibration."""
+    """Return a synthetic result instead of a calibration."""
     number = int(task.name.rpartition("-")[2])
-    return stage_of(number, task.name, version=task.version, inputs=inputs), PAGE
+    return synthetic_stage(number, task.name, version=task.version, inputs=inputs), PAGE
 
 
 def measure(
-    what: str,
+    title: str,
     write: Callable[[Path, int], None],
     count: int,
     work: Callable[[StageTask], bytes],
 ) -> None:
-    """Do a batch of so many stages, and print what it cost."""
-    with TemporaryDirectory() as held, StagesOnDisk() as stages:
-        write(Path(held) / "night", count)
-        out = str(Path(held) / "results")
-        begun, at = process_time(), monotonic()
-        tasks = find_stages(Path(held) / "night", out)
-        found = process_time()
+    """Run a batch of stages and print its cost."""
+    with TemporaryDirectory() as scratch, StagesOnDisk() as stages:
+        folder = Path(scratch)
+        write(folder / "night", count)
+        out = str(folder / "results")
+        start_s, search_start_s = monotonic(), process_time()
+        tasks = find_stages(folder / "night", out)
+        search_s = process_time() - search_start_s
         with cluster_client("", 2) as client:
-            started = process_time()
+            schedule_start_s = process_time()
             calibrate_stages(client, tasks, stages, work=work)
-            ended = process_time()
-        packed = stages.size / count
+            schedule_s = process_time() - schedule_start_s
+        summary_start_s = process_time()
+        bytes_per_stage = stages.size / count
         write_summary(out, Fleet(name="night", stages=stages))
-        told = process_time()
-        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        each = partial("{:.2f}".format)
+        # The end of the cluster, before the summary, is part of the client's time.
+        total_s = search_s + process_time() - schedule_start_s
+        summary_s = process_time() - summary_start_s
         ms = 1e3 / count
         print(
-            f"{count} {what} stages: client {each(ms * (found - begun + told - started))} ms of "
-            f"processor a stage (finding {each(ms * (found - begun))}, giving and taking "
-            f"{each(ms * (ended - started))}, summary {each(ms * (told - ended))}), "
-            f"{packed:.0f} bytes a stage come back, {monotonic() - at:.0f} s in all, "
-            f"at most {most:.0f} MB",
+            f"{count} {title} stages: client {ms * total_s:.2f} ms of processor time per stage "
+            f"(finding files {ms * search_s:.2f}, scheduling {ms * schedule_s:.2f}, summary "
+            f"{ms * summary_s:.2f}), {bytes_per_stage:.0f} bytes returned per stage, "
+            f"{monotonic() - start_s:.0f} s, at most {peak_megabytes():.0f} MB",
             flush=True,
         )
 
@@ -99,11 +100,11 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--stubbed", type=int, default=20_000)
     parser.add_argument("--real", type=int, default=200)
-    asked = parser.parse_args()
-    if asked.stubbed:
-        measure("stubbed", write_stubs, asked.stubbed, partial(run_task, calibrate=stub))
-    if asked.real:
-        measure("real", write_real, asked.real, run_task)
+    options = parser.parse_args()
+    if options.stubbed:
+        measure("stubbed", write_stubs, options.stubbed, partial(run_task, calibrate=stub))
+    if options.real:
+        measure("real", write_real, options.real, run_task)
     sys.stdout.flush()
 
 

@@ -2,61 +2,61 @@
 
     python -m benchmarks.closure [--laws dahl,duhem] [--cases 1] [--seeds 7100000] [--own]
 
-The stages are those of ``benchmarks.zoo``, with instruments and recordings of their own, the drive
-cycled before each recording. ``--own`` replaces the ceramic by the forward model of the fit: what
-is left there is the estimator's fault alone. Printed for each stage: error in sample corrected for
-the number of parameters, and on left-out blocks, with loop shape and without, over the noise.
+The stages are those of ``benchmarks.zoo``, with drives in a steady cycle before each recording.
+``--own`` replaces the displacement by a simulation with the fitted model, so that only errors of
+the estimator remain. Printed for each stage, over the noise: error in sample, corrected for the
+number of parameters, and error on held-out blocks, both with loop shape and without (plays).
 """
 
-import argparse
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.zoo.score import recorded
-from benchmarks.zoo.stages import NAMES, drawn, stage
+from benchmarks.zoo.command_line import stage_parser
+from benchmarks.zoo.score import read_campaign
+from benchmarks.zoo.stages import NAMES, draw_stage, stage_requests
 from piezoid.identification.fit import axes_of, fit_axis
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording
 from piezoid.records.recording import Quantity, Recording
 
-AIMS = (("explained", 1.5, 0.95), ("held out", 1.5, 0.9))
+AIMS = (("explained", 1.5, 0.95), ("held out", 1.5, 0.9))  # name, limit, share of stages
 
 
-def stages(
+def fit_stages(
     laws: Sequence[str], cases: int, first: int, *, is_own: bool
 ) -> Iterator[tuple[str, AxisModel, float, float]]:
     """Yield name, fitted axis, noise [m] and processor time [s]."""
-    for number in range(cases):
-        for law in laws:
-            asked = stage(law, "healthy", number, first)
-            campaign = drawn(asked, settled=True)
-            recordings, lab = recorded(campaign)
-            noise_m, axis = campaign.answer.noise_rms_m, axes_of(recordings)[0]
-            if is_own:
-                model = fit_axis(recordings, axis, lab)
-                rng = np.random.default_rng(asked.seed)
-                recordings = tuple(
-                    simulated(model, r, noise_m, rng)
-                    for r in recordings
-                    if any(start.recording == r.name for start in model.starts)
-                )
-            begun_s = time.process_time()
+    for request in stage_requests(laws, ["healthy"], cases, first):
+        campaign = draw_stage(request, settled=True)
+        recordings, lab = read_campaign(campaign)
+        noise_m, axis = campaign.answer.noise_rms_m, axes_of(recordings)[0]
+        if is_own:
             model = fit_axis(recordings, axis, lab)
-            yield f"{law} {asked.seed}", model, noise_m, time.process_time() - begun_s
+            rng = np.random.default_rng(request.seed)
+            recordings = tuple(
+                with_simulation(model, recording, noise_m, rng)
+                for recording in recordings
+                if any(start.recording == recording.name for start in model.starts)
+            )
+        start_s = time.process_time()
+        model = fit_axis(recordings, axis, lab)
+        yield f"{request.law} {request.seed}", model, noise_m, time.process_time() - start_s
 
 
-def simulated(
+def with_simulation(
     model: AxisModel, recording: Recording, noise_m: float, rng: np.random.Generator
 ) -> Recording:
-    """Return a recording with the response of a model and white noise as its displacement."""
-    moved_m = simulate_recording(model, recording)
-    moved_m = np.where(np.isfinite(moved_m), moved_m, recording.displacement_m(model.axis))
-    read_m = moved_m + noise_m * rng.standard_normal(recording.samples)
+    """Return a recording whose displacement is the response of a model plus white noise."""
+    response_m = simulate_recording(model, recording)
+    response_m = np.where(
+        np.isfinite(response_m), response_m, recording.displacement_m(model.axis)
+    )
+    reading_m = response_m + noise_m * rng.standard_normal(recording.samples)
     channels = tuple(
-        replace(channel, values=read_m)
+        replace(channel, values=reading_m)
         if channel.quantity is Quantity.DISPLACEMENT and channel.axis == model.axis
         else channel
         for channel in recording.channels
@@ -66,29 +66,27 @@ def simulated(
 
 def main() -> None:
     """Print every stage, and how many reach the aims."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser = stage_parser(__doc__, cases=1, first=7_100_000)
     parser.add_argument("--laws", default=",".join(NAMES))
-    parser.add_argument("--cases", type=int, default=1, help="of each law")
-    parser.add_argument("--seeds", type=int, default=7_100_000, help="the first of them")
-    parser.add_argument("--own", action="store_true", help="data of the fit's forward model")
-    asked = parser.parse_args()
-    ratios: dict[str, list[float]] = {name: [] for name, _, _ in AIMS}
-    laws = asked.laws.split(",")
-    for name, axis, noise_m, time_s in stages(laws, asked.cases, asked.seeds, is_own=asked.own):
-        quality, plain = axis.quality, axis.without_loop_shape().quality
-        found = (quality.explained_rms_m / noise_m, quality.held_out_rms_m / noise_m)
-        before = (plain.explained_rms_m / noise_m, plain.held_out_rms_m / noise_m)
-        for values, ratio in zip(ratios.values(), found, strict=True):
-            values.append(ratio)
+    parser.add_argument("--own", action="store_true", help="data of the forward model of the fit")
+    options = parser.parse_args()
+    ratios: list[tuple[float, float]] = []
+    laws = options.laws.split(",")
+    stages = fit_stages(laws, options.cases, options.seeds, is_own=options.own)
+    for name, axis, noise_m, time_s in stages:
+        (explained, held_out), (plays_explained, plays_held_out) = (
+            (quality.explained_rms_m / noise_m, quality.held_out_rms_m / noise_m)
+            for quality in (axis.quality, axis.without_loop_shape().quality)
+        )
+        ratios.append((explained, held_out))
         print(
-            f"{name:32} explained {found[0]:6.2f} (plays {before[0]:6.2f})  "
-            f"held out {found[1]:6.2f} (plays {before[1]:6.2f})  {time_s:5.1f} s",
+            f"{name:32} explained {explained:6.2f} (plays {plays_explained:6.2f})  "
+            f"held out {held_out:6.2f} (plays {plays_held_out:6.2f})  {time_s:5.1f} s",
             flush=True,
         )
-    for (name, most, share), values in zip(AIMS, ratios.values(), strict=True):
-        good = sum(value <= most for value in values)
-        print(f"{name}: {good} of {len(values)} at most {most} (aim {share:.0%})")
+    for (name, limit, share), values in zip(AIMS, zip(*ratios, strict=True), strict=True):
+        count = sum(value <= limit for value in values)
+        print(f"{name}: {count} of {len(values)} at most {limit} (aim {share:.0%})")
 
 
 if __name__ == "__main__":

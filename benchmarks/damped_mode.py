@@ -1,21 +1,20 @@
-"""What each way to damp a mode reaches, and what limits the best: the figures of the theory page.
+"""Bandwidths of several methods to damp a mode, for docs/theory/control.md.
 
-    python benchmarks/damped_mode.py
+    python -m benchmarks.damped_mode
 
-A stage with a mode at 700 Hz of quality 40, 50 us of delay, 20 kHz, frequency known to 10 %: the
-largest bandwidth (3 dB there, 20 dB more each decade below) at modulus margin 0.5, a delay margin
-of one sample and an effort of at most ten times the static drive, on every one of thirteen members
-of the family. All ways are tuned by the same search, from the starts given and from twenty drawn
-ones; the drawing has a seed.
+The stage has a mode at 700 Hz of quality 40, 50 us of delay, 20 kHz, and a frequency known to
+10 %. The sensitivity is -3 dB at the bandwidth and decreases by 20 dB per decade below. The
+bandwidth is the largest one for which all thirteen members of the family meet the limits: a
+modulus margin of 0.5, a delay margin of one sample and an effort of ten times the static drive.
+One search tunes all methods, from the listed starts and from twenty random ones.
 """
 
 from collections.abc import Callable
 
 import numpy as np
 from scipy.signal import bilinear
-from varied_chains import varied
 
-from benchmarks.varied_chains import Chain, family_from_chains
+from benchmarks.varied_chains import Chain, family_from_chains, varied
 from piezoid.design.loop_search import FamilyGrid, family_grid, magnitudes, search
 from piezoid.design.observer import ObserverFrame, disturbance_model, feedback_polynomials
 from piezoid.design.plant import PlantFamily, Section
@@ -25,11 +24,11 @@ from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import product, total
 
-RATE_Hz, GAIN_m_per_V, MEMBERS, DRAWN, EVALUATIONS, SEED = 20e3, 1e-7, 13, 20, 300, 1
-ATTENUATED = 10.0 ** (-3.0 / 20.0)
-HOPELESS = (1e3, 1e3)
+RATE_Hz, GAIN_m_per_V, MEMBERS, RANDOM_STARTS, EVALUATIONS, SEED = 20e3, 1e-7, 13, 20, 300, 1
+ATTENUATION = 10.0 ** (-3.0 / 20.0)
+INFEASIBLE = (1e3, 1e3)
 Build = Callable[[Array], tuple[Array, Array]]
-INTEGRATED = np.array([1.0, -1.0])
+INTEGRATOR = np.array([1.0, -1.0])
 
 
 def family(
@@ -40,7 +39,7 @@ def family(
     spread: float = 0.1,
     lags_Hz: tuple[float, ...] = (),
 ) -> PlantFamily:
-    """Return the nominal stage, and others whose mode lies about its frequency."""
+    """Return the nominal stage and members with other frequencies of the mode."""
     mode = Section(frequency_Hz=mode_Hz, damping=0.5 / quality)
     chain = Chain(
         label="nominal",
@@ -50,65 +49,69 @@ def family(
         sections=(mode, *(Section(frequency_Hz=f) for f in lags_Hz)),
         delay_s=delay_s,
     )
-    others = np.linspace(1.0 - spread, 1.0 + spread, MEMBERS if spread else 0).tolist()
-    return family_from_chains(chain, [varied(chain, mode_factor=k) for k in others])
+    factors = np.linspace(1.0 - spread, 1.0 + spread, MEMBERS if spread else 0).tolist()
+    return family_from_chains(chain, [varied(chain, mode_factor=factor) for factor in factors])
 
 
-def asked(of: PlantFamily) -> Specification:
+def specification_of(plants: PlantFamily) -> Specification:
     """Return the default limits of a family."""
     return default_specification(
-        of, voltage_min_V=-50.0, voltage_max_V=50.0, sensor_noise_rms=1e-9, disturbance_rms=2e-8
+        plants,
+        voltage_min_V=-50.0,
+        voltage_max_V=50.0,
+        sensor_noise_rms=1e-9,
+        disturbance_rms=2e-8,
     )
 
 
 def bandwidth_Hz(grid: FamilyGrid, R: Array, S: Array) -> tuple[float, float]:
-    """Return the largest bandwidth whose template is met, and the excess over all other limits."""
+    """Return the largest bandwidth within its template, and the excess of other limits [dB]."""
     functions, outside = magnitudes(grid, R, S)
     if outside:
         return 1.0, 60.0 * outside
     f, syp = grid.frequency_Hz, functions[0].max(axis=0)
-    reached = np.minimum.accumulate(ATTENUATED * f / syp)
-    inside = np.flatnonzero(reached >= f)
+    bandwidths_Hz = np.minimum.accumulate(ATTENUATION * f / syp)
+    inside = np.flatnonzero(bandwidths_Hz >= f)
     limits = grid.limits.copy()
     limits[0] = 1.0 / grid.specification.modulus_margin
     excess_dB = 20.0 * np.log10((functions / limits[:, None, :]).max())
-    return float(reached[inside[-1]]) if len(inside) else 1.0, float(excess_dB)
+    return float(bandwidths_Hz[inside[-1]]) if len(inside) else 1.0, float(excess_dB)
 
 
 def integrator(x: Array) -> tuple[Array, Array]:
     """Return k / s."""
-    return np.array([x[0] / RATE_Hz / GAIN_m_per_V]), INTEGRATED
+    return np.array([x[0] / RATE_Hz / GAIN_m_per_V]), INTEGRATOR
 
 
 def notch(x: Array) -> tuple[Array, Array]:
-    """Return an integrator behind a notch of its own depth and width."""
+    """Return an integrator behind a notch of variable depth and width."""
     k, f, shallow, wide = x
     w = 2.0 * np.pi * f
     b, a = bilinear([1, 2 * shallow * w, w * w], [1, 2 * wide * w, w * w], RATE_Hz)
-    return product([k / RATE_Hz / GAIN_m_per_V], b / a[0]), product(INTEGRATED, a / a[0])
+    return product([k / RATE_Hz / GAIN_m_per_V], b / a[0]), product(INTEGRATOR, a / a[0])
 
 
 def positive_position(x: Array) -> tuple[Array, Array]:
-    """Return an integrator around positive position feedback through a mode of its own."""
+    """Return an integrator around positive position feedback through a second-order filter."""
     k, gain, f, damping = x
     w = 2.0 * np.pi * f
     b, a = bilinear([gain * w * w], [1, 2 * damping * w, w * w], RATE_Hz)
     b, a = b / a[0], a / a[0]
-    R = total(product([k / RATE_Hz], a), -product(b, INTEGRATED)) / GAIN_m_per_V
-    return R, product(INTEGRATED, a)
+    R = total(product([k / RATE_Hz], a), -product(b, INTEGRATOR)) / GAIN_m_per_V
+    return R, product(INTEGRATOR, a)
 
 
 def integral_resonant(x: Array) -> tuple[Array, Array]:
-    """Return integral force of reading plus feedthrough -d u, and an integrator around it."""
+    """Return integral feedback of the reading plus feedthrough -d u, inside an integrator."""
     k, inner, through = x
-    b, a = np.array([0.0, -inner / RATE_Hz]), INTEGRATED
-    R = -product(b, total([k / RATE_Hz], -INTEGRATED)) / GAIN_m_per_V
-    return R, product(total(a, -through * b), INTEGRATED)
+    b, a = np.array([0.0, -inner / RATE_Hz]), INTEGRATOR
+    R = -product(b, total([k / RATE_Hz], -INTEGRATOR)) / GAIN_m_per_V
+    return R, product(total(a, -through * b), INTEGRATOR)
 
 
-def observed(of: PlantFamily, lags_Hz: tuple[float, ...]) -> Build:
-    """Return the observer with state feedback: what piezoid designs and its runtime runs."""
-    plant = of.nominal
+def observer_design(plants: PlantFamily, lags_Hz: tuple[float, ...]) -> Build:
+    """Return the observer with state feedback, which piezoid designs."""
+    plant = plants.nominal
     frame = ObserverFrame(plant=plant, disturbance=disturbance_model(RATE_Hz), form="affine")
     lags = np.exp(-2.0 * np.pi * np.array(lags_Hz) / RATE_Hz)
 
@@ -126,39 +129,39 @@ def observed(of: PlantFamily, lags_Hz: tuple[float, ...]) -> Build:
     return build
 
 
-def best_Hz(of: PlantFamily, build: Build, lowest: list, highest: list, starts: list) -> float:
+def best_Hz(plants: PlantFamily, build: Build, lowest: list, highest: list, starts: list) -> float:
     """Return the largest bandwidth that the search finds."""
-    grid = family_grid(of, asked(of))
+    grid = family_grid(plants, specification_of(plants))
     rng = np.random.default_rng(SEED)
     low, high = np.log(lowest), np.log(highest)
 
-    def judge(x: Array) -> tuple[float, float]:
+    def evaluate(x: Array) -> tuple[float, float]:
         try:
-            reached_Hz, excess_dB = bandwidth_Hz(grid, *build(np.exp(x)))
+            f, excess_dB = bandwidth_Hz(grid, *build(np.exp(x)))
         except DesignError:
-            return HOPELESS
-        return -float(np.log(reached_Hz)), excess_dB
+            return INFEASIBLE
+        return -float(np.log(f)), excess_dB
 
-    drawn = [rng.uniform(low, high) for _ in range(DRAWN)]
-    found = search(
-        judge,
+    random_starts = [rng.uniform(low, high) for _ in range(RANDOM_STARTS)]
+    optimum = search(
+        evaluate,
         low,
         high,
-        [*(np.log(s) for s in starts), *drawn],
+        [*(np.log(start) for start in starts), *random_starts],
         evaluations=EVALUATIONS,
         reserve_dB=0.05,
     )
-    cost, excess_dB = judge(found)
+    cost, excess_dB = evaluate(optimum)
     return float(np.exp(-cost)) if excess_dB <= 0.0 else 0.0
 
 
-def by_observer_Hz(lags_Hz: tuple[float, ...] = (), **changed: float) -> float:
-    """Return what the observer reaches on a family."""
-    of = family(lags_Hz=lags_Hz, **changed)
-    f = changed.get("mode_Hz", 700.0)
+def observer_Hz(lags_Hz: tuple[float, ...] = (), **changes: float) -> float:
+    """Return the bandwidth of the observer on a family."""
+    plants = family(lags_Hz=lags_Hz, **changes)
+    f = changes.get("mode_Hz", 700.0)
     return best_Hz(
-        of,
-        observed(of, lags_Hz),
+        plants,
+        observer_design(plants, lags_Hz),
         [35.0, 0.01, 35.0, 0.01, 35.0],
         [2000.0, 1.6, 4000.0, 1.6, 4000.0],
         [
@@ -170,8 +173,8 @@ def by_observer_Hz(lags_Hz: tuple[float, ...] = (), **changed: float) -> float:
 
 def main() -> None:
     """Print both tables."""
-    of = family()
-    rivals = {
+    plants = family()
+    methods = {
         "integrator": (integrator, [1], [1e4], [[30]]),
         "integral resonant control": (
             integral_resonant,
@@ -192,17 +195,17 @@ def main() -> None:
             [[300, 0.5, 800, 0.4], [1400, 0.7, 880, 1.2]],
         ),
     }
-    for name, (build, *box) in rivals.items():
-        print(f"{name:32s} {best_Hz(of, build, *box):6.0f} Hz", flush=True)
-    print(f"{'observer and state feedback':32s} {by_observer_Hz():6.0f} Hz", flush=True)
+    for name, (build, *ranges) in methods.items():
+        print(f"{name:32s} {best_Hz(plants, build, *ranges):6.0f} Hz", flush=True)
+    print(f"{'observer and state feedback':32s} {observer_Hz():6.0f} Hz", flush=True)
     for name, values in (
         ("spread", (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3)),
         ("delay_s", (0.0, 25e-6, 50e-6, 100e-6, 150e-6, 200e-6)),
         ("mode_Hz", (300.0, 500.0, 700.0, 1000.0, 1500.0)),
     ):
         for value in values:
-            print(f"{name:8s} {value:8g} {by_observer_Hz(**{name: value}):6.0f} Hz", flush=True)
-    filters = by_observer_Hz(lags_Hz=(4000.0, 8500.0))
+            print(f"{name:8s} {value:8g} {observer_Hz(**{name: value}):6.0f} Hz", flush=True)
+    filters = observer_Hz(lags_Hz=(4000.0, 8500.0))
     print(f"behind lags of 4 and 8.5 kHz {filters:6.0f} Hz", flush=True)
 
 

@@ -1,14 +1,14 @@
-"""How often the 95 % intervals of mode, damping and delay hold the truth, hysteresis present.
+"""Coverage of the 95 % intervals of mode, damping and delay behind hysteresis.
 
-    python benchmarks/dynamics_coverage.py STORE [DRAWS, default 100] [FIRST SEED, default 0]
+    python -m benchmarks.dynamics_coverage STORE [DRAWS, default 100] [FIRST SEED, default 0]
 
-Every draw is a stage of the virtual laboratory: a ceramic (Preisach, Bouc-Wen or wall pinning;
-none is a sum of plays), one mode of 250 to 1200 Hz with a damping of 1 to 6 %, a delay of 20 to
-300 us, coloured noise. A lab records a sweep for the hysteresis and a chirp of a tenth of the
-range; the operator is fitted to the sweep, the dynamics behind
-it are found, and both are fitted jointly. A draw that finds no mode counts against all three.
+Every draw is a stage of the virtual laboratory with a Preisach, Bouc-Wen or wall-pinning ceramic,
+none of which is a sum of plays. It has one mode of 250 to 1200 Hz with a damping of 1 to 6 %, a
+delay of 20 to 300 us and coloured noise. The recordings are a sweep and a chirp over a tenth of
+the range. The operator is fitted to the sweep, then the dynamics, then both jointly. A draw
+without a mode counts as a miss of all three intervals.
 
-STORE keeps one line of JSON per draw: started again, only the seeds it does not hold are run.
+STORE contains one line of JSON per draw. A later run adds the missing seeds.
 """
 
 import json
@@ -20,18 +20,20 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.recordings import recording_of
+from benchmarks.zoo.command_line import read_rows
 from piezoid.identification.dynamics.axis_dynamics import with_dynamics
 from piezoid.identification.dynamics.modal import NORMAL_95, LinearDynamics
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.hysteresis.pieces import Rig as Declared
 from piezoid.identification.model import AxisModel
-from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab import drives
 from piezoid_datasets.virtual_lab.effects.effect import Act, Place
 from piezoid_datasets.virtual_lab.rig import draw_rig
 from piezoid_datasets.virtual_lab.signals import second_order, shifted
-from piezoid_datasets.virtual_lab.stage import FINER, Rows, Run, Stage, record
+from piezoid_datasets.virtual_lab.stage import FINER, Run, Stage, record
 from piezoid_datasets.virtual_lab.truths import TRUTHS
 
 SWEEP_Hz = 250.0
@@ -40,10 +42,10 @@ NAMES = ("frequency", "damping", "delay")
 
 
 def draw(seed: int) -> tuple[Stage, tuple[float, float, float]]:
-    """Return a stage and its mode's frequency, its damping, and the delay.
+    """Return a stage, and the frequency and damping of its mode and its delay.
 
-    The laboratory joins its instants by straight lines. Under the amplifier's exponentials these
-    lag by h^2 / (12 T), 0.33 us here, which no fit could tell from the delay and counts to it.
+    The laboratory interpolates linearly between its instants. Behind the lag of the amplifier this
+    delays by h^2 / (12 T), here 0.33 us, which is included in the delay.
     """
     rng = np.random.default_rng([seed, 404])
     frequency_Hz = float(np.exp(rng.uniform(*np.log([250.0, 1200.0]))))
@@ -83,45 +85,32 @@ def recordings(stage: Stage) -> list[Recording]:
         )
         for name, (rate_Hz, shape) in shapes.items()
     ]
-    return [_recording(record(stage, run, order)) for order, run in enumerate(runs)]
+    return [
+        recording_of(rows.voltage_V, rows.displacement_m, run.sampling_rate_Hz, run.name)
+        for run, rows in ((run, record(stage, run, order)) for order, run in enumerate(runs))
+    ]
 
 
-def _recording(rows: Rows) -> Recording:
-    values = ((Quantity.VOLTAGE, rows.voltage_V), (Quantity.DISPLACEMENT, rows.displacement_m))
-    return Recording(
-        name=rows.run.name,
-        digest="",
-        axis="x",
-        sampling_rate_Hz=rows.run.sampling_rate_Hz,
-        channels=tuple(Channel(quantity=q, axis="x", values=v, label=q.name) for q, v in values),
-    )
-
-
-def found_in(stage: Stage) -> LinearDynamics | None:
-    """Return the dynamics of a stage, None where none were found."""
-    return fitted(stage).dynamics
-
-
-def fitted(stage: Stage) -> AxisModel:
-    """Return the axis, joint fit included; the chirp's memory is that of the cycles before it."""
-    held = recordings(stage)
+def fit_stage(stage: Stage) -> AxisModel:
+    """Fit the axis with a joint fit; the cycles before the chirp determine its memory."""
+    sweep, chirp = recordings(stage)
     rig = Declared(
         amplifier_bandwidth_Hz=stage.rig.amplifier_bandwidth_Hz,
         sensor_bandwidth_Hz=stage.rig.sensor_bandwidth_Hz,
     )
-    axis = estimate_axis(held[:1], "x", rig, orders=((8, 2),))
+    axis = estimate_axis([sweep], "x", rig, orders=((8, 2),))
     turns_V = np.array([stage.rig.drive_max_V, stage.rig.drive_min_V] * 2)
     _, memory_V = axis.hysteresis.run(turns_V, axis.virgin_memory_V)
     start = PieceStart(
-        recording="chirp", memory_V=memory_V, zero_m=np.zeros(1), first=0, last=held[1].samples
+        recording="chirp", memory_V=memory_V, zero_m=np.zeros(1), first=0, last=chirp.samples
     )
-    return with_dynamics(replace(axis, starts=(*axis.starts, start)), held)
+    return with_dynamics(replace(axis, starts=(*axis.starts, start)), [sweep, chirp])
 
 
-def judged(
+def coverage(
     dynamics: LinearDynamics, truth: tuple[float, float, float]
 ) -> list[tuple[bool, float]]:
-    """Return whether each interval holds the truth, and the error over half the interval."""
+    """Return whether each interval contains the truth, and the error over its half-width."""
     mode = int(np.abs(dynamics.mode_gain_m_per_V).argmax())
     intervals = (
         dynamics.mode_frequency_interval_Hz()[mode],
@@ -139,39 +128,44 @@ def judged(
     ]
 
 
-def told(seed: int) -> dict[str, Any]:
-    """Return what one draw shows, as a line of the store."""
+def evaluate(seed: int) -> dict[str, Any]:
+    """Return the line of one draw in the store."""
     stage, truth = draw(seed)
-    began = time.process_time()
-    dynamics = found_in(stage)
-    record: dict[str, Any] = {"seed": seed, "truth": truth, "ceramic": seed % len(TRUTHS)}
-    record["processor_s"] = round(time.process_time() - began, 2)
-    verdicts = [] if dynamics is None else judged(dynamics, truth)
-    return {**record, "inside": [a for a, _ in verdicts], "over_half": [e for _, e in verdicts]}
+    start_s = time.process_time()
+    dynamics = fit_stage(stage).dynamics
+    elapsed_s = time.process_time() - start_s
+    intervals = [] if dynamics is None else coverage(dynamics, truth)
+    return {
+        "seed": seed,
+        "truth": truth,
+        "ceramic": seed % len(TRUTHS),
+        "processor_s": round(elapsed_s, 2),
+        "inside": [is_covered for is_covered, _ in intervals],
+        "over_half": [error for _, error in intervals],
+    }
 
 
 def main() -> None:
-    """Run the draws the store does not hold, and print the share of intervals that hold."""
+    """Run the draws that the store lacks, and print the coverage."""
     draws, first = (int(a) for a in (*sys.argv[2:], *("100", "0")[len(sys.argv) - 2 :]))
     store = Path(sys.argv[1])
-    text = store.read_text(encoding="utf-8") if store.exists() else ""
-    held = {line["seed"]: line for line in map(json.loads, text.splitlines())}
+    rows = {row["seed"]: row for row in read_rows(store)}
     for seed in range(first, first + draws):
-        if seed not in held:
-            held[seed] = told(seed)
+        if seed not in rows:
+            rows[seed] = evaluate(seed)
             with store.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(held[seed]) + "\n")
-    lines = [held[seed] for seed in range(first, first + draws)]
-    found = [line for line in lines if line["inside"]]
-    for place, name in enumerate(NAMES):
-        inside = sum(line["inside"][place] for line in found)
-        spread = np.sqrt(np.mean([line["over_half"][place] ** 2 for line in found])) * NORMAL_95
+                file.write(json.dumps(rows[seed]) + "\n")
+    requested = [rows[seed] for seed in range(first, first + draws)]
+    with_mode = [row for row in requested if row["inside"]]
+    for index, name in enumerate(NAMES):
+        covered = sum(row["inside"][index] for row in with_mode)
+        spread = np.sqrt(np.mean([row["over_half"][index] ** 2 for row in with_mode])) * NORMAL_95
         print(
-            f"{name}: {inside} of {draws} intervals hold the truth; "
+            f"{name}: {covered} of {draws} intervals hold the truth; "
             f"errors are {spread:.2f} standard deviations rms"
         )
-    print(f"{len(found)} of {draws} draws determined a mode")
-    print(f"{sum(line['processor_s'] for line in lines) / 60:.1f} minutes of processor")
+    print(f"{len(with_mode)} of {draws} draws determined a mode")
+    print(f"{sum(row['processor_s'] for row in requested) / 60:.1f} minutes of processor time")
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
     python benchmarks/first_figure.py reports/gallery/first_figure.svg
 
-The model is fitted to the sweep and the rates; what is drawn is its simulation of the third
-recording, which it has not seen.
+The model is fitted to the recordings of sweep and rates. The figure shows its prediction of the
+third recording.
 """
 
 import sys
@@ -39,27 +39,29 @@ def main() -> None:
     settings = Settings(
         longest_lag_s=0.02, sensor_pole_Hz=rig.sensor_bandwidth_Hz, follow_zero=False
     )
-    drawn = []
+    errors_nm = []
     for shape in (Shape(plays=0, below=0, above=0), Shape(plays=16, below=6, above=6, bends=6)):
-        other = refit_initial_state(search([sweep, rates], shape, settings), [check])
-        error = check.response - other.simulate(0, check)
-        drawn.append(1e9 * abs(scales.displacement_m) * error)
+        fit = refit_initial_state(search([sweep, rates], shape, settings), [check])
+        error = check.response - fit.simulate(0, check)
+        errors_nm.append(1e9 * abs(scales.displacement_m) * error)
     seconds = np.arange(len(check.drive)) / check.sampling_rate_Hz
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.2), width_ratios=(1, 1.7))
+    figure, (loop_axes, error_axes) = plt.subplots(1, 2, figsize=(9, 3.2), width_ratios=(1, 1.7))
     span_um = 1e6 * abs(scales.displacement_m)
     thin = slice(None, None, 6)
     volts = check.drive * scales.voltage_V + scales.voltage_offset_V
-    left.plot(volts[thin], span_um * check.response[thin], color="#0072b2", lw=0.7)
-    left.set(xlabel="drive [V]", ylabel="displacement [um]", title="measured, not used in the fit")
+    loop_axes.plot(volts[thin], span_um * check.response[thin], color="#0072b2", lw=0.7)
+    loop_axes.set(
+        xlabel="drive [V]", ylabel="displacement [um]", title="measured, not used in the fit"
+    )
     names = ("straight line", "model")
-    for error_nm, colour, name in zip(drawn, ("#bbbbbb", "#d55e00"), names, strict=True):
+    for error_nm, colour, name in zip(errors_nm, ("#bbbbbb", "#d55e00"), names, strict=True):
         rms_nm = float(np.sqrt(np.mean(error_nm**2)))
         label = f"{name}: {rms_nm:.0f} nm rms"
-        right.plot(seconds[thin], error_nm[thin], color=colour, lw=0.7, label=label)
-    right.set(xlabel="time [s]", ylabel="measured - simulated [nm]", title="what is left")
-    right.set_ylim(-2100, 2500)
-    right.legend(frameon=False, loc="upper left", ncols=2)
-    for axes in (left, right):
+        error_axes.plot(seconds[thin], error_nm[thin], color=colour, lw=0.7, label=label)
+    error_axes.set(xlabel="time [s]", ylabel="measured - simulated [nm]", title="residual")
+    error_axes.set_ylim(-2100, 2500)
+    error_axes.legend(frameon=False, loc="upper left", ncols=2)
+    for axes in (loop_axes, error_axes):
         axes.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()
     figure.savefig(Path(sys.argv[1]), metadata={"Date": None, "Creator": "piezoid"})

@@ -1,12 +1,11 @@
-"""The summary of a fleet of synthetic stages: seconds, memory, size of the page, how they grow.
+"""Time, memory and page size of the summary of many synthetic stages.
 
     python -m benchmarks.fleet_summary 1000 10000 100000
 
-Three axes, all that is compared, three lists of parameters; one stage in fifty does not pass.
-Records are taken in as workers pack them; making them is not counted.
+Every stage has three axes with all compared quantities and three lists of parameters. One stage in
+fifty fails. The records are packed as by workers; their creation is not timed.
 """
 
-import resource
 import sys
 from collections.abc import Mapping
 from tempfile import TemporaryFile
@@ -14,6 +13,7 @@ from time import process_time
 
 import numpy as np
 
+from benchmarks.speed.stopwatch import peak_megabytes
 from piezoid_cli.batch import write_table
 from piezoid_reports.fleet.records import (
     FAILED,
@@ -29,7 +29,7 @@ from piezoid_reports.fleet.statistics import QUANTITIES
 NAMES = [quantity.name for quantity in QUANTITIES]
 
 
-def stage_of(
+def synthetic_stage(
     serial: int,
     name: str,
     *,
@@ -37,9 +37,9 @@ def stage_of(
     drift: float = 0.0,
     inputs: Mapping[str, str] | None = None,
 ) -> FleetStage:
-    """Return a stage whose numbers are drawn by its serial number.
+    """Return a stage whose values depend on its serial number.
 
-    drift  what is added to its sensitivity
+    drift  added to its sensitivity
     """
     rng = np.random.default_rng(serial)
     values = np.exp(0.1 * rng.standard_normal((3, len(NAMES))))
@@ -58,43 +58,42 @@ def stage_of(
             FleetAxis(
                 axis=axis,
                 applies=True,
-                values=dict(zip(NAMES, values[place].tolist(), strict=True)),
-                parameters={f"list_{i}": lists[place, i].tolist() for i in range(3)},
+                values=dict(zip(NAMES, values[index].tolist(), strict=True)),
+                parameters={f"list_{i}": lists[index, i].tolist() for i in range(3)},
                 errors={NAMES[0]: 0.01},
             )
-            for place, axis in enumerate("xyz")
+            for index, axis in enumerate("xyz")
         ),
     )
 
 
 def main() -> None:
-    """Print a line for every size asked for, and the exponent between the last two."""
-    spent: list[tuple[int, float]] = []
-    for count in [int(word) for word in sys.argv[1:]] or [1000, 10_000, 100_000]:
+    """Print a line for every number of stages, and the exponent between the last two."""
+    times_s: list[tuple[int, float]] = []
+    for count in [int(argument) for argument in sys.argv[1:]] or [1000, 10_000, 100_000]:
         with StagesOnDisk() as stages:
             for k in range(count):
-                made = stage_of(k, f"unit {k:07d}", drift=0.1 * k / count)
-                stages.add(made.name, made.packed())
-            begun = process_time()
+                stage = synthetic_stage(k, f"unit {k:07d}", drift=0.1 * k / count)
+                stages.add(stage.name, stage.packed())
+            start_s = process_time()
             fleet = Fleet(name="synthetic", stages=stages)
             page = len(render_fleet(fleet).encode())
-            drawn = process_time() - begun
+            page_s = process_time() - start_s
             with TemporaryFile() as table, TemporaryFile() as record:
                 write_table(fleet, table)
                 fleet.write_json(record)
                 sizes = table.tell(), record.tell()
-            whole = process_time() - begun
-        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        spent.append((count, whole))
+            total_s = process_time() - start_s
+        times_s.append((count, total_s))
         print(
-            f"{count} stages: page {drawn:.1f} s of processor, with the rest {whole:.1f} s; "
-            f"page {page / 1e6:.2f} MB, table {sizes[0] / 1e6:.1f} MB, "
-            f"record {sizes[1] / 1e6:.1f} MB; at most {most:.0f} MB of memory",
+            f"{count} stages: page {page_s:.1f} s of processor time, with table and record "
+            f"{total_s:.1f} s; page {page / 1e6:.2f} MB, table {sizes[0] / 1e6:.1f} MB, "
+            f"record {sizes[1] / 1e6:.1f} MB; peak memory {peak_megabytes():.0f} MB",
             flush=True,
         )
-    if len(spent) > 1:
-        (few, quick), (many, slow) = spent[-2:]
-        print(f"grows with the power {np.log(slow / quick) / np.log(many / few):.2f}")
+    if len(times_s) > 1:
+        (small, shorter_s), (large, longer_s) = times_s[-2:]
+        print(f"exponent of the time {np.log(longer_s / shorter_s) / np.log(large / small):.2f}")
 
 
 if __name__ == "__main__":

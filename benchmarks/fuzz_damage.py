@@ -1,6 +1,6 @@
-"""Damage to files: bytes at random and hard on purpose, values and depth of JSON, archives within.
+"""Mutations of files: random bytes, extreme tokens, JSON values and nesting, archive members.
 
-A sealed file is sealed again and an archive packed again: only then is what is inside read at all.
+Sealed files get a new digest and archives are packed again, so that readers reach their content.
 """
 
 import gzip
@@ -35,37 +35,38 @@ HARD: tuple[Any, ...] = (
 
 
 def mutated_bytes(content: bytes, rng: np.random.Generator) -> bytes:
-    """Damage bytes: flips, cuts, repeats, swaps, hard tokens, numbers made hard."""
+    """Mutate bytes: flip, cut, repeat, replace, insert extreme tokens and numbers."""
     damaged = bytearray(content)
     for _ in range(1 + int(rng.integers(4))):
         size = max(len(damaged), 1)
-        # Headers stand at the beginning, and much depends on them.
-        near = int(rng.integers(min(size, 600))) if rng.random() < 0.5 else int(rng.integers(size))
-        far = near + int(rng.integers(1, 80))
+        # Half of the mutations are in the first 600 bytes, which contain the header.
+        is_header = rng.random() < 0.5
+        start = int(rng.integers(min(size, 600) if is_header else size))
+        stop = start + int(rng.integers(1, 80))
         match int(rng.integers(7)):
             case 0:
-                damaged[near:far] = bytes(rng.integers(256, size=far - near, dtype=np.uint8))
+                damaged[start:stop] = bytes(rng.integers(256, size=stop - start, dtype=np.uint8))
             case 1 if rng.random() < 0.3:
-                del damaged[near:]
+                del damaged[start:]
             case 2:
-                del damaged[near:far]
+                del damaged[start:stop]
             case 3:
-                damaged[near:near] = damaged[near:far] * int(rng.integers(1, 9))
+                damaged[start:start] = damaged[start:stop] * int(rng.integers(1, 9))
             case 4:
                 token = TOKENS[int(rng.integers(len(TOKENS)))]
-                damaged[near : near + len(token) * int(rng.integers(2))] = token
+                damaged[start : start + len(token) * int(rng.integers(2))] = token
             case 5:
-                numbers = list(re.finditer(rb"\d+", bytes(damaged[near : near + 4000])))
+                numbers = list(re.finditer(rb"\d+", bytes(damaged[start : start + 4000])))
                 if numbers:
                     begin, end = numbers[int(rng.integers(len(numbers)))].span()
-                    damaged[near + begin : near + end] = TOKENS[int(rng.integers(12))]
-            case _ if near < len(damaged):
-                damaged[near] = int(rng.choice([0, 1, 2, 4, 8, 16, 32, 64, 127, 128, 255]))
+                    damaged[start + begin : start + end] = TOKENS[int(rng.integers(12))]
+            case _ if start < len(damaged):
+                damaged[start] = int(rng.choice([0, 1, 2, 4, 8, 16, 32, 64, 127, 128, 255]))
     return bytes(damaged[: 1 << 20])
 
 
 def mutated_json(content: bytes, rng: np.random.Generator) -> bytes:
-    """Damage a sealed file's values, names and depth, or its text; then seal it."""
+    """Mutate values, names and nesting of a sealed file, or its text; then seal the result."""
     try:
         record = None if rng.random() < 0.1 else json.loads(content)
     except (ValueError, RecursionError):
@@ -75,7 +76,7 @@ def mutated_json(content: bytes, rng: np.random.Generator) -> bytes:
     for _ in range(1 + int(rng.integers(2))):
         if not record.keys() - {"digest"}:
             break
-        holder, key = _place_in(record, rng)
+        holder, key = _random_entry(record, rng)
         match int(rng.integers(4)):
             case 0:
                 del holder[key]
@@ -89,12 +90,13 @@ def mutated_json(content: bytes, rng: np.random.Generator) -> bytes:
     record.pop("digest", None)
     try:
         return seal(schema, record) if isinstance(schema, str) and record else content
-    except ValueError:  # what was read as infinity, or half a character
+    except ValueError:  # infinity, or a lone surrogate
         return resealed(mutated_bytes(content, rng))
 
 
-def _place_in(record: Any, rng: np.random.Generator) -> tuple[Any, Any]:
-    holder, key = record, str(rng.choice([k for k in record if k not in ("digest",)]))
+def _random_entry(record: Any, rng: np.random.Generator) -> tuple[Any, Any]:
+    """Return a container inside the record and a key or index of it."""
+    holder, key = record, str(rng.choice([k for k in record if k != "digest"]))
     while isinstance(holder[key], (dict, list)) and holder[key] and rng.random() < 0.9:
         holder = holder[key]
         names = list(holder) if isinstance(holder, dict) else range(len(holder))
@@ -103,7 +105,7 @@ def _place_in(record: Any, rng: np.random.Generator) -> tuple[Any, Any]:
 
 
 def resealed(content: bytes) -> bytes:
-    """Write the digest that the damaged bytes need; the bytes as they are where there is none."""
+    """Update the digest of the mutated bytes, if they contain one."""
     match = re.search(rb'"digest": "sha256:([0-9a-f]{64})"', content)
     if match is None:
         return content
@@ -113,20 +115,20 @@ def resealed(content: bytes) -> bytes:
 
 
 def repacked(content: bytes, rng: np.random.Generator, damage: Damage) -> bytes | None:
-    """Damage what an archive holds instead of the archive; None where it is none."""
+    """Mutate a member of an archive and pack it again; return None if there is no archive."""
     try:
         if content.startswith(b"\x1f\x8b"):
             return gzip.compress(damage(zlib.decompress(content, 31), rng), 1, mtime=0)
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            held = {name: archive.read(name) for name in archive.namelist()}
+            members = {name: archive.read(name) for name in archive.namelist()}
     except (zlib.error, zipfile.BadZipFile, OSError, ValueError, RuntimeError, EOFError):
         return None
-    if not held:
+    if not members:
         return None
-    chosen = str(rng.choice(list(held)))
-    held[chosen] = damage(held[chosen], rng)
+    mutated = str(rng.choice(list(members)))
+    members[mutated] = damage(members[mutated], rng)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
-        for name, member in held.items():
+        for name, member in members.items():
             archive.writestr(zipfile.ZipInfo(name), member)
     return buffer.getvalue()

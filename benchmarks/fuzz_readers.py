@@ -1,13 +1,12 @@
-"""Throw damaged files at everything that reads: a result or one message of ours, nothing else.
+"""Fuzz every reader with mutated files: each must return a result or one message of piezoid.
 
     python -m benchmarks.fuzz_readers [SECONDS [STAGE [SEED]]]
 
-Every format of recordings, lab.toml, and the sealed files are mutated, SECONDS for each; STAGE, a
-folder that `piezoid fit` wrote, adds its sealed files to those known here. The same SEED draws
-the same damage: another one asks new questions. A mutant of a sealed file is sealed again: only
-then is its content read at all. Mutants that are answered in a new way join those that are
-mutated further. Each target runs in a process with 2 GB more than it starts with, and 5 s of
-processor time for an input; what breaks a rule, or never ends, is kept in build/fuzz/.
+Mutates recordings of all formats, lab.toml and sealed files for SECONDS per target. STAGE, a
+folder that `piezoid fit` wrote, adds its sealed files. The mutations depend on SEED alone. A
+mutant with a new answer joins the pool of files that are mutated further. Each target runs in a
+process that may allocate 2 GB, with 5 s of processor time per input. Inputs that break a rule or
+do not end are written to build/fuzz/.
 """
 
 import multiprocessing
@@ -31,142 +30,147 @@ from benchmarks.fuzz_targets import REFUSED, targets
 from piezoid.errors import PiezoidError
 
 LIMIT_s = 5.0
-LOST_s = 60.0
-ROOM_bytes = 2 << 30
-KEPT = Path("build/fuzz")
+TIMEOUT_s = 60.0
+MEMORY_bytes = 2 << 30
+FAILURES = Path("build/fuzz")
 POOL = 300
 
 
 @dataclass
 class Tally:
-    """What one target answered."""
+    """Answers of one target."""
 
     inputs: int = 0
     refused: int = 0
     slowest_s: float = 0.0
     peak_bytes: int = 0
-    ways: int = 0
+    answers: int = 0
     broken: Counter[str] = field(default_factory=Counter)
 
 
-def attack(
-    place: Path, first: bytes, answer: Callable[[Path], str], seconds: float, seed: int
+def fuzz(
+    path: Path, first: bytes, read: Callable[[Path], str], seconds: float, seed: int
 ) -> Tally:
-    """Mutate one file for some seconds; a warning that would reach the user is a fault as well."""
+    """Mutate one file for the given time; a warning counts as a failure."""
     warnings.simplefilter("error")
-    rng = np.random.default_rng([seed, *place.name.encode()])
-    mutated = mutated_json if place.name.endswith(".json") else mutated_bytes
-    tally, pool, known = Tally(), [first], set()
-    place.write_bytes(first)
-    answer(place)  # loads what is loaded late, before time and memory are watched
-    resource.setrlimit(resource.RLIMIT_AS, (used_bytes() + ROOM_bytes,) * 2)
-    until = time.monotonic() + seconds
-    while time.monotonic() < until:
+    rng = np.random.default_rng([seed, *path.name.encode()])
+    mutated = mutated_json if path.name.endswith(".json") else mutated_bytes
+    tally, pool, answers = Tally(), [first], set()
+    path.write_bytes(first)
+    read(path)  # imports the lazy modules before time and memory are limited
+    resource.setrlimit(resource.RLIMIT_AS, (used_bytes() + MEMORY_bytes,) * 2)
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
         content = mutated(pool[int(rng.integers(len(pool)))], rng)
-        place.write_bytes(content)
-        way = tried(answer, place, content, tally)
-        if way not in known and len(pool) < POOL:
-            known.add(way)
+        path.write_bytes(content)
+        answer = count_answer(read, path, content, tally)
+        if answer not in answers and len(pool) < POOL:
+            answers.add(answer)
             pool.append(content)
     tally.peak_bytes = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    tally.ways = len(known)
+    tally.answers = len(answers)
     return tally
 
 
-def tried(answer: Callable[[Path], str], place: Path, content: bytes, tally: Tally) -> str:
-    """Read one input, count it, keep it where it breaks a rule; return the way of the answer."""
-    began_s = time.process_time()
+def count_answer(read: Callable[[Path], str], path: Path, content: bytes, tally: Tally) -> str:
+    """Read one input and count the answer; return the answer without numbers and quotations.
+
+    An input that breaks a rule is written to FAILURES.
+    """
+    start_s = time.process_time()
     tally.inputs += 1
     try:
-        said = answer(place)
-        tally.refused += said.startswith(REFUSED)
+        message = read(path)
+        tally.refused += message.startswith(REFUSED)
     except (PiezoidError, OSError, UnicodeDecodeError) as error:
-        is_ours = isinstance(error, PiezoidError) or place.name in ("limits.toml", "design.toml")
-        tally.refused += is_ours
-        said = str(error)
-        if not is_ours:
-            _keep(place.name, content, tally, _where(error))
+        is_refused = isinstance(error, PiezoidError) or path.name in ("limits.toml", "design.toml")
+        tally.refused += is_refused
+        message = str(error)
+        if not is_refused:
+            _store_failure(path.name, content, tally, _location(error))
     except BaseException as error:
-        said = _where(error)
-        _keep(place.name, content, tally, said)
-    took_s = time.process_time() - began_s
-    tally.slowest_s = max(tally.slowest_s, took_s)
-    if took_s > LIMIT_s:
-        _keep(place.name, content, tally, f"took more than {LIMIT_s:.0f} s")
-    return re.sub(r"[^a-zA-Z ]+|'.*'", "", said)[:100]
+        message = _location(error)
+        _store_failure(path.name, content, tally, message)
+    elapsed_s = time.process_time() - start_s
+    tally.slowest_s = max(tally.slowest_s, elapsed_s)
+    if elapsed_s > LIMIT_s:
+        _store_failure(path.name, content, tally, f"took more than {LIMIT_s:.0f} s")
+    return re.sub(r"[^a-zA-Z ]+|'.*'", "", message)[:100]
 
 
-def _where(error: BaseException) -> str:
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__} in {Path(last.filename).name}:{last.lineno}: {error}"[:160]
+def _location(error: BaseException) -> str:
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__} in {Path(frame.filename).name}:{frame.lineno}: {error}"[:160]
 
 
-def _keep(name: str, content: bytes, tally: Tally, what: str) -> None:
-    if not tally.broken[what]:
-        KEPT.mkdir(parents=True, exist_ok=True)
-        (KEPT / f"{len(tally.broken)}-{name}").write_bytes(content)
-    tally.broken[what] += 1
+def _store_failure(name: str, content: bytes, tally: Tally, failure: str) -> None:
+    if not tally.broken[failure]:
+        FAILURES.mkdir(parents=True, exist_ok=True)
+        (FAILURES / f"{len(tally.broken)}-{name}").write_bytes(content)
+    tally.broken[failure] += 1
 
 
 def memory_disk() -> str | None:
-    """Return a folder in memory, None where the system has none."""
+    """Return a folder in memory, or None if the system has none."""
     return "/dev/shm" if Path("/dev/shm").is_dir() else None
 
 
 def used_bytes() -> int:
-    """Return the address space this process has taken."""
+    """Return the address space of this process."""
     return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 
 
-def _send(pipe: Any, *asked: Any) -> None:
-    pipe.send(attack(*asked))
+def _fuzz_and_send(pipe: Any, *arguments: Any) -> None:
+    pipe.send(fuzz(*arguments))
 
 
-def attacked(
-    name: str, first: bytes, answer: Callable[[Path], str], seconds: float, seed: int
+def fuzz_in_process(
+    name: str, first: bytes, read: Callable[[Path], str], seconds: float, seed: int
 ) -> Tally:
-    """Attack one target in a process of its own, and end the process where it does not."""
+    """Fuzz one target in a child process, which is killed if it does not end."""
     fork = multiprocessing.get_context("fork")
-    here, there = fork.Pipe(duplex=False)
+    receiver, sender = fork.Pipe(duplex=False)
     with tempfile.TemporaryDirectory(dir=memory_disk()) as folder:
-        place = Path(folder) / name
-        child = fork.Process(target=_send, args=(there, place, first, answer, seconds, seed))
+        path = Path(folder) / name
+        child = fork.Process(
+            target=_fuzz_and_send, args=(sender, path, first, read, seconds, seed)
+        )
         child.start()
-        there.close()
-        tally, what = Tally(), f"an input without end, {LOST_s:.0f} s too late"
+        sender.close()
+        tally, failure = Tally(), f"an input did not end, {TIMEOUT_s:.0f} s overdue"
         try:
-            if here.poll(seconds + LOST_s):
-                what = "the process died"
-                return here.recv()
+            if receiver.poll(seconds + TIMEOUT_s):
+                failure = "the process died"
+                return receiver.recv()
         except EOFError:
             pass
         finally:
             child.kill()
             child.join()
-        _keep(name, place.read_bytes(), tally, what)
+        _store_failure(name, path.read_bytes(), tally, failure)
     return tally
 
 
 def main() -> None:
-    """Print a row for each target; end with status 1 where a rule was broken."""
+    """Print a row for each target; exit with status 1 if a rule was broken."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 60.0
-    given = Path(sys.argv[2]) if len(sys.argv) > 2 else None
+    stage_folder = Path(sys.argv[2]) if len(sys.argv) > 2 else None
     seed = int(sys.argv[3]) if len(sys.argv) > 3 else 7
-    inputs, is_broken, began = 0, False, time.monotonic()
+    inputs, is_broken, start_s = 0, False, time.monotonic()
     print(f"{'':16}{'inputs':>9}{'refused':>9}{'answers':>9}{'slowest':>10}{'peak':>9}")
     with tempfile.TemporaryDirectory() as folder:
-        for name, (first, answer) in targets(Path(folder), given).items():
-            tally = attacked(name, first, answer, seconds, seed)
+        for name, (first, read) in targets(Path(folder), stage_folder).items():
+            tally = fuzz_in_process(name, first, read, seconds, seed)
             inputs += tally.inputs
             is_broken |= bool(tally.broken)
             print(
-                f"{name:16}{tally.inputs:9}{tally.refused:9}{tally.ways:9}"
+                f"{name:16}{tally.inputs:9}{tally.refused:9}{tally.answers:9}"
                 f"{tally.slowest_s:8.2f} s{tally.peak_bytes / 2**20:6.0f} MB",
                 flush=True,
             )
-            for what, count in tally.broken.most_common():
-                print(f"    {count} times {what}", flush=True)
-    print(f"{inputs} inputs in {time.monotonic() - began:.0f} s")
+            for failure, count in tally.broken.most_common():
+                print(f"    {count} times {failure}", flush=True)
+    print(f"{inputs} inputs in {time.monotonic() - start_s:.0f} s")
     sys.exit(int(is_broken))
 
 

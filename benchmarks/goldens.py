@@ -1,4 +1,4 @@
-"""What a move of code changed: the demo and twenty virtual stages against what was frozen.
+"""Compare the demo and twenty virtual stages with frozen results, to see what a change changed.
 
     python -m benchmarks.goldens FOLDER            compare; FOLDER is what `make demo` wrote
     python -m benchmarks.goldens FOLDER --freeze   write benchmarks/goldens.json again
@@ -76,23 +76,23 @@ def artefacts_of(stage: Stage) -> dict[str, bytes]:
     effects = () if hidden is None else (hidden,)
     plans = (*PLANS, *(FURTHER[effect] for effect in effects if effect in FURTHER))
     campaign = draw_campaign(seed, effects=effects, truth=truth, plans=plans)
-    with tempfile.TemporaryDirectory() as place:
-        recordings = write_thinned(campaign, Path(place))
-        lab = read_lab(Path(place) / "lab.toml")
-        held = collect(recordings, lab).recordings
-        model = fit(held, lab=lab)
-        found = diagnose(held, lab=lab, model=next(iter(model.axes.values())))
+    with tempfile.TemporaryDirectory() as folder:
+        files = write_thinned(campaign, Path(folder))
+        lab = read_lab(Path(folder) / "lab.toml")
+        recordings = collect(files, lab).recordings
+        model = fit(recordings, lab=lab)
+        diagnosis = diagnose(recordings, lab=lab, model=next(iter(model.axes.values())))
     return {
         f"stage {seed}/model.json": write_model(model),
-        f"stage {seed}/diagnosis.json": write_diagnosis(found),
+        f"stage {seed}/diagnosis.json": write_diagnosis(diagnosis),
     }
 
 
-def write_thinned(campaign: Campaign, place: Path) -> list[Path]:
+def write_thinned(campaign: Campaign, folder: Path) -> list[Path]:
     """Write what the laboratory hands over with about ROWS rows a recording."""
     recordings = []
     for name, content in campaign_files(campaign).items():
-        path = place / Path(name).name
+        path = folder / Path(name).name
         if path.suffix == ".csv":
             header, *rows = content.splitlines(keepends=True)
             content = header + b"".join(rows[:: max(len(rows) // ROWS, 1)])
@@ -128,8 +128,8 @@ def axes_in(record: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
     yield from axes.values() if isinstance(axes, Mapping) else axes
 
 
-def moved(old: float | str | None, new: float | str | None) -> bool:
-    """Tell whether a number moved by more than the tolerance, or a word at all."""
+def is_changed(old: float | str | None, new: float | str | None) -> bool:
+    """Return whether a number changed by more than the tolerance, or a word at all."""
     if isinstance(old, float) and isinstance(new, float):
         return not math.isclose(old, new, rel_tol=TOLERANCE)
     return old != new
@@ -137,29 +137,27 @@ def moved(old: float | str | None, new: float | str | None) -> bool:
 
 def main(arguments: list[str]) -> int:
     """Compare, or freeze."""
-    found = frozen_of(Path(arguments[0]))
+    new = frozen_of(Path(arguments[0]))
     if "--freeze" in arguments:
-        FROZEN.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n")
+        FROZEN.write_text(json.dumps(new, indent=1, sort_keys=True) + "\n")
         return 0
     old = json.loads(FROZEN.read_text())
-    others = {
-        kind: [
-            name for name in sorted({*old[kind], *found[kind]}) if differ(kind, name, old, found)
-        ]
+    changes = {
+        kind: [name for name in sorted({*old[kind], *new[kind]}) if differ(kind, name, old, new)]
         for kind in ("numbers", "digests")
     }
-    for name in others["numbers"]:
-        print(f"{name}: {old['numbers'].get(name)} -> {found['numbers'].get(name)}")
-    for name in others["digests"]:
+    for name in changes["numbers"]:
+        print(f"{name}: {old['numbers'].get(name)} -> {new['numbers'].get(name)}")
+    for name in changes["digests"]:
         print(f"other bytes: {name}")
-    print(f"{len(others['numbers'])} of {len(old['numbers'])} numbers moved,", end=" ")
-    print(f"{len(others['digests'])} of {len(old['digests'])} files have other bytes")
-    return 1 if others["numbers"] else 2 * bool(others["digests"])
+    print(f"{len(changes['numbers'])} of {len(old['numbers'])} numbers changed,", end=" ")
+    print(f"{len(changes['digests'])} of {len(old['digests'])} files have other bytes")
+    return 1 if changes["numbers"] else 2 * bool(changes["digests"])
 
 
 def differ(kind: str, name: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> bool:
-    """Tell whether an entry is another one."""
-    return moved(old[kind].get(name), new[kind].get(name))
+    """Return whether an entry differs."""
+    return is_changed(old[kind].get(name), new[kind].get(name))
 
 
 if __name__ == "__main__":

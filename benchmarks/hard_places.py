@@ -1,11 +1,11 @@
-"""Every verb that writes, on a full disk, on one that is read only, and twice at once.
+"""Run every verb that writes: on a full disk, on a read-only disk, and twice at the same time.
 
     python -m benchmarks.hard_places STAGE [VERB ...]
 
-STAGE is a folder that `piezoid fit` wrote. Each verb writes onto a disk of its own in memory, full
-or mounted read only: that needs the right to mount. Whatever stood there must stand there still,
-nothing beside it, and one message must say so with exit status 3. Two runs at once into one folder
-must leave it whole, with the bytes of one of them.
+STAGE is a folder that `piezoid fit` wrote. Each verb writes to a separate memory disk that is full
+or mounted read-only, which needs the right to mount. The verb must end with exit status 3 and one
+message, and the disk must keep its contents. Two simultaneous runs into one folder must leave the
+complete output of one of them.
 """
 
 import os
@@ -17,28 +17,28 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from benchmarks.kill_fit import held, recording
+from benchmarks.kill_fit import folder_contents, write_recording
 from piezoid.output_folder import write_folder
 
 PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
 OLD = {"kept.txt": b"what was there"}
 UNUSABLE = 3
-# Two runs at once: the later one finds the folder taken, where it may not replace.
-TAKEN = {(0, 0), (0, 2), (2, 0)}
+# Exit statuses of two simultaneous runs: without --force the second one refuses the folder.
+SIMULTANEOUS_STATUSES = {(0, 0), (0, 2), (2, 0)}
 
 
 def commands(work: Path, out: Path) -> dict[str, list[str]]:
-    """Return every verb with its words; ``out`` is the folder under test."""
-    sweep, made = str(work / "s.csv"), str(out / "made")
+    """Return the arguments of every verb; ``out`` is the folder under test."""
+    sweep, results = str(work / "s.csv"), str(out / "made")
     stage = str(out / "stage")
     return {
-        "fit": ["fit", sweep, "--out", made, "--force", "--quiet"],
-        "fit --stream": ["fit", sweep, "--stream", "--out", made, "--force", "--quiet"],
-        "diagnose": ["diagnose", sweep, "--out", made, "--force", "--quiet"],
-        "simulate": ["simulate", "--out", made, "--force", "--quiet"],
+        "fit": ["fit", sweep, "--out", results, "--force", "--quiet"],
+        "fit --stream": ["fit", sweep, "--stream", "--out", results, "--force", "--quiet"],
+        "diagnose": ["diagnose", sweep, "--out", results, "--force", "--quiet"],
+        "simulate": ["simulate", "--out", results, "--force", "--quiet"],
         "init": ["init", sweep, "--out", str(out / "made" / "lab.toml"), "--force", "--quiet"],
-        "batch": ["batch", str(work / "night"), "--out", made, "--force", "--quiet"],
-        "plan": ["plan", stage, "--effect", "creep", "--out", made, "--force", "--quiet"],
+        "batch": ["batch", str(work / "night"), "--out", results, "--force", "--quiet"],
+        "plan": ["plan", stage, "--effect", "creep", "--out", results, "--force", "--quiet"],
         "plan in place": ["plan", stage, "--effect", "creep", "--quiet"],
         "design": ["design", stage, "--quiet"],
         "export": ["export", stage, "--quiet"],
@@ -47,96 +47,95 @@ def commands(work: Path, out: Path) -> dict[str, list[str]]:
     }
 
 
-def prepared(work: Path, out: Path, stage: Path) -> None:
-    """Lay out what is read, and what stands where results will go."""
+def prepare(work: Path, out: Path, stage: Path) -> None:
+    """Write the inputs, and older files into the output folder."""
     shutil.copytree(stage, out / "stage")
     write_folder(out / "made", OLD)
     (work / "night" / "unit-1").mkdir(parents=True, exist_ok=True)
-    recording(work / "s.csv")
+    write_recording(work / "s.csv")
     shutil.copy(work / "s.csv", work / "night" / "unit-1")
     (work / "night" / "unit-1" / "lab.toml").write_text('[rig]\nname = "unit 1"\n')
 
 
 @contextmanager
-def disk(place: Path, size: int) -> Iterator[None]:
-    """Mount a disk of so many bytes in memory."""
-    place.mkdir(exist_ok=True)
-    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", place], check=True)
+def disk(path: Path, size: int) -> Iterator[None]:
+    """Mount a memory disk of the given size in bytes."""
+    path.mkdir(exist_ok=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", path], check=True)
     try:
         yield
     finally:
-        subprocess.run(["umount", place], check=True)
+        subprocess.run(["umount", path], check=True)
 
 
-def filled(place: Path) -> None:
-    """Leave not a byte."""
-    free = os.statvfs(place)
-    (place / "filler").write_bytes(bytes(free.f_bavail * free.f_frsize))
+def fill(path: Path) -> None:
+    """Write one file that uses all free bytes of the disk."""
+    free = os.statvfs(path)
+    (path / "filler").write_bytes(bytes(free.f_bavail * free.f_frsize))
 
 
-def read_only(place: Path) -> None:
-    """Forbid every change, to the first user as well."""
-    subprocess.run(["mount", "-o", "remount,ro", place], check=True)
+def make_read_only(path: Path) -> None:
+    """Remount the disk read-only, which binds root too."""
+    subprocess.run(["mount", "-o", "remount,ro", path], check=True)
 
 
-def run(words: list[str]) -> tuple[int, str]:
-    """Run a verb to its end; status and what it said of its failure."""
-    done = subprocess.run([*PIEZOID, *words], capture_output=True, text=True, check=False)
-    return done.returncode, done.stderr
+def run(arguments: list[str]) -> tuple[int, str]:
+    """Run a verb; return its exit status and its standard error."""
+    process = subprocess.run([*PIEZOID, *arguments], capture_output=True, text=True, check=False)
+    return process.returncode, process.stderr
 
 
-def faults(status: int, said: str, before: dict[str, bytes], after: dict[str, bytes]) -> list[str]:
-    """Say what is wrong with the end of a verb that could not write."""
-    found = []
-    if status != UNUSABLE:
-        found.append(f"status {status}")
-    if "Traceback" in said or said.count("error:") != 1:
-        found.append(f"said {said!r}")
-    if after != before:
-        found.append(f"changed {sorted(before.keys() ^ after.keys()) or 'contents'}")
-    return found
-
-
-def tried(verb: str, what: str, stage: Path) -> list[str]:
-    """Let one verb meet one fault."""
+def faults_on_disk(verb: str, state: str, stage: Path) -> list[str]:
+    """Run one verb on a disk that is full or read-only; return the broken rules."""
     with tempfile.TemporaryDirectory() as name:
         work, out = Path(name), Path(name) / "disk"
         with disk(out, 64 << 20):
-            prepared(work, out, stage)
-            (filled if what == "full" else read_only)(out)
-            before = held(out)
-            status, said = run(commands(work, out)[verb])
-            return faults(status, said, before, held(out))
+            prepare(work, out, stage)
+            (fill if state == "full" else make_read_only)(out)
+            old = folder_contents(out)
+            status, message = run(commands(work, out)[verb])
+            new = folder_contents(out)
+    faults = []
+    if status != UNUSABLE:
+        faults.append(f"status {status}")
+    if "Traceback" in message or message.count("error:") != 1:
+        faults.append(f"message {message!r}")
+    if new != old:
+        faults.append(f"changed {sorted(old.keys() ^ new.keys()) or 'contents'}")
+    return faults
 
 
-def twice(verb: str, stage: Path) -> list[str]:
-    """Let two runs of one verb begin together, then a third alone, for the bytes."""
+def faults_of_two_runs(verb: str, stage: Path) -> list[str]:
+    """Start two runs of one verb together, then a third alone; return the broken rules."""
     with tempfile.TemporaryDirectory() as name:
         work, out = Path(name), Path(name) / "out"
         out.mkdir()
-        prepared(work, out, stage)
-        words = [*PIEZOID, *commands(work, out)[verb]]
-        both = [subprocess.Popen(words, stderr=subprocess.PIPE, text=True) for _ in range(2)]
-        said = "".join(one.communicate()[1] for one in both)
-        left = held(out)
-        status, _ = run(words[len(PIEZOID) :])
-        found = [] if (both[0].returncode, both[1].returncode) in TAKEN else [said]
-        if status == 0 and held(out) != left:
-            found.append("other bytes than of a run alone")
-        remains = [path.name for path in out.rglob("*.unfinished")]
-        return found + [f"remains {remains}"] * bool(remains)
+        prepare(work, out, stage)
+        command = [*PIEZOID, *commands(work, out)[verb]]
+        processes = [
+            subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)
+        ]
+        message = "".join(process.communicate()[1] for process in processes)
+        contents = folder_contents(out)
+        status, _ = run(command[len(PIEZOID) :])
+        statuses = tuple(process.returncode for process in processes)
+        faults = [] if statuses in SIMULTANEOUS_STATUSES else [message]
+        if status == 0 and folder_contents(out) != contents:
+            faults.append("bytes differ from those of a single run")
+        temporary = [path.name for path in out.rglob("*.unfinished")]
+        return faults + [f"temporary files {temporary}"] * bool(temporary)
 
 
 def main() -> None:
-    """Print a row for each verb; end with status 1 where a rule was broken."""
+    """Print three rows for each verb; exit with status 1 if a rule was broken."""
     stage, is_broken = Path(sys.argv[1]), False
     with suppress(BrokenPipeError):
         for verb in sys.argv[2:] or commands(Path(), Path()):
-            rows = {what: tried(verb, what, stage) for what in ("full", "read only")}
-            rows["twice"] = twice(verb, stage)
-            for what, found in rows.items():
-                print(f"{verb:15}{what:11}{'; '.join(found) or 'kept'}", flush=True)
-                is_broken |= bool(found)
+            rows = {state: faults_on_disk(verb, state, stage) for state in ("full", "read only")}
+            rows["twice"] = faults_of_two_runs(verb, stage)
+            for state, faults in rows.items():
+                print(f"{verb:15}{state:11}{'; '.join(faults) or 'kept'}", flush=True)
+                is_broken |= bool(faults)
     sys.exit(int(is_broken))
 
 

@@ -1,9 +1,9 @@
-"""How often the 95 % intervals of a fit hold the truth, noise white or correlated.
+"""Coverage of the 95 % intervals of a fit with white and correlated noise.
 
-    python benchmarks/interval_coverage.py [DRAWS]
+    python -m benchmarks.interval_coverage [DRAWS]
 
-A stage made of four plays, two kinks and a lag is fitted with six plays again and again, each
-time with new noise; the intervals of the loading curve, the loop's width and the lag are counted.
+A stage of four plays, two kinks and a lag is fitted with six plays, each time with other noise.
+The program counts the intervals of loading curve, loop width and lag that contain the truth.
 """
 
 import itertools
@@ -11,6 +11,7 @@ import sys
 
 import numpy as np
 
+from benchmarks.recordings import recording_of
 from piezoid.identification.hysteresis.coordinates import Shape, operator_of, to_si_units
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
@@ -19,7 +20,6 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from piezoid.records.recording import Channel, Quantity, Recording
 
 RATE_Hz = 500.0
 REACH_V = np.linspace(0.5, 5.0, 10)
@@ -33,7 +33,7 @@ TRUTH = ModifiedPrandtlIshlinskii(
 
 
 def drive() -> Array:
-    """Thirty cycles of falling and rising size, with minor loops among them."""
+    """Return sixty half cycles of decreasing and increasing size."""
     sizes = 5.0 * np.concatenate([np.linspace(1, 0.1, 30), np.linspace(0.1, 1, 30)])
     levels = np.concatenate([[0.0], sizes * (-1.0) ** np.arange(60)])
     runs = [np.linspace(a, b, int(30 * abs(b - a)) + 2)[1:] for a, b in itertools.pairwise(levels)]
@@ -41,39 +41,26 @@ def drive() -> Array:
 
 
 def coloured(rng: np.random.Generator, samples: int, memory: float) -> Array:
-    """First-order autoregressive noise of rms 1."""
-    white = rng.standard_normal(samples) * np.sqrt(1 - memory**2)
-    noise = np.empty(samples)
-    last = 0.0
-    for k, value in enumerate(white):
-        last = memory * last + value
-        noise[k] = last
+    """Return first-order autoregressive noise of rms 1."""
+    noise = rng.standard_normal(samples) * np.sqrt(1 - memory**2)
+    for k in range(1, samples):
+        noise[k] += memory * noise[k - 1]
     return noise
 
 
-def recording(voltage_V: Array, displacement_m: Array) -> Recording:
-    """Wrap two columns."""
-    channels = (
-        Channel(quantity=Quantity.VOLTAGE, axis="x", values=voltage_V, label="u"),
-        Channel(quantity=Quantity.DISPLACEMENT, axis="x", values=displacement_m, label="y"),
-    )
-    return Recording(name="a", digest="", axis="x", sampling_rate_Hz=RATE_Hz, channels=channels)
-
-
-def hits(rng: np.random.Generator, memory: float, noise_m: float) -> Array:
-    """Fit once; return which of loading curve (10), loop width and lag hold the truth."""
+def coverage(rng: np.random.Generator, memory: float, noise_m: float) -> Array:
+    """Fit once; return whether the intervals of loading curve (10), loop width and lag hold."""
     u = drive()
     y, _ = TRUTH.run(u, TRUTH.virgin_memory())
-    one = recording(u, y + noise_m * coloured(rng, len(u), memory))
-    scales = scales_of([one], "x")
+    recording = recording_of(u, y + noise_m * coloured(rng, len(u), memory), RATE_Hz)
+    scales = scales_of([recording], "x")
     settings = Settings(longest_lag_s=0.02, follow_zero=False)
-    fitted = search(
-        pieces_of([one], "x", scales, Rig()), Shape(plays=6, below=1, above=1), settings
-    )
-    coordinates, theta = fitted.task.coordinates, fitted.theta
-    found = jackknife(theta, fitted.task)
+    pieces = pieces_of([recording], "x", scales, Rig())
+    fit = search(pieces, Shape(plays=6, below=1, above=1), settings)
+    coordinates, theta = fit.task.coordinates, fit.theta
+    uncertainty = jackknife(theta, fit.task)
 
-    def asked(vector: Array) -> Array:
+    def quantities(vector: Array) -> Array:
         operator = operator_of(vector, coordinates)
         curve = to_si_units(operator, scales).plays.loading_curve(REACH_V)
         return np.array([*curve, loop_width_m(vector, coordinates, scales), operator.lag_s])
@@ -81,21 +68,21 @@ def hits(rng: np.random.Generator, memory: float, noise_m: float) -> Array:
     half = REACH_V - TRUTH.plays.threshold[:, None]
     curve = (np.maximum(half, 0.0) * TRUTH.plays.weight[:, None]).sum(axis=0)
     states = np.clip(scales.voltage_V - TRUTH.plays.threshold, 0.0, TRUTH.plays.threshold)
-    open_h = float((TRUTH.plays.weight * states).sum())
-    low, high = TRUTH.dead_zones.run(np.array([-open_h, open_h]))
+    half_width = float((TRUTH.plays.weight * states).sum())
+    low, high = TRUTH.dead_zones.run(np.array([-half_width, half_width]))
     truth = np.array([*curve, high - low, 0.0])
-    return np.asarray(np.abs(asked(theta) - truth) <= found.half_width(asked))
+    return np.asarray(np.abs(quantities(theta) - truth) <= uncertainty.half_width(quantities))
 
 
 def main() -> None:
-    """Print coverage by noise colour."""
+    """Print the coverage for each correlation of the noise."""
     draws = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     for memory in (0.0, 0.9, 0.99):
         rng = np.random.default_rng(1)
-        held = np.array([hits(rng, memory, 20e-9) for _ in range(draws)])
+        covered = np.array([coverage(rng, memory, 20e-9) for _ in range(draws)])
         print(
-            f"noise memory {memory:4.2f}: loading curve {held[:, :10].mean():.1%}, "
-            f"loop width {held[:, 10].mean():.1%}, lag {held[:, 11].mean():.1%} of {draws} draws"
+            f"noise memory {memory:4.2f}: loading curve {covered[:, :10].mean():.1%}, loop width "
+            f"{covered[:, 10].mean():.1%}, lag {covered[:, 11].mean():.1%} of {draws} draws"
         )
 
 

@@ -4,7 +4,7 @@
 
 The recordings are those of a laboratory that lets its plans run on: sweeps, random levels and a
 staircase at 1 and 2 kHz, loops at several rates and a chirp at the converter's clock. Every step
-of the search is told with its time, as ``piezoid diagnose`` tells it.
+of the search is printed with its time, as ``piezoid diagnose`` tells it.
 """
 
 import os
@@ -34,8 +34,8 @@ def _sweep(rate_Hz: float, _: np.random.Generator) -> Array:
 
 def _swells(rate_Hz: float, _: np.random.Generator) -> Array:
     falling = drives.decaying_sweep(rate_Hz, 1.1, 10, triangle=False)
-    again = drives.decaying_sweep(rate_Hz, 1.1, 4, keep=1.0)
-    return np.concatenate((falling, again))
+    repeated = drives.decaying_sweep(rate_Hz, 1.1, 4, keep=1.0)
+    return np.concatenate((falling, repeated))
 
 
 def _levels(rate_Hz: float, rng: np.random.Generator) -> Array:
@@ -86,16 +86,17 @@ def main(seed: int, effects: tuple[str, ...], samples: int, threads: int) -> Non
     recordings, lab = recorded(campaign)
     begun_s, used_s = time.perf_counter(), time.process_time()
 
-    def told(step: str) -> None:
+    def report(step: str) -> None:
         print(f"{time.perf_counter() - begun_s:7.1f} s  {step}", flush=True)
 
-    found = diagnose(recordings, lab=lab, progress=told, threads=threads)
-    told("done")
+    diagnosis = diagnose(recordings, lab=lab, progress=report, threads=threads)
+    report("done")
     print(
         f"{campaign.answer.truth}: hidden {', '.join(effects) or 'nothing'}, "
-        f"named {', '.join(found.names) or 'nothing'}; "
+        f"named {', '.join(diagnosis.names) or 'nothing'}; "
         f"{time.perf_counter() - begun_s:.1f} s, processor {time.process_time() - used_s:.1f} s, "
-        f"left {1e9 * found.envelope_rms_m:.3g} nm, noise {1e9 * found.noise_floor_rms_m:.3g} nm"
+        f"remaining {1e9 * diagnosis.envelope_rms_m:.3g} nm, "
+        f"noise {1e9 * diagnosis.noise_floor_rms_m:.3g} nm"
     )
 
 

@@ -1,19 +1,20 @@
-"""How long a step of the runtime can take: the longest path through the compiled code.
+"""Worst-case execution time of a runtime step: the longest path through the compiled code.
 
     python -m benchmarks.longest_path STAGE...
 
-The stages are folders of ``piezoid fit`` or ``piezoid demo``. For each axis it prints a row of the
-table in docs/proof.md. Needs arm-none-eabi-gcc with its C library, and qemu-system-arm.
+The stages are folders of ``piezoid fit`` or ``piezoid demo``. For each axis the program prints a
+row of the table in docs/proof.md. It needs arm-none-eabi-gcc with its C library, and
+qemu-system-arm.
 
-A function is a graph of basic blocks. With x the number of times each edge is taken, the longest
-path is at most
+A function is a graph of basic blocks. With x the number of passes over each edge, the longest path
+is at most
 
     max sum of c_b x_b   with   in = out at every block,   back edges <= n (edges into the loop)
 
-a linear program [Li & Malik 1995], for c the cost of a block and n the bound of a loop. Bounds
-come from the source: every loop of the runtime counts to a member of the parameters or to a
-constant. Nothing is assumed of the data, so paths are in that no data can take; the answer is a
-bound, not a time that is reached.
+This is a linear program [Li & Malik 1995] with the cost c of a block and the bound n of a loop.
+The bounds follow from the source, as every loop of the runtime counts to a member of the
+parameters or to a constant. The data are arbitrary. Some paths therefore exclude each other, and
+the result is an upper bound.
 """
 
 import re
@@ -66,7 +67,7 @@ _MANY = re.compile(r"^(push|pop|ldm|stm|vpush|vpop|vldm|vstm)")
 
 @dataclass(frozen=True, kw_only=True)
 class Bound:
-    """What one call can take at most."""
+    """Upper bounds of one call."""
 
     instructions: int
     cycles: int
@@ -83,33 +84,33 @@ class _Block:
 
 @dataclass(frozen=True, kw_only=True)
 class _Instruction:
-    place: int
+    address: int
     name: str
     operands: str
     line: int
 
 
 def longest_path(disassembly: str, source: str, counts: Mapping[str, int], *, entry: str) -> Bound:
-    """Return the most that one call of a function can execute.
+    """Return upper bounds of one call of a function.
 
-    disassembly  of ``objdump -d -l --no-show-raw-insn``, of an object with line numbers
-    source       of piezoid_runtime.c
-    counts       by name, how far loops count: members of the parameters and constants
-    entry        the function
+    disassembly  output of ``objdump -d -l --no-show-raw-insn`` for an object with line numbers
+    source       text of piezoid_runtime.c
+    counts       end values of the loops: members of the parameters and constants by name
+    entry        name of the function
 
-    Raises ``RuntimeLibraryError`` for code that this cannot bound: a jump through a register, a
-    call of what is not there, recursion, or a loop without a line that bounds it.
+    Raises ``RuntimeLibraryError`` for code without a bound: a jump through a register, a call of
+    a missing function, recursion, or a loop that no source line bounds.
     """
     bounds = _loop_lines(source, counts)
     return _function(_functions(disassembly), bounds, entry, ())
 
 
 def loop_counts(values: Mapping[str, object]) -> dict[str, int]:
-    """Return how far the loops of a step count with an axis' parameters.
+    """Return the end values of the loops of a step.
 
     values  of ``AxisParameters``
 
-    A name with a dot holds inside one function, where callers share a ``count``.
+    A name with a dot is valid inside one function, whose ``count`` depends on the caller.
     """
     counts = {name: int(float(str(values[name]))) for name in values if name.endswith("_count")}
     order = int(float(str(values["observer_order"])))
@@ -117,7 +118,7 @@ def loop_counts(values: Mapping[str, object]) -> dict[str, int]:
     sections = max(counts["reference_section_count"], counts["command_section_count"])
     kinks = max(counts["knot_count"], counts["envelope_count"])
     inner, steps = max(counts["edge_count"] - 2, 0), int(float(str(values["edge_steps"])))
-    plays = counts["play_count"] if counts["edge_count"] else 0  # behind functions
+    plays = counts["play_count"] if counts["edge_count"] else 0  # plays behind functions
     return counts | {
         "observer_order": order,
         "predict.n": order,
@@ -136,8 +137,8 @@ def loop_counts(values: Mapping[str, object]) -> dict[str, int]:
 
 
 def _loop_lines(source: str, counts: Mapping[str, int]) -> dict[int, int]:
-    """Return by line the bound of the loop that begins there."""
-    found = {}
+    """Return the bounds of the loops by their first line."""
+    bounds = {}
     function = ""
     for number, text in enumerate(source.splitlines(), 1):
         if head := _HEAD.match(text):
@@ -145,32 +146,31 @@ def _loop_lines(source: str, counts: Mapping[str, int]) -> dict[int, int]:
         if not _LOOP.search(text):
             continue
         condition = text.split(";")[1] if ";" in text else text
-        known = [
-            counts[full]
+        end_values = [
+            counts[key]
             for name in _BOUND.findall(condition)
-            for full in (name, f"{function}.{name}")
-            if full in counts
+            for key in (name, f"{function}.{name}")
+            if key in counts
         ]
-        if known:
-            found[number] = max(known)
-    return found
+        if end_values:
+            bounds[number] = max(end_values)
+    return bounds
 
 
 def _functions(disassembly: str) -> dict[str, list[_Instruction]]:
-    found: dict[str, list[_Instruction]] = {}
-    current: list[_Instruction] = []
+    functions: dict[str, list[_Instruction]] = {}
+    code: list[_Instruction] = []
     line = 0
     for text in disassembly.splitlines():
         if head := _FUNCTION.match(text):
-            current = found.setdefault(head[1], [])
+            code = functions.setdefault(head[1], [])
         elif number := _SOURCE.search(text):
             line = int(number[1])
-        elif one := _INSTRUCTION.match(text):
-            name, operands = one[2], one[3].split("\t@")[0].split(" @ ")[0]
-            current.append(
-                _Instruction(place=int(one[1], 16), name=name, operands=operands, line=line)
-            )
-    return found
+        elif match := _INSTRUCTION.match(text):
+            operands = match[3].split("\t@")[0].split(" @ ")[0]
+            address = int(match[1], 16)
+            code.append(_Instruction(address=address, name=match[2], operands=operands, line=line))
+    return functions
 
 
 def _function(
@@ -183,8 +183,8 @@ def _function(
         raise _unbounded(name, "calls itself" if name in callers else "is not in the object")
     blocks = _blocks(functions[name], name)
     inner = {
-        called: _function(functions, bounds, called, (*callers, name))
-        for called in {called for block in blocks.values() for called in block.calls}
+        callee: _function(functions, bounds, callee, (*callers, name))
+        for callee in {callee for block in blocks.values() for callee in block.calls}
     }
     cost = {
         start: np.sum(
@@ -193,145 +193,149 @@ def _function(
         )
         for start, block in blocks.items()
     }
-    longest = [
-        _most(blocks, bounds, {b: float(c[k]) for b, c in cost.items()}, name) for k in (0, 1)
-    ]
-    return Bound(instructions=longest[0], cycles=longest[1])
+    instructions, cycles = (
+        _largest_cost(blocks, bounds, {b: float(c[k]) for b, c in cost.items()}, name)
+        for k in (0, 1)
+    )
+    return Bound(instructions=instructions, cycles=cycles)
 
 
 def _blocks(code: list[_Instruction], name: str) -> dict[int, _Block]:
     """Return basic blocks by the address of their first instruction."""
-    code = [one for one in code if not one.name.startswith(".")]
-    places = {one.place for one in code}
+    code = [instruction for instruction in code if not instruction.name.startswith(".")]
+    addresses = {instruction.address for instruction in code}
     pairs = list(zip(code, [*code[1:], None], strict=True))
-    starts = {code[0].place}
-    for one, after in pairs:
-        if _leaves(one) or _JUMP.match(one.name):
-            starts |= {after.place} if after is not None else set()
-            target = _target(one)
-            starts |= {target[0]} & places if target is not None else set()
+    starts = {code[0].address}
+    for instruction, successor in pairs:
+        if _is_indirect_jump(instruction) or _JUMP.match(instruction.name):
+            starts |= {successor.address} if successor is not None else set()
+            target = _target(instruction)
+            starts |= {target[0]} & addresses if target is not None else set()
     blocks: dict[int, _Block] = {}
-    block = _Block(start=code[0].place)
-    for one, after in pairs:
-        if one.place in starts:
-            block = blocks.setdefault(one.place, _Block(start=one.place))
-        block.costs.append((1, _cycles(one)))
-        if _JUMP.match(one.name):
-            block.branch_lines.add(one.line)
-        following, called = _ways(one, after, places, name)
-        block.calls += called
-        if after is None or after.place in starts:
+    block = _Block(start=code[0].address)
+    for instruction, successor in pairs:
+        if instruction.address in starts:
+            block = blocks.setdefault(instruction.address, _Block(start=instruction.address))
+        block.costs.append((1, _cycles(instruction)))
+        if _JUMP.match(instruction.name):
+            block.branch_lines.add(instruction.line)
+        following, calls = _successors(instruction, successor, addresses, name)
+        block.calls += calls
+        if successor is None or successor.address in starts:
             block.following += following
-    return _reached(blocks, code[0].place)
+    return _reachable(blocks, code[0].address)
 
 
-def _ways(
-    one: _Instruction, after: _Instruction | None, places: set[int], name: str
+def _successors(
+    instruction: _Instruction, successor: _Instruction | None, addresses: set[int], name: str
 ) -> tuple[list[int], list[str]]:
-    """Return where an instruction can lead inside its function, and what it calls."""
-    on = [] if after is None else [after.place]
-    target = _target(one)
-    if _JUMP.match(one.name):
+    """Return the addresses inside the function that may follow, and the called functions."""
+    following = [] if successor is None else [successor.address]
+    target = _target(instruction)
+    if _JUMP.match(instruction.name):
         assert target is not None
-        on = [] if one.name in ("b", "b.n", "b.w") else on
-        # A jump to another function: it returns for us
-        return ([target[0], *on], []) if target[0] in places else (on, [target[1]])
-    if one.name in ("bl", "blx"):
+        following = [] if instruction.name in ("b", "b.n", "b.w") else following
+        if target[0] in addresses:
+            return [target[0], *following], []
+        return following, [target[1]]  # a tail call
+    if instruction.name in ("bl", "blx"):
         if target is None:
-            raise _unbounded(name, f"calls through a register at {one.place:#x}")
-        return on, [target[1]]
-    if _leaves(one):
-        if not _returns(one):
-            raise _unbounded(name, f"jumps through a register at {one.place:#x}")
-        is_conditional = re.search(rf"({_CONDITIONS})(\.[nw])?$", one.name) is not None
-        return (on if is_conditional else []), []
-    return on, []
+            raise _unbounded(name, f"calls through a register at {instruction.address:#x}")
+        return following, [target[1]]
+    if _is_indirect_jump(instruction):
+        if not _is_return(instruction):
+            raise _unbounded(name, f"jumps through a register at {instruction.address:#x}")
+        is_conditional = re.search(rf"({_CONDITIONS})(\.[nw])?$", instruction.name) is not None
+        return (following if is_conditional else []), []
+    return following, []
 
 
-def _leaves(one: _Instruction) -> bool:
-    """Whether an instruction returns, or jumps where its operands say."""
-    if one.name.startswith(("bx", "tb")):
+def _is_indirect_jump(instruction: _Instruction) -> bool:
+    """Return whether an instruction returns or jumps to a computed address."""
+    if instruction.name.startswith(("bx", "tb")):
         return True
-    if one.name.startswith(("pop", "ldm")):
-        return "pc" in one.operands
-    return one.name.startswith(("ldr", "mov", "add")) and one.operands.startswith("pc,")
+    if instruction.name.startswith(("pop", "ldm")):
+        return "pc" in instruction.operands
+    is_load = instruction.name.startswith(("ldr", "mov", "add"))
+    return is_load and instruction.operands.startswith("pc,")
 
 
-def _returns(one: _Instruction) -> bool:
-    """Whether what leaves goes back to the caller: through lr, or what was put on the stack."""
-    if one.name.startswith("bx"):
-        return one.operands.strip() == "lr"
-    return one.name.startswith(("pop", "ldm")) or one.operands.startswith("pc, [sp]")
+def _is_return(instruction: _Instruction) -> bool:
+    """Return whether an indirect jump goes to the caller, through lr or the stack."""
+    if instruction.name.startswith("bx"):
+        return instruction.operands.strip() == "lr"
+    is_pop = instruction.name.startswith(("pop", "ldm"))
+    return is_pop or instruction.operands.startswith("pc, [sp]")
 
 
-def _target(one: _Instruction) -> tuple[int, str] | None:
-    found = _TARGET.search(one.operands)
-    return None if found is None else (int(found[1], 16), found[2])
+def _target(instruction: _Instruction) -> tuple[int, str] | None:
+    match = _TARGET.search(instruction.operands)
+    return None if match is None else (int(match[1], 16), match[2])
 
 
-def _cycles(one: _Instruction) -> int:
-    if _MANY.match(one.name):
-        listed = re.search(r"\{(.*)\}", one.operands)
+def _cycles(instruction: _Instruction) -> int:
+    if _MANY.match(instruction.name):
+        registers = re.search(r"\{(.*)\}", instruction.operands)
         count = 0
-        for part in (listed[1] if listed else "").split(","):
-            ends = [int(n) for n in re.findall(r"\d+", part)]
-            count += ends[1] - ends[0] + 1 if "-" in part and len(ends) == 2 else 1
-        return 1 + count + (_REFILL if "pc" in one.operands else 0)
+        for item in (registers[1] if registers else "").split(","):
+            limits = [int(n) for n in re.findall(r"\d+", item)]
+            count += limits[1] - limits[0] + 1 if "-" in item and len(limits) == 2 else 1
+        return 1 + count + (_REFILL if "pc" in instruction.operands else 0)
     for pattern, cycles in _CYCLES:
-        if re.match(pattern, one.name):
+        if re.match(pattern, instruction.name):
             return cycles
     return 1
 
 
-def _reached(blocks: dict[int, _Block], first: int) -> dict[int, _Block]:
-    """Leave out what no edge leads to: constants between functions."""
-    seen, waiting = set(), [first]
+def _reachable(blocks: dict[int, _Block], first: int) -> dict[int, _Block]:
+    """Remove blocks that no edge reaches, such as constants between functions."""
+    reachable, waiting = set(), [first]
     while waiting:
-        place = waiting.pop()
-        if place not in seen:
-            seen.add(place)
-            waiting.extend(blocks[place].following)
-    return {place: block for place, block in blocks.items() if place in seen}
+        address = waiting.pop()
+        if address not in reachable:
+            reachable.add(address)
+            waiting.extend(blocks[address].following)
+    return {address: block for address, block in blocks.items() if address in reachable}
 
 
 def _loops(blocks: Mapping[int, _Block], first: int) -> dict[int, set[int]]:
     """Return natural loops by their header: the blocks that reach a back edge without it."""
-    before: dict[int, set[int]] = {place: set() for place in blocks}
-    for place, block in blocks.items():
+    predecessors: dict[int, set[int]] = {address: set() for address in blocks}
+    for address, block in blocks.items():
         for target in block.following:
-            before[target].add(place)
-    dominators = {place: set(blocks) for place in blocks}
+            predecessors[target].add(address)
+    dominators = {address: set(blocks) for address in blocks}
     dominators[first] = {first}
     changed = True
     while changed:
         changed = False
-        for place in blocks:
-            if place != first:
-                found = set.intersection(*(dominators[p] for p in before[place])) | {place}
-                changed |= found != dominators[place]
-                dominators[place] = found
+        for address in blocks:
+            if address != first:
+                common = set.intersection(*(dominators[p] for p in predecessors[address]))
+                changed |= common | {address} != dominators[address]
+                dominators[address] = common | {address}
     loops: dict[int, set[int]] = {}
-    for place, block in blocks.items():
-        for header in set(block.following) & dominators[place]:
-            inside, waiting = loops.setdefault(header, {header}), [place]
+    for address, block in blocks.items():
+        for header in set(block.following) & dominators[address]:
+            members, waiting = loops.setdefault(header, {header}), [address]
             while waiting:
-                one = waiting.pop()
-                if one not in inside:
-                    inside.add(one)
-                    waiting.extend(before[one])
+                member = waiting.pop()
+                if member not in members:
+                    members.add(member)
+                    waiting.extend(predecessors[member])
     return loops
 
 
-def _most(
+def _largest_cost(
     blocks: Mapping[int, _Block], bounds: Mapping[int, int], cost: Mapping[int, float], name: str
 ) -> int:
-    """Solve the program of one function."""
+    """Solve the linear program of one function."""
     first = min(blocks)
     loops = _loops(blocks, first)
     edges = [(-1, first)]
-    edges += [(place, after) for place, b in blocks.items() for after in sorted(set(b.following))]
-    edges += [(place, -2) for place, b in blocks.items() if not b.following]
-    order = {place: row for row, place in enumerate(blocks)}
+    edges += [(start, end) for start, b in blocks.items() for end in sorted(set(b.following))]
+    edges += [(start, -2) for start, b in blocks.items() if not b.following]
+    order = {start: row for row, start in enumerate(blocks)}
     flow = lil_matrix((len(blocks) + 1, len(edges)))
     for k, (origin, target) in enumerate(edges):
         if target in order:
@@ -339,43 +343,43 @@ def _most(
         if origin in order:
             flow[order[origin], k] -= 1.0
     flow[len(blocks), 0] = 1.0
-    once = np.zeros(len(blocks) + 1)
-    once[-1] = 1.0
+    entry_flow = np.zeros(len(blocks) + 1)
+    entry_flow[-1] = 1.0
     limits = lil_matrix((len(loops), len(edges)))
-    for row, (header, inside) in enumerate(loops.items()):
-        nested = [other for head, other in loops.items() if head != header and other < inside]
-        own = inside - set().union(*nested) if nested else inside
-        lines = {line for place in own for line in blocks[place].branch_lines} & set(bounds)
+    for row, (header, members) in enumerate(loops.items()):
+        nested = [loop for head, loop in loops.items() if head != header and loop < members]
+        outer = members - set().union(*nested) if nested else members
+        lines = {line for start in outer for line in blocks[start].branch_lines} & set(bounds)
         if not lines:
             raise _unbounded(name, f"has a loop at {header:#x} that no line of the source bounds")
-        most = max(bounds[line] for line in lines)
+        bound = max(bounds[line] for line in lines)
         for k, (origin, target) in enumerate(edges):
             if target == header:
-                limits[row, k] = 1.0 if origin in inside else -float(most)
-    taken = np.array([-cost[target] if target in cost else 0.0 for _, target in edges])
-    solved = linprog(
-        taken,
+                limits[row, k] = 1.0 if origin in members else -float(bound)
+    edge_cost = np.array([-cost[target] if target in cost else 0.0 for _, target in edges])
+    solution = linprog(
+        edge_cost,
         A_ub=limits.tocsr() if loops else None,
         b_ub=np.zeros(len(loops)) if loops else None,
         A_eq=flow.tocsr(),
-        b_eq=once,
+        b_eq=entry_flow,
         method="highs",
     )
-    if not solved.success:
+    if not solution.success:
         raise _unbounded(name, "has no longest path")
-    return int(np.ceil(-solved.fun - 1e-6))
+    return int(np.ceil(-solution.fun - 1e-6))
 
 
-def _unbounded(name: str, why: str) -> RuntimeLibraryError:
+def _unbounded(name: str, reason: str) -> RuntimeLibraryError:
     return RuntimeLibraryError(
-        f"{name} {why}",
+        f"{name} {reason}",
         needed="code whose longest path can be computed",
         remedy="Build with gcc, -O2 -fno-jump-tables -fno-tree-loop-distribute-patterns.",
     )
 
 
 def bounds_of(file: ParameterFile) -> dict[str, Bound]:
-    """Return by axis the longest path of a step in the binary that ``verify`` emulates."""
+    """Return the longest path of a step by axis, in the binary that ``verify`` emulates."""
     contents = bundle(file)
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -390,17 +394,17 @@ def bounds_of(file: ParameterFile) -> dict[str, Bound]:
 
 def main() -> None:
     """Print a row for every axis of the stages."""
-    print("| stage, axis | instructions, ordinary | most seen | longest path | its cycles |")
+    print("| stage, axis | instructions, typical | largest observed | longest path | its cycles |")
     print("| --- | --- | --- | --- | --- |")
     for folder in map(Path, sys.argv[1:]):
         file = from_json((folder / "params.json").read_bytes(), str(folder / "params.json"))
         proof = emulate(file)
         if not proof.is_built:
             sys.exit(proof.build)
-        mean, most = proof.instructions_per_sample or {}, proof.most_instructions or {}
+        mean, largest = proof.instructions_per_sample or {}, proof.most_instructions or {}
         for axis, bound in bounds_of(file).items():
             print(
-                f"| {folder.name}, {axis} | {mean[axis]:.0f} | {most[axis]} "
+                f"| {folder.name}, {axis} | {mean[axis]:.0f} | {largest[axis]} "
                 f"| {bound.instructions} | {bound.cycles} |"
             )
 

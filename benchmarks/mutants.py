@@ -1,13 +1,14 @@
-"""Breakages of a source, one at a time: what a slip of the hand would make of it.
+"""Mutants of a source file: one changed operator, constant, condition or function each.
 
-Python by its syntax tree, C by its text. Left alone: what an exception says, text, annotations,
-and whatever C refuses to compile.
+Python is mutated through its syntax tree, C through its text. Messages of exceptions, strings and
+annotations are not mutated; neither is C that does not compile.
 """
 
 import ast
 import copy
 import itertools
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -26,7 +27,7 @@ PAIRS = (
     ("floor", "ceil"), ("cumsum", "cumprod"), ("sum", "prod"), ("abs", "negative"),
 )  # fmt: skip
 NAMES = {a: b for a, b in PAIRS} | {b: a for a, b in PAIRS}
-UNSEEN = (ast.Raise, ast.JoinedStr, ast.arg, ast.AnnAssign)
+EXCLUDED = (ast.Raise, ast.JoinedStr, ast.arg, ast.AnnAssign)
 C_SWAPS = (
     (" + ", " - "), (" - ", " + "), (" * ", " / "), (" / ", " * "), (" < ", " <= "),
     (" <= ", " < "), (" > ", " >= "), (" >= ", " > "), (" == ", " != "), (" != ", " == "),
@@ -39,111 +40,119 @@ C_SWAPS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Mutant:
-    """One breakage.
+    """One mutant of a source file.
 
-    path      of the file, relative to the tree
-    line      where
-    function  the function or method it is in, empty at module level
-    change    old -> new, in words of the source
-    broken    makes the whole file with it
+    path      of the file, relative to the repository
+    line      number of the mutated line
+    function  name of the enclosing function or method, empty at module level
+    change    old and new source, separated by an arrow
+    source    returns the text of the mutated file
     """
 
     path: str
     line: int
     function: str
     change: str
-    broken: Callable[[], str]
+    source: Callable[[], str]
 
     @property
     def name(self) -> str:
-        """What stays the same while other lines move."""
+        """Identifier that does not depend on line numbers."""
         return f"{self.path} {self.function or 'module'}: {self.change}"
 
 
-Made = tuple[int, str, str, Callable[[], str]]
+Mutation = tuple[int, str, str, Callable[[], str]]  # line, function, change, source
 
 
 def mutants_of(path: Path, root: Path) -> list[Mutant]:
-    """Return every breakage of one file."""
+    """Return all mutants of one file."""
     source = path.read_text()
-    made = _of_c(source) if path.suffix == ".c" else _of_python(source)
-    place = path.relative_to(root).as_posix()
-    seen: dict[str, int] = {}
-    found = []
-    for line, function, change, broken in made:
-        count = seen[function + change] = seen.get(function + change, 0) + 1
-        words = change if count == 1 else f"{change} ({count})"
-        found.append(Mutant(path=place, line=line, function=function, change=words, broken=broken))
-    return found
+    mutations = _c_mutations(source) if path.suffix == ".c" else _python_mutations(source)
+    counts: Counter[str] = Counter()
+    mutants = []
+    for line, function, change, mutated in mutations:
+        counts[function + change] += 1
+        count = counts[function + change]
+        mutants.append(
+            Mutant(
+                path=path.relative_to(root).as_posix(),
+                line=line,
+                function=function,
+                change=change if count == 1 else f"{change} ({count})",
+                source=mutated,
+            )
+        )
+    return mutants
 
 
-def _of_python(source: str) -> Iterator[Made]:
+def _python_mutations(source: str) -> Iterator[Mutation]:
     tree = ast.parse(source)
-    functions = _functions(tree)
-    for number, node in enumerate(_visible(tree)):
-        for variant, new in enumerate(_changed(node)):
+    functions = sorted(
+        (
+            (node.lineno, node.end_lineno or 0, node.name)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        ),
+        key=lambda function: (function[0], -function[1]),
+    )
+    for number, node in enumerate(_mutable_nodes(tree)):
+        for variant, new in enumerate(_variants(node)):
             line = getattr(node, "lineno", 0)
-            inside = [name for low, high, name in functions if low <= line <= high]
-            change = f"{_words(node)} -> {_words(new)}"
-            broken = partial(_broken_python, source, number, variant)
-            yield line, inside[-1] if inside else "", change, broken
+            enclosing = [name for start, end, name in functions if start <= line <= end]
+            change = f"{_source_of(node)} -> {_source_of(new)}"
+            mutated = partial(_mutated_python, source, number, variant)
+            yield line, enclosing[-1] if enclosing else "", change, mutated
 
 
-def _words(node: ast.AST) -> str:
-    """The node as source; of a statement with a body only its condition."""
-    shown = node.test if isinstance(node, ast.If | ast.While) else node
-    return ast.unparse(ast.fix_missing_locations(copy.copy(shown)))
+def _source_of(node: ast.AST) -> str:
+    """Return the source of a node, or only the condition of a statement with a body."""
+    expression = node.test if isinstance(node, ast.If | ast.While) else node
+    return ast.unparse(ast.fix_missing_locations(copy.copy(expression)))
 
 
-def _broken_python(source: str, number: int, variant: int) -> str:
+def _mutated_python(source: str, number: int, variant: int) -> str:
     tree = ast.parse(source)
-    node = next(itertools.islice(_visible(tree), number, None))
-    _replace(tree, node, _changed(node)[variant])
+    node = next(itertools.islice(_mutable_nodes(tree), number, None))
+    _replace(tree, node, _variants(node)[variant])
     return ast.unparse(tree)
 
 
-def _functions(tree: ast.Module) -> list[tuple[int, int, str]]:
-    kinds = (ast.FunctionDef, ast.AsyncFunctionDef)
-    found = [(n.lineno, n.end_lineno or 0, n.name) for n in ast.walk(tree) if isinstance(n, kinds)]
-    return sorted(found, key=lambda place: (place[0], -place[1]))
-
-
-def _visible(node: ast.AST) -> Iterator[ast.AST]:
-    """Every node that a reader of numbers cares about."""
+def _mutable_nodes(node: ast.AST) -> Iterator[ast.AST]:
+    """Return all nodes except annotations, decorators and the EXCLUDED types."""
     for name, value in ast.iter_fields(node):
-        if name in ("annotation", "returns", "decorator_list", "slice") and name != "slice":
+        if name in ("annotation", "returns", "decorator_list"):
             continue
         for child in value if isinstance(value, list) else [value]:
             if not isinstance(child, ast.AST):
                 continue
             if isinstance(child, ast.AnnAssign) and child.value is not None:
                 yield child.value
-                yield from _visible(child.value)
-            elif not isinstance(child, UNSEEN):
+                yield from _mutable_nodes(child.value)
+            elif not isinstance(child, EXCLUDED):
                 yield child
-                yield from _visible(child)
+                yield from _mutable_nodes(child)
 
 
-def _changed(node: ast.AST) -> list[ast.AST]:
-    """Return what a node may become."""
+def _variants(node: ast.AST) -> list[ast.AST]:
+    """Return the mutated versions of a node."""
     if isinstance(node, ast.BinOp) and type(node.op) in ARITHMETIC and not _is_text(node):
         return [ast.BinOp(left=node.left, op=ARITHMETIC[type(node.op)](), right=node.right)]
     if isinstance(node, ast.Compare) and len(node.ops) == 1:
-        other = COMPARISON[type(node.ops[0])]()
-        return [ast.Compare(left=node.left, ops=[other], comparators=node.comparators)]
+        opposite = COMPARISON[type(node.ops[0])]()
+        return [ast.Compare(left=node.left, ops=[opposite], comparators=node.comparators)]
     if isinstance(node, ast.BoolOp):
-        other = ast.And() if isinstance(node.op, ast.Or) else ast.Or()
-        return [ast.BoolOp(op=other, values=node.values)]
+        connective = ast.And() if isinstance(node.op, ast.Or) else ast.Or()
+        return [ast.BoolOp(op=connective, values=node.values)]
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.Not | ast.Invert):
         return [node.operand]
     if isinstance(node, ast.If | ast.IfExp | ast.While):
         negated = copy.copy(node)
         negated.test = ast.UnaryOp(op=ast.Not(), operand=node.test)
         return [negated]
-    return _changed_leaf(node)
+    return _leaf_variants(node)
 
 
-def _changed_leaf(node: ast.AST) -> list[ast.AST]:
+def _leaf_variants(node: ast.AST) -> list[ast.AST]:
     if isinstance(node, ast.Constant):
         if isinstance(node.value, bool):
             return [ast.Constant(value=not node.value)]
@@ -154,20 +163,19 @@ def _changed_leaf(node: ast.AST) -> list[ast.AST]:
     if isinstance(node, ast.Attribute) and node.attr in NAMES:
         return [ast.Attribute(value=node.value, attr=NAMES[node.attr], ctx=node.ctx)]
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in NAMES:
-        named = ast.Name(id=NAMES[node.func.id], ctx=ast.Load())
-        return [ast.Call(func=named, args=node.args, keywords=node.keywords)]
+        function = ast.Name(id=NAMES[node.func.id], ctx=ast.Load())
+        return [ast.Call(func=function, args=node.args, keywords=node.keywords)]
     if isinstance(node, ast.Return) and isinstance(node.value, ast.BinOp | ast.Call | ast.Name):
         return [ast.Return(value=ast.UnaryOp(op=ast.USub(), operand=node.value))]
     return []
 
 
 def _is_text(node: ast.BinOp) -> bool:
-    sides = (node.left, node.right)
-    return any(isinstance(s, ast.JoinedStr) or _is_string(s) for s in sides)
-
-
-def _is_string(node: ast.AST) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, str)
+    return any(
+        isinstance(side, ast.JoinedStr)
+        or (isinstance(side, ast.Constant) and isinstance(side.value, str))
+        for side in (node.left, node.right)
+    )
 
 
 def _replace(tree: ast.AST, old: ast.AST, new: ast.AST) -> None:
@@ -180,40 +188,41 @@ def _replace(tree: ast.AST, old: ast.AST, new: ast.AST) -> None:
     ast.fix_missing_locations(tree)
 
 
-def _of_c(source: str) -> Iterator[Made]:
+def _c_mutations(source: str) -> Iterator[Mutation]:
     blank = re.sub(r"/\*.*?\*/|\"[^\"\n]*\"|^#[^\n]*$", _same_length, source, flags=re.S | re.M)
     first = re.search(r"^(?:static )?[a-z].*\{$", blank, flags=re.M)
     begin = first.start() if first else 0
     for match in re.finditer(r"if \((?!!)", blank):
-        close = _closing(blank, match.end() - 1)
-        inside = f"!({source[match.end() : close]})"
-        yield _of_text(source, blank, (match.end(), close), inside, "if -> if not")
+        close = _closing_parenthesis(blank, match.end() - 1)
+        negated = f"!({source[match.end() : close]})"
+        yield _text_mutation(source, blank, (match.end(), close), negated, "if -> if not")
     for old, new in C_SWAPS:
         for match in re.finditer(re.escape(old), blank[begin:]):
             span = (begin + match.start(), begin + match.end())
-            yield _of_text(source, blank, span, new, f"{old.strip()} -> {new.strip()}")
+            yield _text_mutation(source, blank, span, new, f"{old.strip()} -> {new.strip()}")
 
 
 def _same_length(match: re.Match[str]) -> str:
     return re.sub(r"[^\n]", " ", match.group())
 
 
-def _closing(text: str, place: int) -> int:
+def _closing_parenthesis(text: str, start: int) -> int:
     depth = 0
-    for k in range(place, len(text)):
+    for k in range(start, len(text)):
         depth += (text[k] == "(") - (text[k] == ")")
         if depth == 0:
             return k
-    return place
+    return start
 
 
-def _of_text(source: str, blank: str, span: tuple[int, int], new: str, change: str) -> Made:
+def _text_mutation(
+    source: str, blank: str, span: tuple[int, int], new: str, change: str
+) -> Mutation:
     line = source.count("\n", 0, span[0]) + 1
     heads = re.findall(r"^[a-z][^\n;=]*?(\w+)\(", blank[: span[0] + 1], flags=re.M)
-    words = source.splitlines()[line - 1].strip()
-    broken = partial(_broken_text, source, span, new)
-    return line, heads[-1] if heads else "", f"{change} in `{words}`", broken
+    statement = source.splitlines()[line - 1].strip()
 
+    def mutated() -> str:
+        return source[: span[0]] + new + source[span[1] :]
 
-def _broken_text(source: str, span: tuple[int, int], new: str) -> str:
-    return source[: span[0]] + new + source[span[1] :]
+    return line, heads[-1] if heads else "", f"{change} in `{statement}`", mutated

@@ -1,14 +1,12 @@
-"""Break a module on purpose, one slip at a time, and count how many its own tests notice.
+"""Mutation score: draw mutants of a package and count those that its tests detect.
 
     python -m benchmarks.mutation_score PART [--count 80] [--seed 1] [--seconds 420] [--longest 5]
 
-Parts: see ``PARTS``. The first run times the tests and notes which functions each of them enters;
-a mutant then meets first those that enter its function, the quickest first, then all others of
-the same files, up to the first failure. Everything happens in forked processes: nothing is
-written into the tree, but for build/mutation/PART.json, in which a run that was cut off by
-``--seconds`` is continued. Tests longer than ``--longest`` are left out: the score is then a bound
-from below. ``benchmarks/equivalent_mutants.toml`` names those that change nothing
-a test could see, each with its reason; they are left out of the score.
+``PARTS`` lists the packages. The first run profiles the tests (``mutation_trial``). Mutants and
+tests run in forked processes, so the repository is not modified. The state is stored in
+build/mutation/PART.json, from which the next run continues after ``--seconds``. Without the tests
+longer than ``--longest`` the score is a lower bound. Equivalent mutants, which no test can detect,
+do not count; ``benchmarks/equivalent_mutants.toml`` lists them with reasons.
 """
 
 import argparse
@@ -26,19 +24,19 @@ from typing import Any
 from benchmarks.mutants import Mutant, mutants_of
 from benchmarks.mutation_trial import KILLED, ROOT, SURVIVED, timed_tests, verdict
 
-KEPT = ROOT / "build" / "mutation"
+STATES = ROOT / "build" / "mutation"
 LIGHT = ("numpy", "scipy.linalg", "pytest", "hypothesis", "_pytest.assertion.rewrite")
 HEAVY = ("scipy.optimize", "scipy.signal", "scipy.integrate", "pandas", "clarabel", "nlopt")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """What is broken and what must notice.
+    """Sources to mutate and tests to run.
 
-    sources  globs of files
+    sources  glob patterns
     tests    folders and files
-    without  test files that look at other copies of the source
-    loaded   packages that the tests need: loaded once, before the forks
+    without  excluded test files, which compile other copies of the source
+    loaded   packages to import before the forks
     """
 
     sources: tuple[str, ...]
@@ -60,7 +58,7 @@ PARTS = {
     ),
     "kernels": Part(
         sources=("piezoid/operators/*.c",),
-        # The derivatives of the chain are promised where a fit takes them.
+        # The tests of the fit check the derivatives of the chain.
         tests=("tests/operators", "tests/identification/hysteresis/test_rows.py"),
         without=KERNEL_TESTS,
     ),
@@ -94,40 +92,42 @@ PARTS = {
 
 
 def equivalent() -> dict[str, str]:
-    """Return the mutants that change nothing a test could see, with the reasons."""
+    """Return the equivalent mutants and the reasons."""
     table = tomllib.loads((ROOT / "benchmarks" / "equivalent_mutants.toml").read_text())
     return {mutant: entry["reason"] for entry in table["group"] for mutant in entry["mutants"]}
 
 
 def control(paths: Sequence[Path], tests: dict[str, dict[str, Any]]) -> None:
-    """Stop unless the unbroken source passes: else every mutant would count as noticed."""
+    """Stop if the tests fail on the original source, as every mutant would then be killed."""
     path = paths[0].relative_to(ROOT).as_posix()
-    unbroken = Mutant(path=path, line=0, function="", change="", broken=paths[0].read_text)
-    quick = sorted(tests, key=lambda name: tests[name]["seconds"])[: len(tests) // 2]
-    if verdict(unbroken, {name: tests[name] for name in quick}) != SURVIVED:
-        sys.exit("the tests fail on the source as it is: nothing can be said of mutants")
+    original = Mutant(path=path, line=0, function="", change="", source=paths[0].read_text)
+    fast = sorted(tests, key=lambda name: tests[name]["seconds"])[: len(tests) // 2]
+    if verdict(original, {name: tests[name] for name in fast}) != SURVIVED:
+        sys.exit("The tests fail on the original source. Mend them before counting mutants.")
 
 
-def sampled(part: Part, tests: dict[str, dict[str, Any]], count: int, seed: int) -> list[Mutant]:
+def draw_mutants(
+    part: Part, tests: dict[str, dict[str, Any]], count: int, seed: int
+) -> list[Mutant]:
     paths = sorted(path for glob in part.sources for path in ROOT.glob(glob))
-    every = [mutant for path in paths for mutant in mutants_of(path, ROOT)]
+    mutants = [mutant for path in paths for mutant in mutants_of(path, ROOT)]
     control(paths, tests)
-    print(f"{len(every)} mutants in {len(paths)} files", flush=True)
-    return random.Random(seed).sample(every, min(count, len(every)))
+    print(f"{len(mutants)} mutants in {len(paths)} files", flush=True)
+    return random.Random(seed).sample(mutants, min(count, len(mutants)))
 
 
-def report(judged: dict[str, str], sample: Sequence[Mutant]) -> None:
-    excused = equivalent()
-    survivors = [m for m in sample if judged.get(m.name) == SURVIVED]
+def report(verdicts: dict[str, str], sample: Sequence[Mutant]) -> None:
+    reasons = equivalent()
+    survivors = [m for m in sample if verdicts.get(m.name) == SURVIVED]
     for mutant in survivors:
-        note = f"   (equivalent: {excused[mutant.name]})" if mutant.name in excused else ""
+        note = f"   (equivalent: {reasons[mutant.name]})" if mutant.name in reasons else ""
         print(f"survived {mutant.path}:{mutant.line} {mutant.name.partition(' ')[2]}{note}")
-    counts = {kind: sum(judged.get(m.name) == kind for m in sample) for kind in (KILLED, SURVIVED)}
-    alike = sum(m.name in excused for m in survivors)
-    real = counts[KILLED] + counts[SURVIVED] - alike
+    killed = sum(verdicts.get(m.name) == KILLED for m in sample)
+    equivalents = sum(m.name in reasons for m in survivors)
+    survived = len(survivors) - equivalents
     print(
-        f"{counts[KILLED]} killed, {counts[SURVIVED] - alike} survived, {alike} equivalent; "
-        f"score {100.0 * counts[KILLED] / max(real, 1):.1f} %"
+        f"{killed} killed, {survived} survived, {equivalents} equivalent; "
+        f"score {100.0 * killed / max(killed + survived, 1):.1f} %"
     )
 
 
@@ -138,28 +138,28 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=420.0)
     parser.add_argument("--longest", type=float, default=float("inf"))
-    asked = parser.parse_args()
-    part, began_s = PARTS[asked.part], time.monotonic()
+    options = parser.parse_args()
+    part, start_s = PARTS[options.part], time.monotonic()
     for name in part.loaded:
         importlib.import_module(name)
-    KEPT.mkdir(parents=True, exist_ok=True)
-    kept = KEPT / f"{asked.part}.json"
-    state: dict[str, Any] = json.loads(kept.read_text()) if kept.exists() else {}
+    STATES.mkdir(parents=True, exist_ok=True)
+    path = STATES / f"{options.part}.json"
+    state: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
     if "tests" not in state:
         state = {"tests": timed_tests(part.tests, part.without), "judged": {}}
-        kept.write_text(json.dumps(state))
-    tests = {n: test for n, test in state["tests"].items() if test["seconds"] <= asked.longest}
+        path.write_text(json.dumps(state))
+    tests = {n: test for n, test in state["tests"].items() if test["seconds"] <= options.longest}
     seconds = sum(test["seconds"] for test in tests.values())
     print(f"{len(tests)} tests, {seconds:.1f} s of processor time", flush=True)
-    sample = sampled(part, tests, asked.count, asked.seed)
+    sample = draw_mutants(part, tests, options.count, options.seed)
     for mutant in sample:
-        if mutant.name in state["judged"] or time.monotonic() - began_s > asked.seconds:
+        if mutant.name in state["judged"] or time.monotonic() - start_s > options.seconds:
             continue
         state["judged"][mutant.name] = verdict(mutant, tests)
-        kept.write_text(json.dumps(state))
-    left = sum(mutant.name not in state["judged"] for mutant in sample)
+        path.write_text(json.dumps(state))
+    remaining = sum(mutant.name not in state["judged"] for mutant in sample)
     report(state["judged"], sample)
-    print("all judged" if not left else f"{left} left: run again")
+    print(f"{remaining} mutants remain: run again" if remaining else "all mutants done")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""One mutant before its tests: loaded in place of the source, in a process of its own.
+"""Run the tests on one mutant, which a forked process imports instead of the source.
 
-Nothing is written into the tree. Tests are timed once, and it is noted which functions each of
-them enters; a mutant then meets first those that enter its function, the quickest first.
+The repository is not modified. A first run measures the duration of each test and records the
+functions that it enters. The tests of a mutant start with those that enter its function, in order
+of their duration.
 """
 
 import contextlib
@@ -23,11 +24,11 @@ from typing import Any
 from benchmarks.mutants import Mutant
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOM_bytes = 4 << 30
+MEMORY_bytes = 4 << 30
 KILLED, SURVIVED, UNBUILT = "killed", "survived", "does not compile"
-# What is undefined ends the process: tests of the unbroken sources run under sanitisers as well.
+# Undefined behaviour ends the process: the original sources are tested under sanitisers too.
 TRAPS = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
-# Which compiled modules a C file becomes, with what is compiled beside it.
+# Compiled modules of a C file, with the other sources and options of each module.
 BUILDS: dict[str, dict[str, tuple[str, ...]]] = {
     "kernels.c": {"piezoid.operators._kernels": ("chain.c", "states.c")},
     "chain.c": {"piezoid.operators._kernels": ("kernels.c", "states.c")},
@@ -39,8 +40,8 @@ BUILDS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 
 
-class Broken(importlib.abc.MetaPathFinder, importlib.machinery.SourceFileLoader):
-    """Hands out one module with its mutant, and everything else as it is, files beside it too."""
+class MutantLoader(importlib.abc.MetaPathFinder, importlib.machinery.SourceFileLoader):
+    """Import hook that replaces the source of one module by a mutant."""
 
     def __init__(self, name: str, path: Path, source: str) -> None:
         super().__init__(name, str(path))
@@ -55,22 +56,22 @@ class Broken(importlib.abc.MetaPathFinder, importlib.machinery.SourceFileLoader)
         return self.code
 
 
-class Compiled(importlib.abc.MetaPathFinder):
-    """Hands out compiled modules from another folder."""
+class CompiledMutantFinder(importlib.abc.MetaPathFinder):
+    """Import hook that finds compiled modules in another folder."""
 
-    def __init__(self, places: dict[str, Path]) -> None:
-        self.places = places
+    def __init__(self, paths: dict[str, Path]) -> None:
+        self.paths = paths
 
     def find_spec(self, fullname: str, *_: Any) -> importlib.machinery.ModuleSpec | None:
-        place = self.places.get(fullname)
-        if place is None:
+        path = self.paths.get(fullname)
+        if path is None:
             return None
-        loader = importlib.machinery.ExtensionFileLoader(fullname, str(place))
-        return importlib.machinery.ModuleSpec(fullname, loader, origin=str(place))
+        loader = importlib.machinery.ExtensionFileLoader(fullname, str(path))
+        return importlib.machinery.ModuleSpec(fullname, loader, origin=str(path))
 
 
-class Witness:
-    """A pytest plugin: seconds, outcome and entered functions of every test."""
+class Profiler:
+    """Pytest plugin that records duration, outcome and entered functions of every test."""
 
     def __init__(self) -> None:
         self.entered: set[tuple[str, int]] = set()
@@ -100,15 +101,15 @@ class Witness:
             sys.setprofile(self._call)
 
 
-def forked(work: Callable[[], int], limit_s: float) -> int:
-    """Run something in a process of its own, silent; its exit status, or -1 for a violent end."""
+def run_in_fork(work: Callable[[], int], limit_s: float) -> int:
+    """Run a function in a silent child process; return its exit status, or -1 after a signal."""
     child = os.fork()
     if child == 0:
-        silence = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(silence, 1)
-        os.dup2(silence, 2)
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 1)
+        os.dup2(null, 2)
         resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s) + 1, int(limit_s) + 2))
-        resource.setrlimit(resource.RLIMIT_DATA, (ROOM_bytes, ROOM_bytes))
+        resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_bytes, MEMORY_bytes))
         status = 70
         with contextlib.suppress(BaseException):
             status = work()
@@ -122,86 +123,81 @@ def run_tests(arguments: Sequence[str], *plugins: object) -> int:
 
     os.chdir(ROOT)
     os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
-    # What the parent has imported already stays as it is, on purpose.
+    # The parent has imported packages before the fork, on which pytest would warn.
     options = ("-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
     return int(pytest.main([*options, *arguments], plugins=list(plugins)))
 
 
 def timed_tests(tests: Sequence[str], without: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Run tests once and return what the witness saw; the failing are left out.
+    """Run the tests once; return durations and entered functions of those that pass.
 
-    Each is given the seconds of its whole file as well.
+    Every entry also contains the duration of its file.
 
     tests    folders
-    without  files that are not run
+    without  excluded files
     """
-    with tempfile.NamedTemporaryFile(suffix=".json") as kept:
+    with tempfile.NamedTemporaryFile(suffix=".json") as output:
 
         def work() -> int:
-            witness = Witness()
-            run_tests([*tests, *(f"--ignore={name}" for name in without)], witness)
-            Path(kept.name).write_text(json.dumps(witness.tests))
+            profiler = Profiler()
+            run_tests([*tests, *(f"--ignore={name}" for name in without)], profiler)
+            Path(output.name).write_text(json.dumps(profiler.tests))
             return 0
 
-        forked(work, 3600.0)
-        seen: dict[str, dict[str, Any]] = json.loads(Path(kept.name).read_text())
-    of_file: dict[str, float] = {}
-    for name, test in seen.items():
+        run_in_fork(work, 3600.0)
+        profiles: dict[str, dict[str, Any]] = json.loads(Path(output.name).read_text())
+    file_seconds: dict[str, float] = {}
+    for name, test in profiles.items():
         file = name.partition("::")[0]
-        of_file[file] = of_file.get(file, 0.0) + test["seconds"]
-    for name, test in seen.items():
-        test["file_seconds"] = of_file[name.partition("::")[0]]
-    return {name: test for name, test in seen.items() if not test["failed"]}
+        file_seconds[file] = file_seconds.get(file, 0.0) + test["seconds"]
+    for name, test in profiles.items():
+        test["file_seconds"] = file_seconds[name.partition("::")[0]]
+    return {name: test for name, test in profiles.items() if not test["failed"]}
 
 
-def chosen_tests(mutant: Mutant, tests: dict[str, dict[str, Any]]) -> list[str]:
-    """Those that enter the mutant's function, quickest first, then all others of their files.
+def relevant_tests(mutant: Mutant, tests: dict[str, dict[str, Any]]) -> list[str]:
+    """Return tests that enter the mutated function, fastest first, then the others of their files.
 
-    A file's other tests may live on what the first of them has computed and kept. A constant is
-    seen by whoever reads it: such a mutant meets all.
+    The other tests of a file may use cached results of the first ones. A constant may be read
+    anywhere, so its mutants run all tests.
     """
     by_time = sorted(tests, key=lambda name: tests[name]["seconds"])
     if mutant.path.endswith(".c"):
         return by_time
-    functions = lines_of(mutant)
-    first = [name for name in by_time if functions & set(tests[name]["entered"])]
-    if not first:  # entered when the file is imported, if ever
-        ours = f"{mutant.path}:"
-        first = [n for n in by_time if any(e.startswith(ours) for e in tests[n]["entered"])]
-    files = {name.partition("::")[0] for name in (first if mutant.function else by_time)}
-    return first + [n for n in by_time if n.partition("::")[0] in files and n not in set(first)]
+    functions = entry_points(mutant)
+    direct = [name for name in by_time if functions & set(tests[name]["entered"])]
+    if not direct:  # the function runs on import, or never
+        prefix = f"{mutant.path}:"
+        direct = [n for n in by_time if any(e.startswith(prefix) for e in tests[n]["entered"])]
+    files = {name.partition("::")[0] for name in (direct if mutant.function else by_time)}
+    return direct + [n for n in by_time if n.partition("::")[0] in files and n not in set(direct)]
 
 
-def lines_of(mutant: Mutant) -> set[str]:
-    """The places at which the mutant's function, or any of its file, is entered."""
+def entry_points(mutant: Mutant) -> set[str]:
+    """Return file and line of the mutated function and of functions and lambdas inside it."""
     import ast
 
     tree = ast.parse((ROOT / mutant.path).read_text())
-    kinds = (
-        ast.FunctionDef,
-        ast.Lambda,
-        ast.ListComp,
-        ast.GeneratorExp,
-        ast.DictComp,
-        ast.SetComp,
-    )
-    around = [
+    scopes = (
+        ast.FunctionDef, ast.Lambda, ast.ListComp, ast.GeneratorExp, ast.DictComp, ast.SetComp,
+    )  # fmt: skip
+    enclosing = [
         n for n in ast.walk(tree)
         if isinstance(n, ast.FunctionDef) and n.lineno <= mutant.line <= (n.end_lineno or 0)
     ]  # fmt: skip
-    root = max(around, key=lambda n: n.lineno) if around else tree
-    inside = [n for n in ast.walk(root) if isinstance(n, kinds)]
-    lines = {n.lineno for n in inside}
-    lines |= {d.lineno for n in inside if isinstance(n, ast.FunctionDef) for d in n.decorator_list}
+    root = max(enclosing, key=lambda n: n.lineno) if enclosing else tree
+    nodes = [n for n in ast.walk(root) if isinstance(n, scopes)]
+    lines = {n.lineno for n in nodes}
+    lines |= {d.lineno for n in nodes if isinstance(n, ast.FunctionDef) for d in n.decorator_list}
     return {f"{mutant.path}:{line}" for line in lines}
 
 
 def verdict(mutant: Mutant, tests: dict[str, dict[str, Any]]) -> str:
-    """Run the tests on one mutant."""
-    names = chosen_tests(mutant, tests)
+    """Run the relevant tests on one mutant; return KILLED, SURVIVED or UNBUILT."""
+    names = relevant_tests(mutant, tests)
     if not names:
         return SURVIVED
-    # What a file computes once is paid for by whichever of its tests comes first.
+    # The first test of a file computes its cached results.
     files = {name.partition("::")[0]: tests[name]["file_seconds"] for name in names}
     limit_s = 20.0 + 4.0 * sum(files.values())
     with tempfile.TemporaryDirectory() as folder:
@@ -213,25 +209,26 @@ def verdict(mutant: Mutant, tests: dict[str, dict[str, Any]]) -> str:
             sys.meta_path.insert(0, finder)
             return run_tests(["-x", *names])
 
-        return SURVIVED if forked(work, limit_s) == 0 else KILLED
+        return SURVIVED if run_in_fork(work, limit_s) == 0 else KILLED
 
 
 def finder_of(mutant: Mutant, folder: Path) -> importlib.abc.MetaPathFinder | None:
+    """Return the import hook of a mutant, or None if it does not compile."""
     path = ROOT / mutant.path
     if path.suffix == ".py":
         name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-        return Broken(name, path, mutant.broken())
-    places = {}
+        return MutantLoader(name, path, mutant.source())
+    libraries = {}
     source = folder / path.name
-    source.write_text(mutant.broken())
-    for name, beside in BUILDS[path.name].items():
-        places[name] = folder / f"{name.rpartition('.')[2]}.so"
-        others = [str(path.parent / b) if b.endswith(".c") else b for b in beside]
-        done = subprocess.run(
+    source.write_text(mutant.source())
+    for name, inputs in BUILDS[path.name].items():
+        libraries[name] = folder / f"{name.rpartition('.')[2]}.so"
+        arguments = [str(path.parent / k) if k.endswith(".c") else k for k in inputs]
+        compiler = subprocess.run(
             ["cc", "-std=c99", "-O1", "-w", "-ffp-contract=off", "-shared", "-fPIC", *TRAPS,
-             f"-I{path.parent}", str(source), *others, "-o", str(places[name]), "-lm"],
+             f"-I{path.parent}", str(source), *arguments, "-o", str(libraries[name]), "-lm"],
             capture_output=True, check=False,
         )  # fmt: skip
-        if done.returncode:
+        if compiler.returncode:
             return None
-    return Compiled(places)
+    return CompiledMutantFinder(libraries)

@@ -1,14 +1,14 @@
-"""A night of production: how long a batch of virtual stages takes, and what a killed worker costs.
+"""Duration of a batch of virtual stages, with and without a killed worker.
 
-    python benchmarks/night_shift.py FOLDER --stages 200
+    python -m benchmarks.night_shift FOLDER --stages 200
 
-Each stage is a Preisach ceramic of its own with one short sweep, fitted, diagnosed, designed,
-exported and verified; with --without-controllers fitted and diagnosed. The sensitivity falls
-slowly with the serial number, one stage has four times the sensor noise of the others, one
-recording is empty of drive: the summary must say so.
+Each stage is a Preisach ceramic with one short sweep. `piezoid batch` fits, diagnoses, designs,
+exports and verifies it, or only fits and diagnoses it with --without-controllers. The sensitivity
+decreases slowly with the serial number. One stage has four times the sensor noise of the others,
+and one recording has no drive: the summary must report them.
 
-One run has one worker; another has two, of which one is killed in the middle. With --minutes a run
-is interrupted after so long, and the same command goes on with it: seconds add up.
+The first run has two workers, of which one is killed; the second run has one worker. With
+--minutes a run is interrupted, and the same command continues it; the durations are added.
 """
 
 import argparse
@@ -31,27 +31,28 @@ from piezoid_datasets.virtual_lab.truths.return_point import draw_preisach
 from piezoid_datasets.virtual_lab.write import csv_text, lab_toml
 
 RATE_Hz, SWEEP_Hz, CYCLES = 1000.0, 5.0, 4
-FALL_PER_STAGE = 2e-4  # of the stroke, as a tool wears
+DECREASE_PER_STAGE = 2e-4  # of the stroke, as by wear of a tool
 RUNS: dict[str, tuple[int, float | None]] = {"killed": (2, 0.4), "one": (1, None)}
-NOISY, DEAD = 0.35, 0.7  # which stages of the night, as a share of it
+NOISY, DEAD = 0.35, 0.7  # positions of these stages, as a share of all
 
 
-def night(folder: Path, count: int, *, controllers: bool = True) -> None:
-    """Write one folder for each stage; without the controllers' rate there are none."""
+def write_stages(folder: Path, count: int, *, controllers: bool = True) -> None:
+    """Write one folder for each stage; lab.toml without a rate means no controllers."""
     for serial in range(1, count + 1):
-        place = folder / f"stage-{serial:04d}"
-        place.mkdir(parents=True, exist_ok=True)
-        rig, text = one_stage(serial, count)
+        stage_folder = folder / f"stage-{serial:04d}"
+        stage_folder.mkdir(parents=True, exist_ok=True)
+        rig, text = stage_files(serial, count)
         lines = lab_toml(rig).splitlines(keepends=True)
-        kept = [line for line in lines if controllers or not line.startswith("sampling_rate_Hz")]
-        (place / "lab.toml").write_text("".join(kept))
-        (place / "sweep.csv").write_text(text)
+        if not controllers:
+            lines = [line for line in lines if not line.startswith("sampling_rate_Hz")]
+        (stage_folder / "lab.toml").write_text("".join(lines))
+        (stage_folder / "sweep.csv").write_text(text)
 
 
-def one_stage(serial: int, count: int) -> tuple[Rig, str]:
-    """Return the rig and the sweep of one stage."""
+def stage_files(serial: int, count: int) -> tuple[Rig, str]:
+    """Return the rig and the CSV text of one stage."""
     rng = np.random.default_rng([517, serial])
-    stroke_m = 33e-6 * (1.0 - FALL_PER_STAGE * serial) * (1.0 + 0.01 * rng.standard_normal())
+    stroke_m = 33e-6 * (1.0 - DECREASE_PER_STAGE * serial) * (1.0 + 0.01 * rng.standard_normal())
     noise_m = 10e-9 * (4.0 if serial == round(NOISY * count) else 1.0)
     rig = replace(Rig(name=f"stage {serial}"), stroke_m=stroke_m, noise_rms_m=noise_m)
     shape = drives.decaying_sweep(RATE_Hz, SWEEP_Hz, CYCLES)
@@ -68,10 +69,10 @@ def one_stage(serial: int, count: int) -> tuple[Rig, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Shift:
-    """One run of a batch, or a part of one.
+    """One run of a batch, which may have several parts.
 
-    kill_after  share of the stages after which a worker is killed; none: nobody is
-    limit_s     after which it is interrupted; the next run goes on
+    kill_after  share of the stages after which a worker is killed, or None
+    limit_s     time after which the run is interrupted; the next part continues
     """
 
     recordings: Path
@@ -81,101 +82,96 @@ class Shift:
     limit_s: float
 
     def run(self) -> bool:
-        """Run it, add its seconds to those of earlier parts; return whether it came to its end."""
+        """Run the batch, add its duration to that of earlier parts; return whether it is done."""
         command = [sys.executable, "-m", "piezoid_cli.main", "batch", str(self.recordings)]
         options = ["--out", str(self.out), "--workers", str(self.workers), "--quiet"]
-        began, before = time.perf_counter(), _children(os.times())
-        killed = self._notes.get("killed", 0)
+        totals = {"seconds": 0.0, "cpu": 0.0, "parts": 0, "killed": 0, **self._totals}
+        start_s, start_cpu_s = time.perf_counter(), _child_cpu_s()
         process = subprocess.Popen([*command, *options])
-        while process.poll() is None and time.perf_counter() - began < self.limit_s:
+        while process.poll() is None and time.perf_counter() - start_s < self.limit_s:
             time.sleep(0.1)
-            if self._is_time_to_kill(killed):
-                killed = self._done
+            if self._must_kill(totals["killed"]):
+                totals["killed"] = self._written_stages
                 os.kill(worker_of(process.pid), signal.SIGKILL)
-        ended = process.poll() is not None
-        if not ended:
+        is_finished = process.poll() is not None
+        if not is_finished:
             process.send_signal(signal.SIGINT)
             process.wait()
-        notes = {
-            "seconds": self._notes.get("seconds", 0.0) + time.perf_counter() - began,
-            "cpu": self._notes.get("cpu", 0.0) + _children(os.times()) - before,
-            "parts": self._notes.get("parts", 0) + 1,
-            "killed": killed,
-        }
-        self._place.write_text(json.dumps(notes))
-        return ended
+        totals["seconds"] += time.perf_counter() - start_s
+        totals["cpu"] += _child_cpu_s() - start_cpu_s
+        totals["parts"] += 1
+        self.out.with_suffix(".json").write_text(json.dumps(totals))
+        return is_finished
 
     @property
-    def said(self) -> str:
-        """What is known of it so far."""
-        notes = self._notes
-        killed = f", a worker killed after {notes['killed']} stages" if notes["killed"] else ""
+    def summary(self) -> str:
+        """Durations of all parts, and the number of written stages."""
+        totals = self._totals
+        killed = f", a worker killed after {totals['killed']} stages" if totals["killed"] else ""
         return (
-            f"{self.workers} workers: {notes['seconds']:.1f} s, processors {notes['cpu']:.0f} s, "
-            f"in {notes['parts']} parts{killed}; {self._done} stages written; load "
-            f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+            f"{self.workers} workers: {totals['seconds']:.1f} s, processor time "
+            f"{totals['cpu']:.0f} s, {totals['parts']} parts{killed}; {self._written_stages} "
+            f"stages written; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
         )
 
-    def _is_time_to_kill(self, killed: int) -> bool:
+    def _must_kill(self, killed: int) -> bool:
         if self.kill_after is None or killed:
             return False
-        return self._done >= self.kill_after * len(list(self.recordings.iterdir()))
+        return self._written_stages >= self.kill_after * len(list(self.recordings.iterdir()))
 
     @property
-    def _done(self) -> int:
+    def _written_stages(self) -> int:
         return len(list(self.out.glob("stages/*")))
 
     @property
-    def _place(self) -> Path:
-        return self.out.with_suffix(".json")
-
-    @property
-    def _notes(self) -> dict[str, Any]:
-        notes: dict[str, Any] = json.loads(self._place.read_text()) if self._place.exists() else {}
-        return notes
+    def _totals(self) -> dict[str, Any]:
+        path = self.out.with_suffix(".json")
+        totals: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+        return totals
 
 
-def _children(used: os.times_result) -> float:
-    return used.children_user + used.children_system
+def _child_cpu_s() -> float:
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 def worker_of(parent: int) -> int:
-    """Return the process id of a worker: the busiest grandchild of the command."""
+    """Return the process id of the worker with the largest processor time."""
     import psutil
 
     children = psutil.Process(parent).children(recursive=True)
     return int(max(children, key=lambda child: sum(child.cpu_times()[:2])).pid)
 
 
-def told(out: Path) -> str:
-    """Return how the stages of a batch ended."""
+def stage_states(out: Path) -> str:
+    """Return the final states of the stages of a batch, with their numbers."""
     stages = json.loads((out / "batch.json").read_bytes())["stages"]
     states = [stage["state"] for stage in stages]
     return ", ".join(f"{states.count(state)} {state}" for state in sorted(set(states)))
 
 
-def same_models(one: Path, other: Path) -> str:
-    """Count the models that two runs made alike, to the last bit."""
-    places = [place.name for place in sorted((one / "stages").iterdir())]
+def compare_models(first: Path, second: Path) -> str:
+    """Count the models that are identical in two runs."""
+    names = [folder.name for folder in sorted((first / "stages").iterdir())]
     pairs = [
-        tuple(run / "stages" / name / "model.json" for run in (one, other)) for name in places
+        tuple(run / "stages" / name / "model.json" for run in (first, second)) for name in names
     ]
-    held = [(a, b) for a, b in pairs if a.exists() or b.exists()]
-    same = sum(a.exists() and b.exists() and a.read_bytes() == b.read_bytes() for a, b in held)
-    return f"{same} of {len(held)} models are the same bytes after the kill"
+    pairs = [(a, b) for a, b in pairs if a.exists() or b.exists()]
+    count = sum(a.exists() and b.exists() and a.read_bytes() == b.read_bytes() for a, b in pairs)
+    return f"{count} of {len(pairs)} models are identical after the kill"
 
 
 def main() -> None:
-    """Make the night, run it twice, print the figures."""
-    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    asked.add_argument("folder", type=Path)
-    asked.add_argument("--stages", type=int, default=200)
-    asked.add_argument("--without-controllers", action="store_true")
-    asked.add_argument("--minutes", type=float, default=float("inf"))
-    asked.add_argument("--runs", nargs="+", choices=list(RUNS), default=list(RUNS))
-    options = asked.parse_args()
+    """Write the stages, run the batch twice, print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--stages", type=int, default=200)
+    parser.add_argument("--without-controllers", action="store_true")
+    parser.add_argument("--minutes", type=float, default=float("inf"))
+    parser.add_argument("--runs", nargs="+", choices=list(RUNS), default=list(RUNS))
+    options = parser.parse_args()
     recordings = options.folder / "night"
-    night(recordings, options.stages, controllers=not options.without_controllers)
+    write_stages(recordings, options.stages, controllers=not options.without_controllers)
     limit_s = 60.0 * options.minutes
     for name in options.runs:
         (workers, kill_after), out = RUNS[name], options.folder / name
@@ -188,13 +184,13 @@ def main() -> None:
             kill_after=kill_after,
             limit_s=limit_s,
         )
-        ended = shift.run()
-        print(f"{name}: {shift.said}", flush=True)
-        if not ended:
+        is_finished = shift.run()
+        print(f"{name}: {shift.summary}", flush=True)
+        if not is_finished:
             return
-        print(f"{name}: {told(out)}", flush=True)
+        print(f"{name}: {stage_states(out)}", flush=True)
     if all((options.folder / name / "summary.html").exists() for name in RUNS):
-        print(same_models(options.folder / "one", options.folder / "killed"))
+        print(compare_models(options.folder / "one", options.folder / "killed"))
 
 
 if __name__ == "__main__":

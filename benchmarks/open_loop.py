@@ -2,16 +2,16 @@
 
     python -m benchmarks.open_loop [LAW...]
 
-Each law is fitted to a decaying sweep and a walk between random levels. The inverse of the plays
-alone, and that with loop shape, then lead the law along triangles of three amplitudes and two
-tones, which were not recorded. Errors are rms in units of the sensor noise.
+Each law is fitted to a decaying sweep and a walk between random levels. The inverses of the plays,
+with and without loop shape, then drive it along triangles of three amplitudes and two tones, which
+were not recorded. Errors are rms over the sensor noise.
 """
 
 import sys
-from itertools import pairwise
 
 import numpy as np
 
+from benchmarks.recordings import polyline
 from piezoid.identification.fit import fit_axis
 from piezoid.numerics.arrays import Array
 from piezoid.records.frames import from_arrays
@@ -21,13 +21,8 @@ from piezoid_datasets.virtual_lab.truths import ZOO
 
 NOISE_M, RANGE_M, HALF_V, RATE_Hz = 8e-9, 2e-5, 5.0, 400.0
 CYCLE = np.array([0.0, 1.0, -1.0, 1.0, -1.0])
-SETTLED = 300  # samples of the way to the middle of the range
-
-
-def through(levels: Array) -> Array:
-    """Return a drive at constant speed through turning points."""
-    runs = [np.linspace(a, b, int(60 * abs(b - a)) + 3)[1:] for a, b in pairwise(levels)]
-    return np.concatenate([levels[:1], *runs])
+APPROACH = 300  # samples before the error is evaluated
+DENSITY = 60  # samples per half range
 
 
 class Stage:
@@ -39,11 +34,11 @@ class Stage:
 
     def position_m(self, field: Array) -> Array:
         """Return the position along a drive in half ranges, after two full cycles."""
-        before = np.tile(through(CYCLE), 2)
-        path = np.concatenate([before, field])
-        return RANGE_M * np.add(*self.ceramic.respond(path, np.zeros(0)))[len(before) :]
+        cycles = np.tile(polyline(CYCLE, DENSITY), 2)
+        path = np.concatenate([cycles, field])
+        return RANGE_M * np.add(*self.ceramic.respond(path, np.zeros(0)))[len(cycles) :]
 
-    def recorded(self, field: Array, name: str) -> Recording:
+    def record(self, field: Array, name: str) -> Recording:
         """Record a drive."""
         noise_m = NOISE_M * np.random.default_rng(len(field)).standard_normal(len(field))
         return from_arrays(
@@ -56,7 +51,7 @@ class Stage:
 
 
 def reference(low_m: float, high_m: float) -> Array:
-    """Return the way to the middle, triangles of three amplitudes, and two tones."""
+    """Return a ramp to the middle, triangles of three amplitudes, and two tones."""
     middle_m, half_m = 0.5 * (low_m + high_m), 0.5 * (high_m - low_m)
     turn = np.linspace(0.0, 1.0, 4000)
     amplitude = np.select([turn < 1 / 3, turn < 2 / 3], [0.8, 0.5], 0.25)
@@ -74,16 +69,16 @@ def main() -> None:
         levels = np.random.default_rng(1).uniform(-1.0, 1.0, 30)
         sweep = np.linspace(1.0, 0.05, 31) * (-1.0) ** np.arange(31)
         recordings = [
-            stage.recorded(through(np.concatenate([[-1.0], sweep])), "sweep"),
-            stage.recorded(through(np.concatenate([[-1.0, 1.0, -1.0], levels])), "walk"),
+            stage.record(polyline(np.concatenate([[-1.0], sweep]), DENSITY), "sweep"),
+            stage.record(polyline(np.concatenate([[-1.0, 1.0, -1.0], levels]), DENSITY), "walk"),
         ]
         model = fit_axis(recordings, "x", Lab())
-        ends_m = stage.position_m(through(np.array([-1.0, 1.0])))[[0, -1]]
+        ends_m = stage.position_m(polyline(np.array([-1.0, 1.0]), DENSITY))[[0, -1]]
         reference_m = reference(*ends_m.tolist())
         held_out, open_loop = [], []
         for axis in (model.without_loop_shape(), model):
             voltage_V = axis.inverse(reference_m, axis.memory_after(HALF_V * CYCLE))
-            error_m = (stage.position_m(voltage_V / HALF_V) - reference_m)[SETTLED:]
+            error_m = (stage.position_m(voltage_V / HALF_V) - reference_m)[APPROACH:]
             held_out.append(axis.quality.held_out_rms_m / NOISE_M)
             open_loop.append(float(np.std(error_m)) / NOISE_M)
         cells = " | ".join(f"{value:.2f}" for value in (*held_out, *open_loop))

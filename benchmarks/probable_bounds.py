@@ -1,11 +1,10 @@
-"""How often the probable bound of the error holds, on stages whose authors never saw piezoid.
+"""Coverage of the probable error bound on stages of third-party simulators.
 
     python -m benchmarks.probable_bounds [--stages 700-711] [--kept FOLDER]
 
-Each stage is recorded and calibrated, and its bounds are computed from what that left. Then what
-ships follows references on the stage itself, sines, triangles, ramps and sums of sines, at the
-three speeds for which the bounds hold, half a second each, as ``benchmarks.outsiders`` has them.
-A stage whose bound is 95 % is to break it in one run of twenty.
+Each stage is recorded and calibrated, and its bounds are computed. The shipped controller then
+follows the random references of ``benchmarks.outsiders`` on the simulated stage, at the three
+speeds of the bounds. One run in twenty may exceed a bound of 95 %.
 """
 
 import argparse
@@ -16,25 +15,22 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from benchmarks.outsiders.lateral import BOUND_s, _slewed, _within, judge, led_to, middle_of
-from benchmarks.outsiders.simulators import NAMES, RATE_Hz, simulator, track
+from benchmarks.outsiders.lateral import LIMITED, evaluate_stage, largest_error_m
+from benchmarks.outsiders.simulators import NAMES, load_simulator, seed_range
 from piezoid.design.design import design_from_json
-from piezoid.export.parameter_file import AxisParameters, from_json
+from piezoid.export.parameter_file import from_json
 from piezoid.identification.store import read_model
-from piezoid.numerics.arrays import Array
 from piezoid.records.lab import read_lab
-from piezoid.runtime.controller import Status
 from piezoid.verification.bounds import error_bounds
 from piezoid.verification.verification import ErrorBound
 from piezoid.verification.verify_stage import stage_plants
 
 RUNS = 20  # at each speed
-_OUTSIDE = Status.VOLTAGE_LIMITED | Status.REFERENCE_LIMITED | Status.VOLTAGE_STEP
 
 
 @dataclass(frozen=True, kw_only=True)
-class Held:
-    """The bounds of one stage at one speed, and the largest error of each true run."""
+class BoundCoverage:
+    """The bounds of one stage at one speed, and the largest error of each run."""
 
     stage: str
     law: str
@@ -43,67 +39,50 @@ class Held:
 
     @property
     def inside(self) -> int:
-        """How many runs stayed below what is probable."""
-        return sum(error <= self.bound.probable_m for error in self.errors_m)
+        """Number of runs below the probable bound."""
+        return sum(error_m <= self.bound.probable_m for error_m in self.errors_m)
 
 
-def held_on(name: str, seed: int, kept: Path) -> Iterator[Held]:
-    """Yield the bounds of one stage beside its true errors; nothing where none ships."""
-    folder = kept / f"{name}-{seed}"
+def coverage_of(name: str, seed: int, parent: Path) -> Iterator[BoundCoverage]:
+    """Yield bounds and true errors of one stage, if a controller ships.
+
+    parent  folder that keeps the calibrated stages
+    """
+    folder = parent / f"{name}-{seed}"
     if not folder.exists():
-        judge(name, seed, kept)
+        evaluate_stage(name, seed, parent)
     if not (folder / "params.json").exists():
         return
     lab = read_lab(folder / "recordings" / "lab.toml")
     model = read_model((folder / "model.json").read_bytes(), "model.json")
     design = design_from_json((folder / "design.json").read_bytes(), "design.json")
     file = from_json((folder / "params.json").read_bytes(), "params.json")
-    plants, drawn = stage_plants(file, model, lab)
-    made = simulator(name)
-    law = str(made.campaigns.stage_truth(seed, made.library).get("law", "?"))
-    for place, bound in enumerate(error_bounds(file, design, model, plants, drawn)):
-        rng = np.random.default_rng([seed, place])
-        errors = (
-            _error(name, seed, file.axes[0], bound.slew_m_per_s, rng, 200 + RUNS * place + k)
+    plants, family_plants = stage_plants(file, model, lab)
+    simulator = load_simulator(name)
+    for index, bound in enumerate(error_bounds(file, design, model, plants, family_plants)):
+        rng = np.random.default_rng([seed, index])
+        errors_m = (
+            largest_error_m(
+                simulator,
+                seed,
+                200 + RUNS * index + k,
+                file.axes[0],
+                slew_m_per_s=bound.slew_m_per_s,
+                rng=rng,
+                excluded=LIMITED,
+            )
             for k in range(RUNS)
         )
-        yield Held(
+        yield BoundCoverage(
             stage=f"{name} {seed}",
-            law=law,
+            law=simulator.stage_law(seed),
             bound=bound,
-            errors_m=tuple(error for error in errors if error is not None),
+            errors_m=tuple(error_m for error_m in errors_m if error_m is not None),
         )
 
 
-def _error(
-    name: str,
-    seed: int,
-    shipped: AxisParameters,
-    fastest: float,
-    rng: np.random.Generator,
-    noise_seed: int,
-) -> float | None:
-    """Return the largest error of one run, None where the runtime said it was outside."""
-    slew, ahead = 0.999 * fastest, int(shipped.values["preview_samples"])
-    kept: dict[str, Array] = {}
-
-    def wanted(rest_m: float) -> Array:
-        middle_m, reach_m = middle_of(shipped)
-        asked = middle_m + _within(rng, slew, 0.95 * reach_m)
-        kept["wanted"] = _slewed(np.concatenate([led_to(middle_m, rest_m), asked]), slew, rest_m)
-        return kept["wanted"]
-
-    run = track(simulator(name), seed, noise_seed, shipped.values, None, wanted)
-    led = len(kept["wanted"]) - int(BOUND_s * RATE_Hz)
-    if np.any(run.status[led:] & np.uint32(_OUTSIDE)):
-        return None
-    position = np.concatenate([[run.rest], run.position[:-1]])
-    late = np.concatenate([np.full(ahead, run.rest), kept["wanted"]])[: len(position)]
-    return float(np.abs(position - late)[led:].max())
-
-
-def summary(rows: list[Held]) -> str:
-    """Return a row for each speed: coverage, stages by how often, and how wide all of it is."""
+def summary(rows: list[BoundCoverage]) -> str:
+    """Return a row for each speed: coverage, stages within it, and ratios of the bounds."""
     lines = [
         "| fastest reference | stages | runs | below the probable bound | stages with 18 of 20 or "
         "more | bounded / probable | probable / largest true | worst found / largest true |",
@@ -111,41 +90,43 @@ def summary(rows: list[Held]) -> str:
     ]
     stages = list(dict.fromkeys(row.stage for row in rows))
     by_speed = zip(*([row for row in rows if row.stage == stage] for stage in stages), strict=True)
-    for share, each in zip(("1", "0.3", "0.1"), by_speed, strict=True):
-        own = [row for row in each if row.errors_m]
-        runs, inside = sum(len(r.errors_m) for r in own), sum(r.inside for r in own)
-        often = sum(row.inside >= 0.9 * len(row.errors_m) for row in own)
-        tighter = [r.bound.bound_m / r.bound.probable_m for r in own if r.bound.bound_m]
-        wide = [row.bound.probable_m / max(row.errors_m) for row in own]
-        sought = [row.bound.worst_found_m / max(row.errors_m) for row in own]
+    for speed, speed_rows in zip(("1", "0.3", "0.1"), by_speed, strict=True):
+        tested = [row for row in speed_rows if row.errors_m]
+        runs, inside = sum(len(row.errors_m) for row in tested), sum(row.inside for row in tested)
+        covered = sum(row.inside >= 0.9 * len(row.errors_m) for row in tested)
+        guaranteed = [
+            row.bound.bound_m / row.bound.probable_m for row in tested if row.bound.bound_m
+        ]
+        probable = [row.bound.probable_m / max(row.errors_m) for row in tested]
+        search = [row.bound.worst_found_m / max(row.errors_m) for row in tested]
         lines.append(
-            f"| {share} of the certified | {len(own)} | {runs} | {inside / runs:.1%} | {often} | "
-            f"{np.median(tighter):.0f} ({len(tighter)}) | {np.median(wide):.2f} | "
-            f"{np.median(sought):.2f} |"
+            f"| {speed} of the certified | {len(tested)} | {runs} | {inside / runs:.1%} | "
+            f"{covered} | {np.median(guaranteed):.0f} ({len(guaranteed)}) | "
+            f"{np.median(probable):.2f} | {np.median(search):.2f} |"
         )
     return "\n".join(lines)
 
 
 def main() -> None:
     """Print every row, then the table."""
-    asked = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    asked.add_argument("--stages", default="700-711", help="seeds of each outsider")
-    asked.add_argument("--kept", type=Path, default=None, help="calibrated stages, kept here")
-    given = asked.parse_args()
-    first, _, last = given.stages.partition("-")
-    rows: list[Held] = []
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--stages", default="700-711", help="seeds of each simulator")
+    parser.add_argument("--kept", type=Path, help="folder that keeps the calibrated stages")
+    options = parser.parse_args()
+    rows: list[BoundCoverage] = []
     with TemporaryDirectory() as scratch:
-        for seed in range(int(first), int(last or first) + 1):
+        for seed in seed_range(options.stages):
             for name in NAMES:
-                for row in held_on(name, seed, given.kept or Path(scratch)):
+                for row in coverage_of(name, seed, options.kept or Path(scratch)):
                     rows.append(row)
-                    b = row.bound
-                    bounded = "none" if b.bound_m is None else f"{1e9 * b.bound_m:.0f}"
+                    bound = row.bound
+                    guaranteed = "none" if bound.bound_m is None else f"{1e9 * bound.bound_m:.0f}"
                     print(
-                        f"{row.stage:10} {row.law:28} {1e3 * b.slew_m_per_s:.3g} mm/s: bounded "
-                        f"{bounded}, probable {1e9 * b.probable_m:.0f}, worst found "
-                        f"{1e9 * b.worst_found_m:.0f}, simulated {1e9 * b.simulated_m:.0f}, true "
-                        f"{1e9 * max(row.errors_m, default=np.nan):.0f} nm at most; "
+                        f"{row.stage:10} {row.law:28} {1e3 * bound.slew_m_per_s:.3g} mm/s: "
+                        f"bounded {guaranteed}, probable {1e9 * bound.probable_m:.0f}, "
+                        f"worst found {1e9 * bound.worst_found_m:.0f}, "
+                        f"simulated {1e9 * bound.simulated_m:.0f}"
+                        f", true {1e9 * max(row.errors_m, default=np.nan):.0f} nm at most; "
                         f"{row.inside} of {len(row.errors_m)} below",
                         flush=True,
                     )

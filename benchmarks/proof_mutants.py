@@ -1,17 +1,15 @@
-"""Broken runtimes that a proof must refuse: every one leaves a limit, a bound, or C itself.
+"""Mutants of the runtime that the proof must refuse, as each violates a limit, a bound or C.
 
     python -m benchmarks.proof_mutants docs/measured/proof_mutants.md
 
-Each row is one slip of the hand in `piezoid_runtime.c` that some input, some day, turns into a
-voltage beyond its limits, a state beyond its bound, or an operation that C leaves undefined. A
-mutant counts as refused where the analysis came to its end with alarms; one that does not parse or
-takes too long counts as missed. Two small axes are proved: their limits are not whole codes, and
-the drive of x does not reach down to 0.
+Each row changes `piezoid_runtime.c` so that some input leads to a voltage beyond its limits, a
+state beyond its bound, or undefined behaviour. A mutant counts as refused if the analysis ends
+with alarms. It counts as missed if it does not parse or takes too long. The mutants are analysed
+with two small axes, whose limits are not whole codes. The drive of x cannot reach 0 V.
 """
 
 import argparse
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.mutation_trial import ROOT
@@ -22,9 +20,9 @@ from piezoid.verification.limit_proof import LimitProof, prove_axis
 from tests.verification.rig import stage
 
 SOURCE = "piezoid_runtime.c"
-Slip = tuple[str, str, str]  # function, text, what stands there instead
+Mutation = tuple[str, str, str]  # function, original text, mutated text
 
-LATERAL: tuple[Slip, ...] = (
+LATERAL: tuple[Mutation, ...] = (
     ("clamp", "x > low ? x : low", "x"),
     ("play_sum", "i < p->play_count", "i <= PZ_MAX_PLAYS"),
     ("play_follow", "i < p->play_count", "i <= PZ_MAX_PLAYS"),
@@ -59,7 +57,7 @@ LATERAL: tuple[Slip, ...] = (
     ("idle_voltage", "clamp(ZERO, p->voltage_minimum_V, p->voltage_maximum_V)", "ZERO"),
     ("pz_step_feedforward", "return idle_voltage(parameters)", "return state->voltage_V"),
 )  # fmt: skip
-TIP: tuple[Slip, ...] = (
+TIP: tuple[Mutation, ...] = (
     ("clamp", "x > low ? x : low", "x < low ? x : low"),
     ("clamp", "raised < high ? raised : high", "raised"),
     ("clamp", "raised < high ? raised : high", "raised > high ? raised : high"),
@@ -113,7 +111,7 @@ TIP: tuple[Slip, ...] = (
 
 
 def axes() -> ParameterFile:
-    """Return two small axes whose limits lie between codes; x cannot put out 0 V."""
+    """Return two small axes whose limits lie between codes; the range of x excludes 0 V."""
     x, z = stage("x", "z").axes
     x = x.with_values({"voltage_minimum_V": 0.9999, "voltage_maximum_V": 9.79156,
                        "reference_step_m": 1e-7})  # fmt: skip
@@ -122,43 +120,43 @@ def axes() -> ParameterFile:
     return ParameterFile(name="two axes", axes=(x, z))
 
 
-def broken(source: str, slip: Slip) -> str:
-    """Return the source with one slip in the body of one function.
+def mutate(source: str, mutation: Mutation) -> str:
+    """Return the source with one change in the body of one function.
 
-    Raises ``ValueError`` where the text does not stand there, so that no mutant is the original.
+    Raises ``ValueError`` if the function does not contain the original text.
     """
-    function, text, instead = slip
-    found = re.search(rf"^[a-z].*\b{function}\([^;]*?\) \{{$", source, re.MULTILINE)
-    if found is None:
+    function, text, mutated = mutation
+    head = re.search(rf"^[a-z].*\b{function}\([^;]*?\) \{{$", source, re.MULTILINE)
+    if head is None:
         raise ValueError(f"no function {function}")
-    head = found.start()
-    tail = source.index("\n}", head)
-    body = source[head:tail]
+    start = head.start()
+    end = source.index("\n}", start)
+    body = source[start:end]
     if text not in body:
         raise ValueError(f"{function} does not hold {text!r}")
-    return source[:head] + body.replace(text, instead, 1) + source[tail:]
+    return source[:start] + body.replace(text, mutated, 1) + source[end:]
 
 
-def trial(file: ParameterFile, source: str, slip: Slip | None, place: int) -> LimitProof:
-    """Prove one axis in double precision with a slip in the source, or with none."""
-    made = source if slip is None else broken(source, slip)
-    contents = {**bundle(file), SOURCE: made.encode()}
-    return prove_axis(contents, file.axes[place], place, "double", limit_s=300.0)
+def prove(file: ParameterFile, source: str, index: int) -> LimitProof:
+    """Prove one axis in double precision with the given source of the runtime."""
+    contents = {**bundle(file), SOURCE: source.encode()}
+    return prove_axis(contents, file.axes[index], index, "double", limit_s=300.0)
 
 
-def table(tried: list[tuple[str, Slip, LimitProof]]) -> str:
-    """Return the page: every mutant with what the analysis said first."""
-    refused = sum(bool(proof.alarms) for _, _, proof in tried)
+def table(results: list[tuple[Mutation, LimitProof]]) -> str:
+    """Return the page: every mutant with the first alarm of the analysis."""
+    refused = sum(bool(proof.alarms) for _, proof in results)
     rows = "".join(
-        f"| {axis} | `{slip[0]}` | `{_cell(slip[1])}` | `{_cell(slip[2])}` | {_said(proof)} |\n"
-        for axis, slip, proof in tried
+        f"| {proof.axis} | `{function}` | `{_cell(text)}` | `{_cell(new)}` | {_alarm(proof)} |\n"
+        for (function, text, new), proof in results
     )
     return (
         "# Mutants that the proof must refuse\n\n"
-        f"{refused} of {len(tried)} are refused. Measured by `benchmarks/proof_mutants.py`, whose "
-        "first\nlines say what counts; [](../proof.md) says what is proved of the runtime as it "
-        "ships.\n\n"
-        "| axis | function | instead of | stands | said first |\n| --- | --- | --- | --- | --- |\n"
+        f"{refused} of {len(results)} are refused. Measured by `benchmarks/proof_mutants.py`, "
+        "whose first\nlines define the counts; [](../proof.md) states the proved properties of "
+        "the runtime.\n\n"
+        "| axis | function | original | mutant | alarms: the first |\n"
+        "| --- | --- | --- | --- | --- |\n"
         f"{rows}"
     )
 
@@ -167,43 +165,42 @@ def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|")
 
 
-def _said(proof: LimitProof) -> str:
+def _alarm(proof: LimitProof) -> str:
     if not proof.alarms:
         return f"**missed**: {proof.verdict}"
-    place, _, what = proof.alarms[0].partition(" ")
-    return f"{len(proof.alarms)}: {place.replace('harness.c', 'claim')} `{_cell(what)[:90]}`"
+    location, _, alarm = proof.alarms[0].partition(" ")
+    return f"{len(proof.alarms)}: {location.replace('harness.c', 'claim')} `{_cell(alarm)[:90]}`"
 
 
-def main(given: list[str] | None = None) -> None:
-    """Prove the unbroken source, then refuse every broken one."""
+def main(arguments: list[str] | None = None) -> None:
+    """Prove the original source, then analyse every mutant."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("page", type=Path, help="Markdown to write.")
-    parser.add_argument("--first", type=int, default=0, help="Only so many of each axis.")
-    chosen = parser.parse_args(given)
+    parser.add_argument("page", type=Path, help="Markdown file to write.")
+    parser.add_argument("--first", type=int, default=0, help="Number of mutants of each axis.")
+    options = parser.parse_args(arguments)
     source = (ROOT / "piezoid" / "runtime" / SOURCE).read_text(encoding="utf-8")
     file = axes()
-    for place in range(len(file.axes)):
-        whole = trial(file, source, None, place)
-        print(f"unbroken, axis {whole.axis}: {whole.verdict}, {whole.seconds} s", *whole.alarms)
-        if not whole.is_proved:
-            raise SystemExit("the unbroken runtime must be proved first")
-    count = chosen.first or None
-    wanted = [(place, slip) for place, all_ in enumerate((LATERAL, TIP)) for slip in all_[:count]]
-    tried = Executor(threads=2).map(_trier(file, source), wanted)
-    chosen.page.write_text(table(tried), encoding="utf-8")
-    print(f"{sum(bool(proof.alarms) for _, _, proof in tried)} of {len(tried)} refused")
+    for index in range(len(file.axes)):
+        proof = prove(file, source, index)
+        print(f"original, axis {proof.axis}: {proof.verdict}, {proof.seconds} s", *proof.alarms)
+        if not proof.is_proved:
+            raise SystemExit("the original runtime must be proved first")
 
+    def analyse(task: tuple[int, Mutation]) -> tuple[Mutation, LimitProof]:
+        index, mutation = task
+        proof = prove(file, mutate(source, mutation), index)
+        function, text, mutated = mutation
+        print(proof.axis, function, _cell(text), "->", _cell(mutated), proof.verdict, flush=True)
+        return mutation, proof
 
-def _trier(
-    file: ParameterFile, source: str
-) -> Callable[[tuple[int, Slip]], tuple[str, Slip, LimitProof]]:
-    def tried(one: tuple[int, Slip]) -> tuple[str, Slip, LimitProof]:
-        place, slip = one
-        proof = trial(file, source, slip, place)
-        print(proof.axis, slip[0], _cell(slip[1]), "->", _cell(slip[2]), proof.verdict, flush=True)
-        return proof.axis, slip, proof
-
-    return tried
+    tasks = [
+        (index, mutation)
+        for index, mutations in enumerate((LATERAL, TIP))
+        for mutation in mutations[: options.first or None]
+    ]
+    results = Executor(threads=2).map(analyse, tasks)
+    options.page.write_text(table(results), encoding="utf-8")
+    print(f"{sum(bool(proof.alarms) for _, proof in results)} of {len(results)} refused")
 
 
 if __name__ == "__main__":

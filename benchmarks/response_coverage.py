@@ -1,12 +1,12 @@
-"""How often the 95 % intervals of a measured response hold the truth, over fresh stages.
+"""Coverage of the 95 % intervals of parameters that are fitted to a frequency response.
 
     python -m benchmarks.response_coverage [SEEDS] [FIRST]
 
-Each seed draws a stage (one or two modes of quality 5 to 100 between 150 Hz and 3 kHz, a delay of
-0 to 300 us, creep of 0 to 0.3 dB per decade), a grid of lines, noise of three kinds (in proportion
-to the response, of one size, or both with the coherence that belongs to them), and holes in the
-coherence. One line for each quantity: how often its interval holds the truth, how often the modes
-were all found, and how many responses were not used.
+Each seed draws a stage: one or two modes of quality 5 to 100 between 150 Hz and 3 kHz, a delay of
+0 to 300 us, creep of 0 to 0.3 dB per decade. It also draws the lines and the noise, which is
+proportional to the response, constant, or both with a coherence that has gaps. The program prints
+the coverage of each quantity, and the numbers of rejected responses and of those with another
+number of modes.
 """
 
 import sys
@@ -19,8 +19,8 @@ from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.records.frequency_response import FrequencyResponseRecord, ResponsePath
 
 GAIN_m_per_V = 2e-7
-AVERAGES = 16  # behind each coherence that an analyser would tell
-HOLE = 0.1  # of the lines
+AVERAGES = 16  # of the analyser
+GAP = 0.1  # of the lines, with low coherence
 
 
 def stage(rng: np.random.Generator) -> dict:
@@ -39,7 +39,7 @@ def stage(rng: np.random.Generator) -> dict:
 
 
 def response(frequency_Hz: Array, truth: dict) -> ComplexArray:
-    """Return what the stage does at each frequency."""
+    """Return the response of the stage at each frequency."""
     s = 2j * np.pi * frequency_Hz
     total = np.zeros(len(s), dtype=np.complex128)
     for f, quality, share in truth["modes"]:
@@ -50,8 +50,8 @@ def response(frequency_Hz: Array, truth: dict) -> ComplexArray:
     return np.asarray(GAIN_m_per_V * total * np.exp(-s * truth["delay_s"]) * creep)
 
 
-def measured(rng: np.random.Generator, truth: dict) -> FrequencyResponseRecord:
-    """Return the file an instrument would write."""
+def measure(rng: np.random.Generator, truth: dict) -> FrequencyResponseRecord:
+    """Return the record of an analyser with noise."""
     lines = int(rng.integers(250, 900))
     highest_Hz = min(2.5 * truth["modes"][-1][0], 6000.0)
     if rng.random() < 0.7:
@@ -64,13 +64,13 @@ def measured(rng: np.random.Generator, truth: dict) -> FrequencyResponseRecord:
     coherence = None
     if kind == "coherence":
         size = np.hypot(np.abs(exact), GAIN_m_per_V)
-        size[rng.integers(0, lines) :][: int(HOLE * lines)] *= 60.0
+        size[rng.integers(0, lines) :][: int(GAP * lines)] *= 60.0
     std = relative * size
     noise = (rng.standard_normal(lines) + 1j * rng.standard_normal(lines)) / np.sqrt(2.0)
     if kind == "coherence":
         true = 1.0 / (1.0 + AVERAGES * std**2 / np.abs(exact) ** 2)
-        seen = (1.0 - true) * rng.chisquare(2 * AVERAGES - 2, lines) / (2 * AVERAGES - 2)
-        coherence = np.clip(1.0 - seen, 0.0, 1.0)
+        estimate = (1.0 - true) * rng.chisquare(2 * AVERAGES - 2, lines) / (2 * AVERAGES - 2)
+        coherence = np.clip(1.0 - estimate, 0.0, 1.0)
     return FrequencyResponseRecord(
         name="response.csv",
         digest="none",
@@ -86,47 +86,45 @@ def measured(rng: np.random.Generator, truth: dict) -> FrequencyResponseRecord:
     )
 
 
-def held(found: FittedResponse, truth: dict) -> dict[str, bool]:
-    """Tell which intervals hold the truth."""
-    dynamics = found.dynamics
-    told: dict[str, bool] = {}
+def coverage(fit: FittedResponse, truth: dict) -> dict[str, bool]:
+    """Return whether the interval of each quantity contains the truth."""
+    dynamics = fit.dynamics
+    covered: dict[str, bool] = {}
     for number, (f, quality, _) in enumerate(truth["modes"]):
         k = int(np.argmin(np.abs(dynamics.mode_frequency_Hz - f)))
         low, high = dynamics.mode_frequency_interval_Hz()[k]
-        told[f"frequency of mode {number + 1}"] = bool(low <= f <= high)
+        covered[f"frequency of mode {number + 1}"] = bool(low <= f <= high)
         low, high = 0.5 / dynamics.mode_damping_interval()[k][::-1]
-        told[f"quality of mode {number + 1}"] = bool(low <= quality <= high)
+        covered[f"quality of mode {number + 1}"] = bool(low <= quality <= high)
     low, high = dynamics.delay_interval_s()
-    told["delay"] = bool(low <= truth["delay_s"] <= high)
-    if found.slow is not None:
-        low, high = found.slow.slope_ci95
-        told["slope of creep"] = bool(low <= truth["slope_dB"] <= high)
-    return told
+    covered["delay"] = bool(low <= truth["delay_s"] <= high)
+    if fit.slow is not None:
+        low, high = fit.slow.slope_ci95
+        covered["slope of creep"] = bool(low <= truth["slope_dB"] <= high)
+    return covered
 
 
 def main() -> None:
-    """Judge so many seeds from the first one on."""
+    """Fit the responses of all seeds and print the coverage."""
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     first = int(sys.argv[2]) if len(sys.argv) > 2 else 0
-    inside, tried, states = Counter(), Counter(), Counter()
+    covered, total, states = Counter(), Counter(), Counter()
     for seed in range(first, first + seeds):
         rng = np.random.default_rng([seed, 77])
         truth = stage(rng)
-        found = fit_response(measured(rng, truth), "x", ())
-        resolved = len(found.dynamics.mode_frequency_Hz) == len(truth["modes"])
-        states["not used" if not found.is_determined else "used"] += 1
-        if not found.is_determined or not resolved:
-            states["with another number of modes"] += found.is_determined
-            print(
-                seed, truth, found.dynamics.mode_frequency_Hz, f"{found.residual:.3f}", flush=True
-            )
+        fit = fit_response(measure(rng, truth), "x", ())
+        is_resolved = len(fit.dynamics.mode_frequency_Hz) == len(truth["modes"])
+        states["not used" if not fit.is_determined else "used"] += 1
+        if not fit.is_determined or not is_resolved:
+            states["with another number of modes"] += fit.is_determined
+            print(seed, truth, fit.dynamics.mode_frequency_Hz, f"{fit.residual:.3f}", flush=True)
             continue
-        verdicts = held(found, truth)
-        tried.update(verdicts.keys())
-        inside.update(name for name, is_held in verdicts.items() if is_held)
+        intervals = coverage(fit, truth)
+        total.update(intervals.keys())
+        covered.update(name for name, is_covered in intervals.items() if is_covered)
     print(dict(states))
-    for name, count in sorted(tried.items()):
-        print(f"{name:24} {inside[name]:4} of {count}: {100.0 * inside[name] / count:.1f} %")
+    for name, count in sorted(total.items()):
+        print(f"{name:24} {covered[name]:4} of {count}: {100.0 * covered[name] / count:.1f} %")
 
 
 if __name__ == "__main__":

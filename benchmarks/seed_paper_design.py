@@ -1,6 +1,6 @@
 """Design all three axes of the rig of Ryba, Voda & Besancon 2015 and print what was reached.
 
-    python benchmarks/seed_paper_design.py
+    python -m benchmarks.seed_paper_design
 
 Amplifier 15 V/V, 4 kHz; X/Y piezo 235 nm/V, 630 Hz; capacitive sensor 8.5 kHz; Z piezo 1.2 nm/V,
 120 kHz; sampling 20 kHz. The paper gives neither the nature of "630 Hz" nor the current sensor's
@@ -12,9 +12,8 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from varied_chains import varied
 
-from benchmarks.varied_chains import Chain, family_from_chains, plant_from_chain
+from benchmarks.varied_chains import Chain, family_from_chains, plant_from_chain, varied
 from piezoid.design.design import AxisDesign, Design, LoopDesign
 from piezoid.design.hysteresis_bounds import HysteresisBounds, affine_bounds, inverse_bounds
 from piezoid.design.junction_task import design_vertical
@@ -96,19 +95,19 @@ def vertical_family() -> PlantFamily:
 
 def lateral_specification(model: Plant) -> Specification:
     """Return the default for 1 nm of sensor noise and 5 % of 7 um left by hysteresis."""
-    asked = default_specification(
+    specification = default_specification(
         PlantFamily(members=(model,)),
         voltage_min_V=-10.0,
         voltage_max_V=10.0,
         sensor_noise_rms=1e-9,
         disturbance_rms=0.35e-6,
     )
-    return replace(asked, voltage_step_V=LSB_V)
+    return replace(specification, voltage_step_V=LSB_V)
 
 
 def vertical_specification(family: PlantFamily) -> Specification:
     """Return 300 Hz, Ms <= 5.8 dB and 1.2 samples of delay for every barrier height."""
-    asked = default_specification(
+    specification = default_specification(
         family,
         voltage_min_V=-10.0,
         voltage_max_V=10.0,
@@ -116,7 +115,7 @@ def vertical_specification(family: PlantFamily) -> Specification:
         disturbance_rms=0.1,
     )
     return replace(
-        asked,
+        specification,
         bandwidth_Hz=300.0,
         modulus_margin=10.0 ** (-5.8 / 20.0),
         delay_margin_s=1.2 / RATE_Hz,
@@ -184,8 +183,8 @@ def main() -> None:
                 )
     print(f"three axes in {spent_s:.1f} s ({busy_s:.1f} s of CPU); design.json has {size} bytes")
     try:
-        asked = replace(vertical_specification(z_family), bandwidth_Hz=1500.0)
-        design_vertical("z", z_family, asked)
+        specification = replace(vertical_specification(z_family), bandwidth_Hz=1500.0)
+        design_vertical("z", z_family, specification)
     except TemplateError as refusal:
         print("refused:", refusal)
 

@@ -1,12 +1,12 @@
-"""Random stages of every frozen simulator through ``piezoid fit``: crashes, hangs and false names.
+"""Run ``piezoid fit`` on random stages of every frozen simulator; count crashes and false names.
 
     python -m benchmarks.soak --stages 300 --seed 1 [--first 0] [--processes 2] [--out build/soak]
 
 Stage ``number`` of a seed is always the same: a simulator, a law, hidden effects, and a change of
-the files (format, unit, missing cells, copies, length). ``piezoid fit`` runs in a process of its
-own with limits on processor time and memory. Reported are exceptions, time-outs, budgets that do
-not add up, names of effects that are not there, and shipped loops that are unstable on the
-simulated stage, each with the command that reproduces it. Exit status 1 after an exception, a
+the files (format, unit, missing cells, copies, length). ``piezoid fit`` runs in a child process
+with limits of processor time and memory. The program reports exceptions, time-outs, budgets that
+do not add up, false names of effects, and shipped loops that are unstable on the simulated stage.
+It prints the command that reproduces each fault. The exit status is 1 after an exception, a
 time-out or an unstable loop.
 """
 
@@ -18,7 +18,7 @@ import signal
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -26,6 +26,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from shutil import rmtree
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -33,8 +34,8 @@ import pandas as pd
 from benchmarks.outsiders.causes import FAIR
 from benchmarks.outsiders.cedar import campaigns as cedar
 from benchmarks.outsiders.lateral import is_stable_on
-from benchmarks.outsiders.simulators import simulator
-from benchmarks.zoo.stages import KINDS, NAMES, drawn, stage
+from benchmarks.outsiders.simulators import load_simulator
+from benchmarks.zoo.stages import KINDS, NAMES, draw_stage, stage
 from piezoid_datasets.virtual_lab.write import write_campaign
 
 sys.path.insert(0, str(Path(__file__).parent / "outsiders/dogwood"))
@@ -53,11 +54,11 @@ CHANGES = ("none", "none", "nanometres", "decimal_comma", "missing_cells", "copy
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """What is known of a stage.
+    """Truth of a simulated stage.
 
-    description  simulator, law and effects, for people
-    allowed      names of effects that the diagnosis may give; None: not known for this simulator
-    noise_m      rms of the sensor noise; 0: not known
+    description  simulator, law and effects as text
+    allowed      right names of effects, or None if this simulator does not state them
+    noise_m      rms of the sensor noise; 0 if the simulator does not state it
     """
 
     description: str
@@ -67,12 +68,12 @@ class Truth:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What ``piezoid fit`` made of one stage.
+    """Result of ``piezoid fit`` on one stage.
 
-    status   exit status; negative: killed by that signal
-    fault    exception, time-out, budget, unstable loop; empty: none
-    closure  held-out error of the final model over the true noise; 0: not known
-    message  last lines of standard error where there is a fault or a refusal
+    status   exit status, or the negative number of the signal that ended the process
+    fault    exception, time-out, budget, unstable loop, or empty
+    closure  held-out error of the final model over the true noise; 0 if the noise is not known
+    message  last lines of standard error after a fault or a refusal
     """
 
     number: int
@@ -107,9 +108,9 @@ def write_stage(seed: int, number: int, folder: Path) -> tuple[Truth, str, Calla
 def _write_outsider(
     name: str, seed: int, _: np.random.Generator, folder: Path
 ) -> tuple[Truth, Callable[[], bool]]:
-    made = simulator(name)
-    law = made.campaigns.stage_truth(seed, made.library).get("law", "?")
-    made.campaigns.write_stage(seed, folder, made.library)
+    simulator = load_simulator(name)
+    law = simulator.stage_law(seed)
+    simulator.campaigns.write_stage(seed, folder, simulator.library)
     truth = Truth(description=f"{name} {seed}, {law}", allowed=None, noise_m=0.0)
     return truth, partial(is_stable_on, name, seed, folder / "out/params.json")
 
@@ -148,7 +149,7 @@ def _write_laboratory(
     seed: int, rng: np.random.Generator, folder: Path
 ) -> tuple[Truth, Callable[[], bool]]:
     request = stage(str(rng.choice(NAMES)), str(rng.choice(list(KINDS))), 0, seed % 10**8)
-    campaign = drawn(request)
+    campaign = draw_stage(request)
     write_campaign(campaign, folder)
     for path in sorted((folder / "recordings").iterdir()):
         path.rename(folder / path.name)
@@ -167,7 +168,7 @@ def _write_laboratory(
 
 
 def _assume_stable() -> bool:
-    """Return True: these simulators have no plant that a controller could be tried on."""
+    """Return True, as these simulators have no plant for a controller."""
     return True
 
 
@@ -234,8 +235,8 @@ def _limit_resources() -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_LIMIT_bytes, MEMORY_LIMIT_bytes))
 
 
-def judge(number: int, *, seed: int, root: Path) -> Outcome:
-    """Write, fit and judge one stage; its folder stays if there is a fault."""
+def evaluate(number: int, *, seed: int, root: Path) -> Outcome:
+    """Write and fit one stage; its folder stays if there is a fault or a false name."""
     folder = root / f"{seed}-{number}"
     rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -278,13 +279,15 @@ def _read_diagnosis(path: Path, noise_m: float) -> tuple[tuple[str, ...], float,
     record = json.loads(path.read_bytes())
     names = tuple(finding["effect"] for finding in record["findings"])
     closure = record["final"]["held_out_rms_m"] / noise_m if noise_m > 0.0 else 0.0
-    broken = False
-    for axis in (record, *record.get("axes", {}).values()):
-        if "budget" in axis:
-            total_m = math.sqrt(sum(part["rms_m"] ** 2 for part in axis["budget"]))
-            baseline_m = axis["baseline"]["held_out_rms_m"]
-            broken |= abs(total_m - baseline_m) > BUDGET_TOLERANCE * baseline_m
-    return names, closure, broken
+    axes = (record, *record.get("axes", {}).values())
+    return names, closure, not all(is_budget_right(axis) for axis in axes if "budget" in axis)
+
+
+def is_budget_right(axis: Mapping[str, Any]) -> bool:
+    """Return whether the squares of an error budget add up to the error of the baseline."""
+    total_m = math.sqrt(sum(part["rms_m"] ** 2 for part in axis["budget"]))
+    baseline_m = axis["baseline"]["held_out_rms_m"]
+    return bool(abs(total_m - baseline_m) <= BUDGET_TOLERANCE * baseline_m)
 
 
 def table(outcomes: Sequence[Outcome], seed: int) -> str:
@@ -303,16 +306,16 @@ def table(outcomes: Sequence[Outcome], seed: int) -> str:
         lines.append(f"closure: median {median:.2f}, 10 to 90 % {low:.2f} to {high:.2f}")
     for outcome in outcomes:
         if outcome.fault or outcome.false_names:
-            why = outcome.fault or f"false: {', '.join(outcome.false_names)}"
+            fault = outcome.fault or f"false: {', '.join(outcome.false_names)}"
             lines.append(
-                f"{why} ({outcome.stage}; files: {outcome.change}): "
+                f"{fault} ({outcome.stage}; files: {outcome.change}): "
                 f"python -m benchmarks.soak --seed {seed} --first {outcome.number} --stages 1"
             )
     return "\n".join(lines)
 
 
 def main() -> int:
-    """Judge the stages, print a line for each, then the table."""
+    """Evaluate the stages, print a line for each, then the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--stages", type=int, default=10)
     parser.add_argument("--seed", type=int, default=1)
@@ -326,7 +329,7 @@ def main() -> int:
     outcomes: list[Outcome] = []
     pool = ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn"))
     with pool, (root / f"outcomes-{arguments.seed}.jsonl").open("a") as file:
-        for outcome in pool.map(partial(judge, seed=arguments.seed, root=root), numbers):
+        for outcome in pool.map(partial(evaluate, seed=arguments.seed, root=root), numbers):
             outcomes.append(outcome)
             file.write(json.dumps(asdict(outcome)) + "\n")
             file.flush()

@@ -1,18 +1,17 @@
-"""A recording of any length fitted in bounded memory: peak memory and time against length.
+"""Memory and time of a fit in chunks against the length of the recording.
 
-    python benchmarks/streamed_fit.py [SAMPLES ...] [--folder FOLDER]
+    python -m benchmarks.streamed_fit [SAMPLES ...] [--folder FOLDER]
 
-Each length is written and fitted in a process of its own, so that each has a peak of its own
-(``ru_maxrss``); times are processor time. Lengths up to ``WHOLE_SAMPLES`` are fitted a second time
-from the whole recording in memory. The stage has 9 plays and 4 dead zones behind a lag of 0.2 ms,
-10 nm of noise, and a zero that drifts by 300 nm; its drive turns at ever other levels. ``loop
-error`` is the rms difference between the fitted and the true hysteresis over one swell of the
-drive. The file is removed again.
+Each length is written and fitted in separate processes, so that each has its own peak memory
+(``ru_maxrss``). Times are processor times. Lengths up to ``MAX_IN_MEMORY`` are fitted a second
+time, from the whole recording in memory. The stage has 9 plays and 4 dead zones behind a lag of
+0.2 ms, 10 nm of noise, and a zero that drifts by 300 nm. Its drive has turning points at all
+levels. ``loop error`` is the rms difference between fitted and true hysteresis over one period of
+the amplitude. The file is removed afterwards.
 """
 
 import argparse
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -20,17 +19,18 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.speed.stopwatch import peak_megabytes
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
-WHOLE_SAMPLES = 1e6  # fitted from memory as well: 0.9 GB
+MAX_IN_MEMORY = 1e6  # fitted from memory as well: 0.9 GB
 RATE_Hz = 20_000.0
 NOISE_m = 10e-9
 DRIFT_m = 300e-9
 LAG_SAMPLES = 4
-WRITTEN = 1 << 20  # samples of a row group
+BLOCK = 1 << 20  # samples of a row group
 HEADINGS = (
     "samples",
     "file GB",
@@ -57,19 +57,19 @@ ZONES = from_slopes(
 
 
 def drive_V(first: int, count: int) -> Array:
-    """A sine at 2 Hz that swells and falls over 37 s: minor loops at all levels."""
+    """Return a sine at 2 Hz whose amplitude changes over 37 s, with minor loops at all levels."""
     t = (first + np.arange(count)) / RATE_Hz
     return np.asarray(5 * (0.1 + 0.9 * np.abs(np.cos(np.pi * t / 37))) * np.sin(4 * np.pi * t))
 
 
 def blocks(samples: int) -> "list[tuple[int, int]]":
-    """First sample and length of every block that is written."""
-    return [(k, min(WRITTEN, samples - k)) for k in range(0, samples, WRITTEN)]
+    """Return first sample and length of every block of the file."""
+    return [(k, min(BLOCK, samples - k)) for k in range(0, samples, BLOCK)]
 
 
 def columns_of(first: int, count: int, samples: int, memory: Array) -> tuple[list[Array], Array]:
     """Return time, voltage and displacement in um of one block, and the memory after it."""
-    # the stage answers four samples later: it is driven by what came before
+    # The stage has a delay of four samples.
     h_m, memory = PLAYS.run(drive_V(first - LAG_SAMPLES, count), memory)
     k = first + np.arange(count)
     noise_m = NOISE_m * np.random.default_rng([1, first]).standard_normal(count)
@@ -91,13 +91,8 @@ def write(path: Path, samples: int) -> None:
             writer.write_table(pa.table(dict(zip(names, columns, strict=True)), schema=schema))
 
 
-def peak_megabytes() -> float:
-    """Return the largest memory this process has held."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
 def loop_error_m(axis: AxisModel) -> float:
-    """Return the rms difference between fitted and true hysteresis over one swell of the drive."""
+    """Return the rms difference between fitted and true hysteresis over 37 s of the drive."""
     voltage_V = drive_V(0, round(37 * RATE_Hz))[::20]
     truth_m = ZONES.run(PLAYS.run(voltage_V, PLAYS.virgin_memory())[0])
     plays = axis.hysteresis.plays
@@ -105,49 +100,54 @@ def loop_error_m(axis: AxisModel) -> float:
     return float(np.std(fitted_m - truth_m))
 
 
-def fit_one(path: Path, *, whole: bool = False) -> None:
-    """Fit one file, in chunks or from memory, and print what it took."""
+def fit_one(path: Path, *, in_memory: bool = False) -> None:
+    """Fit one file, in chunks or from memory, and print its row."""
     from piezoid.digests import digest_of_bytes
     from piezoid.identification.fit import fit
     from piezoid.identification.store import write_model
     from piezoid.records.chunked_reader import read_thinned
     from piezoid.records.collection import collect
 
-    before, begun_s, at_s = peak_megabytes(), time.process_time(), time.monotonic()
-    recordings = collect([path]).recordings if whole else read_thinned([path])
-    read_s = time.process_time() - begun_s
+    initial_megabytes, start_s, start_elapsed_s = (
+        peak_megabytes(),
+        time.process_time(),
+        time.monotonic(),
+    )
+    recordings = collect([path]).recordings if in_memory else read_thinned([path])
+    read_s = time.process_time() - start_s
     model = fit(recordings)
     (axis,) = model.axes.values()
     cells = (
         path.stem.partition("_")[2],
         f"{path.stat().st_size / 1e9:.3f}",
-        "whole" if whole else "in chunks",
+        "whole" if in_memory else "in chunks",
         f"{peak_megabytes():.0f}",
-        f"{before:.0f}",
+        f"{initial_megabytes:.0f}",
         f"{read_s:.3g}",
-        f"{time.process_time() - begun_s:.3g}",
+        f"{time.process_time() - start_s:.3g}",
         f"{axis.quality.rows}",
         f"{len(axis.hysteresis.plays.weight)}",
         f"{1e9 * axis.quality.rms_m:.2f}",
         f"{1e6 * axis.lag.time_s:.0f}",
         f"{1e9 * loop_error_m(axis):.2f}",
-        f"{time.monotonic() - at_s:.0f}",
+        f"{time.monotonic() - start_elapsed_s:.0f}",
         digest_of_bytes(write_model(model))[7:15],
     )
     print(f"| {' | '.join(cells)} |", flush=True)
 
 
 def measure(samples: float, folder: Path) -> None:
-    """Write one length and fit it, each in a process of its own; the file goes again."""
+    """Write a file of one length, fit it in separate processes, and remove it."""
     folder.mkdir(exist_ok=True)
     path = folder / f"long_{samples:.0e}.parquet"
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     steps = [[str(samples), "--write", str(path)], ["--fit", str(path)]]
-    if samples <= WHOLE_SAMPLES:
+    if samples <= MAX_IN_MEMORY:
         steps.append(["--fit", str(path), "--whole"])
     try:
         for step in steps:
-            subprocess.run([sys.executable, __file__, *step], check=True, env=environment)
+            command = [sys.executable, "-m", "benchmarks.streamed_fit", *step]
+            subprocess.run(command, check=True, env=environment)
     finally:
         path.unlink(missing_ok=True)
 
@@ -158,11 +158,11 @@ def main() -> None:
     parser.add_argument("samples", nargs="*", type=float, default=[1e6, 1e7, 1e8])
     parser.add_argument("--folder", type=Path, default=Path("build"))
     parser.add_argument("--fit", type=Path, help="fit this file in this process")
-    parser.add_argument("--write", type=Path, help="write one in this process")
-    parser.add_argument("--whole", action="store_true", help="from the whole recording in memory")
+    parser.add_argument("--write", type=Path, help="write this file in this process")
+    parser.add_argument("--whole", action="store_true", help="fit the whole recording in memory")
     arguments = parser.parse_args()
     if arguments.fit:
-        return fit_one(arguments.fit, whole=arguments.whole)
+        return fit_one(arguments.fit, in_memory=arguments.whole)
     if arguments.write:
         return write(arguments.write, int(arguments.samples[0]))
     print(f"| {' | '.join(HEADINGS)} |", flush=True)

@@ -1,9 +1,9 @@
-"""What every target loses beside the exported controller: the table of docs/guide/targets.md.
+"""Performance losses of the targets against the exported controller, for docs/guide/targets.md.
 
     python -m benchmarks.target_losses DEMO VIRTUAL...
 
-The stages are folders of `piezoid fit` or `piezoid demo`. Losses are those that each target writes
-into its own README: worst over the plants that the recordings of that stage allow.
+The stages are folders of `piezoid fit` or `piezoid demo`. The losses are those that each target
+states in its README: the worst over the plants that the recordings of the stage allow.
 """
 
 import sys
@@ -23,25 +23,26 @@ TARGETS = ("pid", "nanonis", "waveform")
 
 
 def inputs_of(folder: Path) -> TargetInputs:
-    """Return the inputs of targets as `piezoid export` reads them."""
+    """Read the inputs of the targets as `piezoid export` does."""
     design = design_from_json(content_of(folder / "design.json"), "design.json")
     model = read_model(content_of(folder / "model.json"), "model.json")
     file = from_json(content_of(folder / "params.json"), "params.json")
-    place = folder / "lab.toml"
-    lab = read_lab(place) if place.exists() else Lab()
-    plants, drawn = stage_plants(file, model, lab)
+    path = folder / "lab.toml"
+    lab = read_lab(path) if path.exists() else Lab()
+    plants, family_plants = stage_plants(file, model, lab)
+    axes = [plant.axis for plant in plants]
     return TargetInputs(
         file=file,
         plants=plants,
-        drawn={plant.axis: others for plant, others in zip(plants, drawn, strict=True)},
+        drawn=dict(zip(axes, family_plants, strict=True)),
         models={axis.axis: model[axis.axis] for axis in file.axes if axis.method != "rst"},
-        designs={one.axis: one for one in design.axes},
+        designs={axis.axis: axis for axis in design.axes},
         converter_V=lab.acquisition.input_range_V,
     )
 
 
 def losses(folder: Path) -> list[tuple[str, str]]:
-    """Return target and sentence, one for every axis of a stage."""
+    """Return target and statement for every axis of a stage."""
     rows = []
     for target in TARGETS:
         try:

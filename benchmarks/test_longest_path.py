@@ -1,4 +1,4 @@
-"""The longest path of code whose longest path is known by hand."""
+"""The longest path of short code, against the value computed by hand."""
 
 import pytest
 
@@ -18,7 +18,7 @@ int step(int x) {
 }
 """
 
-# inner: 2 before, 3 in the loop, 1 behind it
+# inner: 2 instructions before the loop, 3 inside, 1 after it
 INNER = """\
 00000100 <inner>:
 /made/piezoid_runtime.c:2
@@ -32,7 +32,7 @@ INNER = """\
      10a:\tbx\tlr
 """
 
-# step: 2, then the dearer side: the call (1, and what it takes) and a jump, or 1; 1 at the end
+# step: 2, then the more expensive branch: 1 and the called function and a jump, or 1; 1 at the end
 STEP = """\
 00000200 <step>:
 /made/piezoid_runtime.c:7
@@ -45,21 +45,21 @@ STEP = """\
 """
 
 
-def most(code, counts=None, entry="step"):
-    return longest_path(code, SOURCE, counts or {"play_count": 5}, entry=entry)
+def bound_of(code, entry="step"):
+    return longest_path(code, SOURCE, {"play_count": 5}, entry=entry)
 
 
 def test_a_loop_counts_as_often_as_its_line_says():
-    found = most(INNER, entry="inner")
-    # the body runs once and goes back five times at most: a bound, one more than the loop needs
-    assert found.instructions == 2 + 6 * 3 + 1
-    # 1 + 1, (1 + 1 + 4) each, and 4 to return
-    assert found.cycles == 2 + 6 * 6 + 4
+    bound = bound_of(INNER, entry="inner")
+    # The body runs once and returns to its start at most five times: one more than needed.
+    assert bound.instructions == 2 + 6 * 3 + 1
+    # 1 + 1 before, 1 + 1 + 4 for each pass, and 4 for the return
+    assert bound.cycles == 2 + 6 * 6 + 4
 
 
-def test_the_dearer_branch_counts_and_so_do_calls():
-    inner = most(INNER, entry="inner").instructions
-    assert most(INNER + STEP).instructions == 2 + (1 + inner + 1) + 1
+def test_the_more_expensive_branch_counts_and_so_do_calls():
+    inner = bound_of(INNER, entry="inner").instructions
+    assert bound_of(INNER + STEP).instructions == 2 + (1 + inner + 1) + 1
 
 
 def test_instructions_cost_what_the_manual_says():
@@ -78,11 +78,11 @@ def test_instructions_cost_what_the_manual_says():
             )
         )
     )
-    assert most(code) == Bound(instructions=8, cycles=5 + 2 + 15 + 2 + 12 + 3 + 5 + 8)
+    assert bound_of(code) == Bound(instructions=8, cycles=5 + 2 + 15 + 2 + 12 + 3 + 5 + 8)
 
 
 @pytest.mark.parametrize(
-    ("code", "said"),
+    ("code", "message"),
     [
         (INNER.replace("runtime.c:2", "runtime.c:3"), "has a loop at 0x104 that no line"),
         (STEP, "inner is not in the object"),
@@ -92,9 +92,9 @@ def test_instructions_cost_what_the_manual_says():
         (STEP.replace("bx\tlr", "ldr\tpc, [r3]"), "jumps through a register"),
     ],
 )
-def test_what_cannot_be_bounded_is_refused(code, said):
-    with pytest.raises(RuntimeLibraryError, match=said):
-        most(code, entry="inner" if code.startswith("00000100") else "step")
+def test_code_without_a_bound_is_refused(code, message):
+    with pytest.raises(RuntimeLibraryError, match=message):
+        bound_of(code, entry="inner" if code.startswith("00000100") else "step")
 
 
 def test_every_loop_of_a_step_has_a_count_of_its_axis():
@@ -105,11 +105,11 @@ def test_every_loop_of_a_step_has_a_count_of_its_axis():
 
 
 def test_no_step_takes_longer_than_the_longest_path():
-    """The bound is of the binary that ran; hostile inputs come within a factor of it."""
+    """Bound of the emulated binary, against the instructions that extreme inputs need."""
     proof = emulate(stage())
     if not proof.is_built:
         pytest.skip(proof.build)
     for axis, bound in bounds_of(stage()).items():
-        most = proof.most_instructions[axis]
-        assert proof.instructions_per_sample[axis] < most <= bound.instructions < 6 * most
+        largest = proof.most_instructions[axis]
+        assert proof.instructions_per_sample[axis] < largest <= bound.instructions < 6 * largest
         assert bound.instructions < bound.cycles < 3 * bound.instructions

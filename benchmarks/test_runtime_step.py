@@ -1,7 +1,7 @@
-"""What one controller step costs: 16 plays, 9 dead zones, observer of order 4 and disturbance.
+"""Duration of a controller step with 16 plays, 9 dead zones and an observer of order 4.
 
-`make benchmark` prints the minimum and median of a run of STEPS steps; divided by STEPS it is the
-time of one. The loop around the step is C; a step from Python costs the call besides.
+`make benchmark` prints minimum and median of a run of STEPS steps, whose loop is in C. A step
+called from Python adds the call through ctypes.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ HYSTERESIS = {
     "knot_m": np.linspace(-8e-6, 8e-6, 9),
     "knot_weight": np.r_[np.full(4, 0.01), 1.0, np.full(4, 0.01)],
 }
-# A chain of four lags of pole p, unit gain: rest state all ones.
+# Four lags of pole p in series with unit gain: all states rest at one.
 POLE = 0.7
 OBSERVER = {
     "observer_order": 4,
@@ -49,8 +49,8 @@ LIMITS = {
 @pytest.mark.parametrize("method", ["mpi", "dob", "mpi_dob"])
 def test_steps(benchmark, method, precision):
     """STEPS steps of the shipped source."""
-    given = {**LIMITS, **HYSTERESIS, **OBSERVER, "method": method}
-    controller = Controller(given, precision=precision)
+    values = {**LIMITS, **HYSTERESIS, **OBSERVER, "method": method}
+    controller = Controller(values, precision=precision)
     reference = 1e-5 * np.sin(np.arange(STEPS) * 2 * np.pi / 2000)
     measured = 1e-5 * np.sin(np.arange(STEPS) * 2 * np.pi / 2000 - 0.05)
     controller.start(0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Plants of sections in series, and families with gain, slowest mode, damping or delay changed."""
+"""Plants of sections in series, and variations of gain, slowest mode, damping or delay."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,9 +11,9 @@ from piezoid.operators.linear import cascade, first_order, resonance
 
 @dataclass(frozen=True, kw_only=True)
 class Chain:
-    """Sections in series, from volts to metres or nepers, behind a delay.
+    """Sections in series with a delay, from volts to metres or nepers.
 
-    gain  output unit per volt, at rest
+    gain  static gain, output unit per volt
     """
 
     label: str
@@ -25,7 +25,7 @@ class Chain:
 
 
 def plant_from_chain(chain: Chain) -> Plant:
-    """Sample a chain; first-order sections whose sampled pole is below 2^-52 have no state."""
+    """Sample a chain without the first-order sections whose sampled pole is below 2^-52."""
     systems = [
         first_order(f) if damping is None else resonance(f, damping)
         for f, damping in ((s.frequency_Hz, s.damping) for s in chain.sections)
@@ -53,10 +53,10 @@ def varied(
     damping_factor: float = 1.0,
     delay_s: float = 0.0,
 ) -> Chain:
-    """Return the chain with its gain and the slowest section's frequency and damping multiplied,
-    and a delay added; the label says what was changed.
+    """Return a variation of a chain, whose label states the changes.
 
-    The slowest section is the mechanics of a piezo stage: what load and mounting change.
+    mode_factor and damping_factor apply to the slowest section, which is the mechanics of a piezo
+    stage. Load and mounting change it.
     """
     slowest = min(range(len(chain.sections)), key=lambda k: chain.sections[k].frequency_Hz)
     section = chain.sections[slowest]
@@ -64,11 +64,11 @@ def varied(
     changed = replace(section, frequency_Hz=section.frequency_Hz * mode_factor, damping=damping)
     sections = (*chain.sections[:slowest], changed, *chain.sections[slowest + 1 :])
     factors = (("gain", gain_factor), ("mode", mode_factor), ("damping", damping_factor))
-    said = [f"{name} x{factor:g}" for name, factor in factors if factor != 1.0]
-    said += [f"delay +{delay_s * 1e6:g} us"] if delay_s else []
+    changes = [f"{name} x{factor:g}" for name, factor in factors if factor != 1.0]
+    changes += [f"delay +{delay_s * 1e6:g} us"] if delay_s else []
     return replace(
         chain,
-        label=", ".join(said) or chain.label,
+        label=", ".join(changes) or chain.label,
         gain=chain.gain * gain_factor,
         sections=sections,
         delay_s=chain.delay_s + delay_s,

@@ -1,5 +1,5 @@
-"""Simulators whose authors never saw piezoid, and the shipped controller on their plants.
+"""Simulators by third parties who never saw piezoid, and the shipped controller on their plants.
 
-`FORMATS.md` is all that their authors were given. A simulator is never changed after its first
-run; what piezoid was changed for is told with the seeds it was seen on (docs/outsiders.md).
+The authors received `FORMATS.md` only. A simulator is frozen after its first run. The changes of
+piezoid that its stages caused are in docs/outsiders.md, with their seeds.
 """

@@ -1,8 +1,8 @@
-"""Stages and tips of both outsiders: what ships, what is stable, what was promised.
+"""Calibrate stages and tips of two simulators, and run what ships on their plants.
 
     python -m benchmarks.outsiders [--only birch] [--stages 101-120] [--tips 101-110]
 
-Every seed is a stage of its own; a minute of one core for each.
+Every seed is another stage and takes a minute of one core.
 """
 
 import argparse
@@ -10,85 +10,81 @@ import json
 from multiprocessing import get_context
 from pathlib import Path
 
-from benchmarks.outsiders.simulators import NAMES
-from benchmarks.outsiders.tasks import judged
-
-
-def _seeds(text: str) -> list[int]:
-    first, _, last = text.partition("-")
-    return list(range(int(first), int(last or first) + 1)) if text else []
+from benchmarks.outsiders.lateral import StageResult
+from benchmarks.outsiders.simulators import NAMES, seed_range
+from benchmarks.outsiders.tasks import evaluate
 
 
 def main() -> None:
-    """Judge, print a line for each, then the table."""
+    """Evaluate all seeds, print a line for each, then the totals."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", choices=NAMES)
     parser.add_argument("--stages", default="101-120")
     parser.add_argument("--tips", default="101-110")
     parser.add_argument("--out", type=Path, default=Path("build/outsiders/results.jsonl"))
     parser.add_argument("--processes", type=int, default=2)
-    asked = parser.parse_args()
-    names = [asked.only] if asked.only else list(NAMES)
-    tasks = [("stage", n, s) for n in names for s in _seeds(asked.stages)]
-    tasks += [("tip", n, s) for n in names for s in _seeds(asked.tips)]
-    asked.out.parent.mkdir(parents=True, exist_ok=True)
+    options = parser.parse_args()
+    names = [options.only] if options.only else list(NAMES)
+    tasks = [("stage", name, seed) for name in names for seed in seed_range(options.stages)]
+    tasks += [("tip", name, seed) for name in names for seed in seed_range(options.tips)]
+    options.out.parent.mkdir(parents=True, exist_ok=True)
     rows = []
-    with get_context("spawn").Pool(asked.processes) as pool, asked.out.open("w") as file:
-        for found in pool.imap(judged, tasks):
-            rows.append(found)
-            file.write(json.dumps(found) + "\n")
+    with get_context("spawn").Pool(options.processes) as pool, options.out.open("w") as file:
+        for row in pool.imap(evaluate, tasks):
+            rows.append(row)
+            file.write(json.dumps(row) + "\n")
             file.flush()
-            print(_line(found), flush=True)
+            print(_line(row), flush=True)
     for name in names:
-        print(_stages(name, [r for r in rows if r["kind"] == "stage" and r["simulator"] == name]))
-        print(_tips(name, [r for r in rows if r["kind"] == "tip" and r["simulator"] == name]))
+        simulator_rows = [row for row in rows if row["simulator"] == name]
+        print(_stage_totals(name, [row for row in simulator_rows if row["kind"] == "stage"]))
+        print(_tip_totals(name, [row for row in simulator_rows if row["kind"] == "tip"]))
 
 
-def _line(r: dict) -> str:
-    head = f"{r['simulator']} {r['kind']} {r['seed']}"
-    if not r["ships"]:
-        return f"{head}: does not ship: {r['reason'][:160]}"
-    if r["kind"] == "tip":
+def _line(row: dict) -> str:
+    head = f"{row['simulator']} {row['kind']} {row['seed']}"
+    if not row["ships"]:
+        return f"{head}: does not ship: {row['reason'][:160]}"
+    if row["kind"] == "tip":
         return (
-            f"{head}: closest {r['closest_m'] * 1e9:.2f} nm, least gap "
-            f"{r['least_gap_m'] * 1e9:.2f} nm, back {r['slowest_s']:.2f} s; latched: "
-            f"{', '.join(r['latched']) or 'none'}; not latched: {r['not_latched']}; {r['covered']}"
+            f"{head}: closest {row['closest_m'] * 1e9:.2f} nm, least gap "
+            f"{row['least_gap_m'] * 1e9:.2f} nm, recovery {row['slowest_s']:.2f} s; latched: "
+            f"{', '.join(row['latched']) or 'none'}; not latched: {row['not_latched']}; "
+            f"{row['covered']}"
         )
+    stage = StageResult(**{key: value for key, value in row.items() if key != "kind"})
     return (
-        f"{head}: {r['law']}, mode {r['mode_Hz']:.0f} Hz, Q {r['quality']:.0f}: "
-        f"{'stable' if r['stable'] else 'UNSTABLE'}, {r['bandwidth_Hz']:.0f} Hz, at 10 Hz "
-        f"{r['error_10_m'] * 1e9:.1f} nm of {r['none_10_m'] * 1e9:.0f} nm; bound "
-        f"{r['bound_broken']} of {r['bound_runs']} broken, worst {r['worst_to_bound']:.2f}"
+        f"{head}: {stage.law}, mode {stage.mode_Hz:.0f} Hz, Q {stage.quality:.0f}: "
+        f"{stage.loop_summary()}"
     )
 
 
-def _stages(name: str, rows: list[dict]) -> str:
-    ships = [r for r in rows if r["ships"]]
-    stable = [r for r in ships if r["stable"]]
-    tenth = [r for r in stable if r["error_10_m"] <= 0.1 * r["none_10_m"]]
-    runs, broken = (sum(r[key] for r in ships) for key in ("bound_runs", "bound_broken"))
-    worst = max((r["worst_to_bound"] for r in ships), default=0.0)
-    ratios = [x for r in ships for _, _, x in r["ratios"]]
-    inside = sum(0.5 <= x <= 2.0 for x in ratios)
+def _stage_totals(name: str, rows: list[dict]) -> str:
+    shipped = [row for row in rows if row["ships"]]
+    stable = [row for row in shipped if row["stable"]]
+    tenth = [row for row in stable if row["error_10_m"] <= 0.1 * row["none_10_m"]]
+    runs, broken = (sum(row[key] for row in shipped) for key in ("bound_runs", "bound_broken"))
+    worst = max((row["worst_to_bound"] for row in shipped), default=0.0)
+    ratios = [ratio for row in shipped for _, _, ratio in row["ratios"]]
+    close = sum(0.5 <= ratio <= 2.0 for ratio in ratios)
     return (
-        f"{name}: {len(rows)} stages, {len(ships)} ship, {len(stable)} stable, {len(tenth)} track "
-        f"10 Hz at a tenth of none or less; bound broken {broken} of {runs}, worst {worst:.2f}; "
-        f"truth over own figure in 0.5-2 for {inside} of {len(ratios)}"
+        f"{name}: {len(rows)} stages, {len(shipped)} ship, {len(stable)} stable, {len(tenth)} "
+        f"track 10 Hz at a tenth of none or less; bound broken {broken} of {runs}, worst "
+        f"{worst:.2f}; true error 0.5 to 2 times the predicted one in {close} of {len(ratios)}"
     )
 
 
-def _tips(name: str, rows: list[dict]) -> str:
-    ships = [r for r in rows if r["ships"]]
-    closest = max((r["closest_m"] for r in ships), default=0.0)
-    crashes = sum(len(r["crashes"]) for r in ships)
-    held = {}
+def _tip_totals(name: str, rows: list[dict]) -> str:
+    shipped = [row for row in rows if row["ships"]]
+    closest = max((row["closest_m"] for row in shipped), default=0.0)
+    crashes = sum(len(row["crashes"]) for row in shipped)
+    coverage = {}
     for key in ("sweeps", "loop", "delay"):
-        known = [r["covered"][key] for r in rows if r["covered"][key] is not None]
-        held[key] = (sum(known), len(known))
+        intervals = [row["covered"][key] for row in rows if row["covered"][key] is not None]
+        coverage[key] = f"{key} {sum(intervals)} of {len(intervals)}"
     return (
-        f"{name}: {len(rows)} tips, {len(ships)} ship, {crashes} crashes, closest "
-        f"{closest * 1e9:.2f} nm beyond; intervals that hold: "
-        + ", ".join(f"{key} {a} of {b}" for key, (a, b) in held.items())
+        f"{name}: {len(rows)} tips, {len(shipped)} ship, {crashes} crashes, closest "
+        f"{closest * 1e9:.2f} nm beyond; intervals that hold: {', '.join(coverage.values())}"
     )
 
 

@@ -1,39 +1,43 @@
-"""Stages of an outsider: recordings to a controller, then that controller on the stage."""
+"""Calibrate stages of a third-party simulator, then run the shipped controller on its plant."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from json import loads
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import perf_counter
 
 import numpy as np
 
-from benchmarks.outsiders.simulators import RATE_Hz, Simulator, simulator, track
+from benchmarks.outsiders.simulators import LoopRun, RATE_Hz, Simulator, load_simulator, track
 from piezoid.design.certificate import Certificate
 from piezoid.design.design import design_from_json
 from piezoid.export.parameter_file import AxisParameters, from_json
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Status
+from piezoid.verification.scenarios import Path as ScanPath
 from piezoid.verification.scenarios import constant_angular_velocity
 from piezoid.verification.tracking import Tracking
-from piezoid.verification.tracking import track as compared
+from piezoid.verification.tracking import track as track_error
 from piezoid_cli.calibration import calibrate
 
 Prepare = Callable[[Simulator, int, Path], None]
-COMPARED_Hz = (1.0, 5.0, 10.0, 20.0, 50.0)
+FREQUENCIES_Hz = (1.0, 5.0, 10.0, 20.0, 50.0)
 TURNS = 5.0
-RADIUS = 0.7
-LED_s = 0.4
-DIVERGED = 0.25  # of the diameter: what a loop that shipped may be off at most
-SWINGS = 0.01  # of the diameter, rms, at rest: a loop that swings within its limits
+RADIUS = 0.7  # of half the reference range
+APPROACH_s = 0.4
+DIVERGED = 0.25  # of the diameter: rms error above which a loop counts as unstable
+OSCILLATES = 0.01  # of the diameter: rms at a constant reference above which a loop is unstable
 BOUND_RUNS = 60
-SPEEDS = (1.0, 0.3, 0.1)  # of the certificate's fastest reference, in turn
+SPEEDS = (1.0, 0.3, 0.1)  # of the fastest reference of the certificate, in turn
 BOUND_s = 0.5
+# Status bits of a run outside the conditions of a bound.
+LIMITED = Status.VOLTAGE_LIMITED | Status.REFERENCE_LIMITED | Status.VOLTAGE_STEP
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageResult:
-    """What became of one stage; see the heads of the table in ``__main__``."""
+    """Result of one stage; the tables in ``__main__`` explain the quantities."""
 
     simulator: str
     seed: int
@@ -56,19 +60,26 @@ class StageResult:
     worst_to_bound: float = 0.0
     seconds: float = 0.0
 
+    def loop_summary(self, decimals: int = 0) -> str:
+        """Return stability, bandwidth, error at 10 Hz and broken bounds as text."""
+        return (
+            f"{'stable' if self.stable else 'UNSTABLE'}, {self.bandwidth_Hz:.{decimals}f} Hz, "
+            f"at 10 Hz {self.error_10_m * 1e9:.1f} nm of {self.none_10_m * 1e9:.0f} nm; bound "
+            f"{self.bound_broken} of {self.bound_runs} broken, worst {self.worst_to_bound:.2f}"
+        )
 
-def judge(
+
+def evaluate_stage(
     name: str, seed: int, folder: Path | None = None, prepare: Prepare | None = None
 ) -> StageResult:
-    """Record a stage, calibrate it, and drive what ships on the stage itself.
+    """Record and calibrate a stage, and run the shipped controller on it.
 
-    prepare  changes the folder of recordings before it is calibrated
+    folder   parent of the folder that keeps recordings and results
+    prepare  changes the folder of recordings before the calibration
     """
-    from time import perf_counter
-
-    made, begun = simulator(name), perf_counter()
-    truth = made.campaigns.stage_truth(seed, made.library)
-    known = {
+    simulator, start_s = load_simulator(name), perf_counter()
+    truth = simulator.campaigns.stage_truth(seed, simulator.library)
+    values = {
         "simulator": name,
         "seed": seed,
         "law": str(truth.get("law", "?")),
@@ -76,167 +87,156 @@ def judge(
         "quality": float(truth.get("mode_Q", truth.get("quality", np.nan))),
     }
     with TemporaryDirectory() as scratch:
-        place = Path(scratch) if folder is None else folder / f"{name}-{seed}"
-        recordings = place / "recordings"
+        stage_folder = Path(scratch) if folder is None else folder / f"{name}-{seed}"
+        recordings = stage_folder / "recordings"
         recordings.mkdir(parents=True, exist_ok=True)
-        made.campaigns.write_stage(seed, recordings, made.library)
+        simulator.campaigns.write_stage(seed, recordings, simulator.library)
         if prepare is not None:
-            prepare(made, seed, recordings)
+            prepare(simulator, seed, recordings)
         files = sorted(recordings.glob("*.csv"))
         try:
-            found = calibrate(files, recordings / "lab.toml", lambda _: None)
+            result = calibrate(files, recordings / "lab.toml", lambda _: None)
         except Exception as error:
             reason = f"{type(error).__name__}: {error}"
-            return StageResult(**known, applies=False, ships=False, reason=reason)
+            return StageResult(**values, applies=False, ships=False, reason=reason)
         if folder is not None:
-            for path, content in found.files.items():
-                (place / path).parent.mkdir(parents=True, exist_ok=True)
-                (place / path).write_bytes(content)
-    axis = next(iter(found.model.axes.values()))
-    seconds = perf_counter() - begun
-    if "params.json" not in found.files:
-        reason = axis.verdict.reason or found.controllers.reason or _failed(found)
-        return StageResult(
-            **known, applies=axis.verdict.applies, ships=False, reason=reason, seconds=seconds
-        )
-    shipped = from_json(found.files["params.json"], "params.json").axes[0]
-    design = design_from_json(found.files["design.json"]).axes[0].loops[0]
-    own = loads(found.files["verification.json"])["comparison"]
+            for path, content in result.files.items():
+                (stage_folder / path).parent.mkdir(parents=True, exist_ok=True)
+                (stage_folder / path).write_bytes(content)
+    axis = next(iter(result.model.axes.values()))
+    values |= {"applies": axis.verdict.applies, "seconds": perf_counter() - start_s}
+    if "params.json" not in result.files:
+        reason = axis.verdict.reason or result.controllers.reason or _failed_verdicts(result)
+        return StageResult(**values, ships=False, reason=reason)
+    shipped = from_json(result.files["params.json"], "params.json").axes[0]
+    loop = design_from_json(result.files["design.json"]).axes[0].loops[0]
+    comparison = loads(result.files["verification.json"])["comparison"]
     return StageResult(
-        **known,
-        applies=axis.verdict.applies,
+        **values,
         ships=True,
         reason="",
-        bandwidth_Hz=design.bandwidth_Hz,
-        seconds=seconds,
-        **_driven(made, seed, shipped, own),
-        **_bound(made, seed, shipped, design.certificate),
+        bandwidth_Hz=loop.bandwidth_Hz,
+        **_track_spirals(simulator, seed, shipped, comparison),
+        **_check_bound(simulator, seed, shipped, loop.certificate),
     )
 
 
-def _failed(found) -> str:
-    made = found.controllers
-    if made.verification is None:
+def _failed_verdicts(result) -> str:
+    verification = result.controllers.verification
+    if verification is None:
         return "no controller"
-    return "; ".join(f"{v.name}, {v.scenario}" for v in made.verification.verdicts if not v.passed)
+    return "; ".join(f"{v.name}, {v.scenario}" for v in verification.verdicts if not v.passed)
 
 
 def is_stable_on(name: str, seed: int, params: Path) -> bool:
     """Return whether a shipped controller follows spirals, and rests, on the simulated stage."""
     shipped = from_json(params.read_bytes(), params.name).axes[0]
-    return bool(_driven(simulator(name), seed, shipped, [])["stable"])
+    return bool(_track_spirals(load_simulator(name), seed, shipped, [])["stable"])
 
 
-def middle_of(shipped: AxisParameters) -> tuple[float, float]:
-    """Return the middle of the references and how far they go from it."""
+def reference_range(shipped: AxisParameters) -> tuple[float, float]:
+    """Return the centre of the references and half their range [m]."""
     low, high = (float(shipped.values[f"reference_{end}_m"]) for end in ("minimum", "maximum"))
     return 0.5 * (low + high), 0.5 * (high - low)
 
 
-def led_to(middle_m: float, rest_m: float) -> Array:
-    """Return the way from rest to the middle, slowly, and a while there."""
-    ticks = round(LED_s * RATE_Hz)
-    way = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, ticks))
-    return np.concatenate([rest_m + (middle_m - rest_m) * way, np.full(ticks // 2, middle_m)])
+def approach(target_m: float, rest_m: float) -> Array:
+    """Return a slow reference from rest to a target, followed by a pause."""
+    ticks = round(APPROACH_s * RATE_Hz)
+    ramp = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, ticks))
+    return np.concatenate([rest_m + (target_m - rest_m) * ramp, np.full(ticks // 2, target_m)])
 
 
-def _driven(made: Simulator, seed: int, shipped: AxisParameters, own: list) -> dict:
-    """Track spirals with every method, and compare with what verification said of itself."""
-    rows = {(row["method"], row["frequency_Hz"]): row["rms_m"] for row in own}
-    ratios, truth, worst = [], {}, 0.0
-    for f in COMPARED_Hz:
+def spiral_error(
+    run: LoopRun, path: ScanPath, *, frequency_Hz: float, radius_m: float, centre_m: float
+) -> Tracking:
+    """Compare the position with a spiral that follows an ``approach``."""
+    start = round(1.5 * APPROACH_s * RATE_Hz) - 1  # positions are those at the ends of ticks
+    return track_error(
+        {"x": radius_m * path.x},
+        {"x": run.position[start : start + len(path.x)] - centre_m},
+        path=path,
+        radius_m=radius_m,
+        frequency_Hz=frequency_Hz,
+        sampling_rate_Hz=RATE_Hz,
+    )
+
+
+def _track_spirals(
+    simulator: Simulator, seed: int, shipped: AxisParameters, comparison: list
+) -> dict:
+    """Track spirals with every method, and compare the errors with those of the verification."""
+    predicted = {(row["method"], row["frequency_Hz"]): row["rms_m"] for row in comparison}
+    ratios, rms_m, worst = [], {}, 0.0
+    centre_m, half_range_m = reference_range(shipped)
+    radius_m = RADIUS * half_range_m
+    for f in FREQUENCIES_Hz:
         path = constant_angular_velocity(RATE_Hz, frequency_Hz=f, turns=TURNS)
         for method in shipped.methods:
-            found, radius_m = _spiral(made, seed, shipped.for_method(method), path, f)
-            truth[method, f] = found
+            axis = shipped.for_method(method)
+            preview = int(axis.values["preview_samples"])
+            future = np.minimum(np.arange(len(path.x)) + preview, len(path.x) - 1)
+            reference_m = centre_m + radius_m * path.x[future]
+            run = track(
+                simulator,
+                seed,
+                7,
+                axis.values,
+                lambda rest_m, r=reference_m: np.concatenate([approach(centre_m, rest_m), r]),
+            )
+            rms_m[method, f] = spiral_error(
+                run, path, frequency_Hz=f, radius_m=radius_m, centre_m=centre_m
+            ).rms_m
             if method == shipped.method:
-                worst = max(worst, found.rms_m / (2.0 * radius_m))
-            if (method, f) in rows and rows[method, f] > 0.0:
-                ratios.append((method, f, found.rms_m / rows[method, f]))
+                worst = max(worst, rms_m[method, f] / (2.0 * radius_m))
+            if predicted.get((method, f), 0.0) > 0.0:
+                ratios.append((method, f, rms_m[method, f] / predicted[method, f]))
+    hold_m = np.full(round(BOUND_s * RATE_Hz), centre_m)
+    run = track(
+        simulator,
+        seed,
+        7,
+        shipped.values,
+        lambda rest_m: np.concatenate([approach(centre_m, rest_m), hold_m]),
+    )
+    oscillation = float(np.std(run.position[-round(0.5 * BOUND_s * RATE_Hz) :])) / (2.0 * radius_m)
     return {
-        "stable": bool(worst < DIVERGED and _swing(made, seed, shipped) < SWINGS),
+        "stable": bool(worst < DIVERGED and oscillation < OSCILLATES),
         "worst_percent": 100.0 * worst,
-        "error_10_m": truth[shipped.method, 10.0].rms_m,
-        "none_10_m": truth["none", 10.0].rms_m,
+        "error_10_m": rms_m[shipped.method, 10.0],
+        "none_10_m": rms_m["none", 10.0],
         "ratios": tuple(ratios),
     }
 
 
-def _spiral(
-    made: Simulator, seed: int, axis: AxisParameters, path, f: float
-) -> tuple[Tracking, float]:
-    ahead = int(axis.values["preview_samples"])
-    middle_m, reach_m = middle_of(axis)
-    radius_m = RADIUS * reach_m
-    led = round(1.5 * LED_s * RATE_Hz)
-
-    def wanted(rest_m: float) -> Array:
-        later = np.minimum(np.arange(len(path.x)) + ahead, len(path.x) - 1)
-        return np.concatenate([led_to(middle_m, rest_m), middle_m + radius_m * path.x[later]])
-
-    run = track(made, seed, 7, axis.values, None, wanted)
-    position = run.position[led - 1 : led - 1 + len(path.x)] - middle_m
-    found = compared(
-        {"x": radius_m * path.x},
-        {"x": position},
-        path=path,
-        radius_m=radius_m,
-        frequency_Hz=f,
-        sampling_rate_Hz=RATE_Hz,
-    )
-    return found, radius_m
-
-
-def _swing(made: Simulator, seed: int, shipped: AxisParameters) -> float:
-    """Return how much the position moves where it is to stand still, rms, of the diameter."""
-    middle_m, reach_m = middle_of(shipped)
-
-    def wanted(rest_m: float) -> Array:
-        still = np.full(round(BOUND_s * RATE_Hz), middle_m)
-        return np.concatenate([led_to(middle_m, rest_m), still])
-
-    run = track(made, seed, 7, shipped.values, None, wanted)
-    last = run.position[-round(0.5 * BOUND_s * RATE_Hz) :]
-    return float(np.std(last)) / (2.0 * RADIUS * reach_m)
-
-
-def _bound(
-    made: Simulator, seed: int, shipped: AxisParameters, certificate: Certificate | None
+def _check_bound(
+    simulator: Simulator, seed: int, shipped: AxisParameters, certificate: Certificate | None
 ) -> dict:
-    """Drive references within the certificate's conditions, and count broken bounds.
+    """Track references that satisfy the conditions of the certificate; count broken bounds.
 
-    Every second and third one is slower, and held against what is guaranteed at its speed.
+    Two of three references are slower. Their errors are compared with the guarantee at that speed.
     """
     if certificate is None or not certificate.is_guaranteed:
         return {}
     if not np.isfinite(certificate.guaranteed_error_m):
         return {}
     rng = np.random.default_rng([seed, 99])
-    ahead = int(shipped.values["preview_samples"])
     runs, broken, worst = 0, 0, 0.0
     for number in range(BOUND_RUNS):
-        kept: dict[str, Array] = {}
-        fastest = certificate.reference_slew_m_per_s * SPEEDS[number % len(SPEEDS)]
-        allowed_m = certificate.guaranteed_at(fastest) + certificate.noise_error_m
-        slew = 0.999 * fastest  # rounding is not faster
-
-        def wanted(rest_m: float, kept=kept, slew=slew) -> Array:
-            middle_m, reach_m = middle_of(shipped)
-            asked = middle_m + _within(rng, slew, 0.95 * reach_m)
-            led = led_to(middle_m, rest_m)
-            kept["wanted"] = _slewed(np.concatenate([led, asked]), slew, rest_m)
-            return kept["wanted"]
-
-        run = track(made, seed, 100 + number, shipped.values, None, wanted)
-        limited = Status.VOLTAGE_LIMITED | Status.REFERENCE_LIMITED | Status.VOLTAGE_STEP
-        limited |= Status.UNCERTIFIED
-        led = len(kept["wanted"]) - int(BOUND_s * RATE_Hz)  # a stage may rest outside its range
-        if np.any(run.status[led:] & np.uint32(limited)):
-            continue  # outside the conditions, and the runtime said so
-        position = np.concatenate([[run.rest], run.position[:-1]])
-        late = np.concatenate([np.full(ahead, run.rest), kept["wanted"]])[: len(position)]
-        error = float(np.abs(position - late)[led:].max()) / allowed_m
-        runs, broken, worst = runs + 1, broken + (error > 1.0), max(worst, error)
+        slew = certificate.reference_slew_m_per_s * SPEEDS[number % len(SPEEDS)]
+        error_m = largest_error_m(
+            simulator,
+            seed,
+            100 + number,
+            shipped,
+            slew_m_per_s=slew,
+            rng=rng,
+            excluded=LIMITED | Status.UNCERTIFIED,
+        )
+        if error_m is None:
+            continue
+        ratio = error_m / (certificate.guaranteed_at(slew) + certificate.noise_error_m)
+        runs, broken, worst = runs + 1, broken + (ratio > 1.0), max(worst, ratio)
     return {
         "guaranteed_m": certificate.guaranteed_error_m,
         "noise_m": certificate.noise_error_m,
@@ -246,33 +246,68 @@ def _bound(
     }
 
 
-def _within(rng: np.random.Generator, slew_m_per_s: float, reach_m: float) -> Array:
-    """Return a random reference about 0 that goes at most so far and so fast, (ticks,)."""
+def largest_error_m(
+    simulator: Simulator,
+    seed: int,
+    noise_seed: int,
+    shipped: AxisParameters,
+    *,
+    slew_m_per_s: float,
+    rng: np.random.Generator,
+    excluded: Status,
+) -> float | None:
+    """Return the largest error along a random reference, or None if its conditions are not met.
+
+    slew_m_per_s  fastest reference
+    excluded      status bits of a run outside the conditions
+    """
+    references: list[Array] = []
+    slew = 0.999 * slew_m_per_s  # rounding must not exceed the limit
+
+    def reference_from(rest_m: float) -> Array:
+        centre_m, half_range_m = reference_range(shipped)
+        reference_m = centre_m + _random_reference(rng, slew, 0.95 * half_range_m)
+        path = np.concatenate([approach(centre_m, rest_m), reference_m])
+        references.append(_slew_limited(path, slew, rest_m))
+        return references[0]
+
+    run = track(simulator, seed, noise_seed, shipped.values, reference_from)
+    start = len(references[0]) - int(BOUND_s * RATE_Hz)  # a stage may rest outside its range
+    if np.any(run.status[start:] & np.uint32(excluded)):
+        return None
+    preview = int(shipped.values["preview_samples"])
+    position = np.concatenate([[run.rest], run.position[:-1]])
+    delayed = np.concatenate([np.full(preview, run.rest), references[0]])[: len(position)]
+    return float(np.abs(position - delayed)[start:].max())
+
+
+def _random_reference(rng: np.random.Generator, slew_m_per_s: float, reach_m: float) -> Array:
+    """Return a random reference about 0 with limits of amplitude and speed, (ticks,)."""
     ticks = int(BOUND_s * RATE_Hz)
     t = np.arange(ticks) / RATE_Hz
-    far = reach_m * rng.uniform(0.1, 1.0)
-    kind = rng.integers(4)
-    if kind == 0:  # a sine as fast as it may be, or slower
-        f = rng.uniform(0.2, 1.0) * slew_m_per_s / (2.0 * np.pi * far)
-        return np.asarray(far * np.sin(2.0 * np.pi * f * t))
-    if kind == 1:  # a triangle
-        f = rng.uniform(0.2, 1.0) * slew_m_per_s / (4.0 * far)
-        return np.asarray(far * (2.0 / np.pi) * np.arcsin(np.sin(2.0 * np.pi * f * t)))
-    if kind == 2:  # steps, as ramps of the allowed speed
-        targets = np.repeat(rng.uniform(-far, far, 12), ticks // 12 + 1)[:ticks]
-    else:  # several sines at once
+    amplitude_m = reach_m * rng.uniform(0.1, 1.0)
+    shape = rng.integers(4)
+    if shape == 0:  # a sine up to the speed limit
+        f = rng.uniform(0.2, 1.0) * slew_m_per_s / (2.0 * np.pi * amplitude_m)
+        return np.asarray(amplitude_m * np.sin(2.0 * np.pi * f * t))
+    if shape == 1:  # a triangle
+        f = rng.uniform(0.2, 1.0) * slew_m_per_s / (4.0 * amplitude_m)
+        return np.asarray(amplitude_m * (2.0 / np.pi) * np.arcsin(np.sin(2.0 * np.pi * f * t)))
+    if shape == 2:  # steps, as ramps at the speed limit
+        levels = rng.uniform(-amplitude_m, amplitude_m, 12)
+        targets = np.repeat(levels, ticks // 12 + 1)[:ticks]
+    else:  # a sum of sines
         f = rng.uniform(0.5, 100.0, 5)
-        targets = (
-            far / 5.0 * np.sin(2.0 * np.pi * np.outer(t, f) + rng.uniform(0, 6, 5)).sum(axis=1)
-        )
-    return _slewed(targets, slew_m_per_s, 0.0)
+        phase = 2.0 * np.pi * np.outer(t, f) + rng.uniform(0, 6, 5)
+        targets = amplitude_m / 5.0 * np.sin(phase).sum(axis=1)
+    return _slew_limited(targets, slew_m_per_s, 0.0)
 
 
-def _slewed(targets: Array, slew_m_per_s: float, first: float | None = None) -> Array:
-    """Return a way that follows its targets as fast as it may."""
-    step, path = slew_m_per_s / RATE_Hz, np.empty(len(targets))
-    at = float(targets[0]) if first is None else first
-    for k, target in enumerate(targets.tolist()):
-        at += min(max(target - at, -step), step)
-        path[k] = at
-    return path
+def _slew_limited(targets: Array, slew_m_per_s: float, start_m: float) -> Array:
+    """Return a path that follows its targets with limited speed."""
+    step_m, path_m = slew_m_per_s / RATE_Hz, np.empty(len(targets))
+    position_m = start_m
+    for k, target_m in enumerate(targets.tolist()):
+        position_m += min(max(target_m - position_m, -step_m), step_m)
+        path_m[k] = position_m
+    return path_m

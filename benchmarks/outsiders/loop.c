@@ -1,4 +1,4 @@
-/* The shipped controller on an outsider's plant, tick by tick: nothing here knows either of them. */
+/* Closed loop of a controller and a simulated plant, tick by tick. */
 #include <stddef.h>
 #include <stdint.h>
 

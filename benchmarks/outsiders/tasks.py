@@ -1,12 +1,13 @@
-"""One stage or tip, judged in a process of its own."""
+"""Evaluation of one stage or tip, for worker processes."""
 
 from dataclasses import asdict
 
-from benchmarks.outsiders import lateral, tips
+from benchmarks.outsiders.lateral import evaluate_stage
+from benchmarks.outsiders.tips import evaluate_tip
 
 
-def judged(task: tuple[str, str, int]) -> dict:
-    """Judge one ``(stage or tip, simulator, seed)``."""
+def evaluate(task: tuple[str, str, int]) -> dict:
+    """Evaluate one ``(stage or tip, simulator, seed)``."""
     kind, name, seed = task
-    found = (lateral if kind == "stage" else tips).judge(name, seed)
-    return {"kind": kind, **asdict(found)}
+    result = evaluate_stage(name, seed) if kind == "stage" else evaluate_tip(name, seed)
+    return {"kind": kind, **asdict(result)}

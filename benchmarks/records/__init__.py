@@ -1,5 +1,5 @@
-"""Public records, identified here in one run with rivals, beside figures published elsewhere.
+"""Identification of public records, compared with other methods and with published figures.
 
-A module a record: NAME, FOLDER (inside the folder of all records), and ``report(folder)``, which
-returns the lines to print. The data stay where they are.
+Each record is a package with NAME, FOLDER (inside the folder of all records), and
+``report(folder)``, which yields the lines to print. The data are not part of the repository.
 """

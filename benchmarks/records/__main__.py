@@ -1,8 +1,8 @@
-"""Identify public records and print the result beside what others have published.
+"""Identify public records and print the results beside published figures.
 
     python -m benchmarks.records [--data FOLDER] [NAME ...]
 
-FOLDER holds a folder for each record; a record whose folder is absent is named and passed over.
+FOLDER contains a folder for each record. The program names the absent ones and skips them.
 """
 
 import argparse
@@ -16,19 +16,19 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "realdata"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table of every record that is there."""
+    """Print the table of every record that exists."""
     names = [record.NAME for record in RECORDS]
     parser = argparse.ArgumentParser(prog="python -m benchmarks.records", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(names))
     parser.add_argument("--data", type=Path, default=DATA, metavar="FOLDER")
-    given = parser.parse_args(arguments)
-    unknown = sorted(set(given.names) - set(names))
+    options = parser.parse_args(arguments)
+    unknown = sorted(set(options.names) - set(names))
     if unknown:
         parser.error(f"no record {', '.join(unknown)}; there are {', '.join(names)}")
     for record in RECORDS:
-        if given.names and record.NAME not in given.names:
+        if options.names and record.NAME not in options.names:
             continue
-        folder = given.data / record.FOLDER
+        folder = options.data / record.FOLDER
         if not folder.is_dir():
             print(f"{record.NAME}: skipped, {folder} is absent. Name its parent with --data.")
             continue

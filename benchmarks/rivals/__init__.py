@@ -1,1 +1,1 @@
-"""Rivals of the hysteresis model, measured in one run."""
+"""Comparison of the hysteresis model with other classes."""

@@ -1,37 +1,41 @@
-"""Rivals of the hysteresis model in one run: error on other drives, inverse error, instructions.
+"""Compare hysteresis models: prediction error, error of the inverse, instructions.
 
     python -m benchmarks.rivals [--draws 2] [--stages 700-708]
 
-Every class is fitted to one decaying sweep with 0.05 % of noise: of ceramics of every law of the
-zoo, and of stages of outsiders, recorded through their amplifiers, modes and sensors at a cycle a
-second. Then it predicts a walk between random levels, and its inverse drives the ceramic or stage
-open-loop along a spiral of five turns over 0.7 of the range. Errors are those of the position
-without the sensor's noise, rms, of the stroke; a constant is taken away. Instructions are those of
-the inverse on an emulated Cortex-M4F in float, of plays in the runtime that ships.
+Every class is fitted to one decaying sweep with 0.05 % of noise. The data are from ceramics of all
+laws of the zoo, and from stages of third-party simulators with amplifier, mode and sensor at one
+cycle per second. The model predicts a walk between random levels, and its inverse drives the
+ceramic or stage open-loop along a spiral of five turns over 0.7 of the range. Errors are standard
+deviations of the position without sensor noise, in percent of the stroke. Instructions are those
+of the inverse on an emulated Cortex-M4F in float; plays run in the shipped runtime.
 """
 
 import argparse
-import ctypes
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
-from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from benchmarks.outsiders.simulators import NAMES, drive, simulator
+from benchmarks.outsiders.simulators import (
+    NAMES,
+    PythonController,
+    drive,
+    load_simulator,
+    seed_range,
+)
+from benchmarks.recordings import polyline
 from benchmarks.rivals.classes import (
-    CLASSES,
     CYCLE,
-    HERE,
+    FITS,
+    FOLDER,
     NODES,
     BoucWen,
     Functions,
     Model,
     Plays,
     Preisach,
-    fitted,
 )
 from piezoid.export.export_stage import function_values
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
@@ -50,117 +54,99 @@ from piezoid.verification.rebuild import (
 from piezoid_datasets.virtual_lab.truths import ZOO
 
 NOISE, REACH, TURNS, SPIRAL = 5e-4, 0.7, 5, 4000
-TICKS = 50  # of an outsider's loop for each sample: 400 a cycle of one second
-SHARE = 0.9  # of an outsider's range
+TICKS = 50  # of the loop of a simulator per sample: 400 samples per cycle of one second
+RANGE = 0.9  # of the drive range of a simulator
 Respond = Callable[[Array], tuple[Array, Array]]  # field from -1: position and reading
 
 
-def through(levels: Array) -> Array:
-    """Return straight runs between levels, 100 samples a unit of field."""
-    runs = [np.linspace(a, b, int(100 * abs(b - a)) + 3)[1:] for a, b in pairwise(levels)]
-    return np.concatenate([levels[:1], *runs])
+def spiral(model: Model, samples: int) -> tuple[float, float, Array]:
+    """Return start, centre and samples of a spiral over 0.7 of the range of a model."""
+    rising = model.forward(np.linspace(-1.0, 1.0, 400))
+    centre, half_range = 0.5 * (rising[0] + rising[-1]), 0.5 * (rising[-1] - rising[0])
+    turn = np.linspace(0.0, 1.0, samples)
+    path = centre + REACH * half_range * turn * np.sin(2.0 * np.pi * TURNS * turn)
+    return rising[0], centre, path
 
 
 def ceramic(law: int, seed: int) -> Respond:
     """Return a ceramic of the zoo."""
-    made = ZOO[law].draw(np.random.default_rng([seed, law]))
+    material = ZOO[law].draw(np.random.default_rng([seed, law]))
     rng = np.random.default_rng([seed, law, 1])
 
     def respond(field: Array) -> tuple[Array, Array]:
         path = np.concatenate([np.tile(CYCLE, 2), field])
-        moved = np.add(*made.respond(path, np.zeros(0)))[-len(field) :]
-        return moved, moved + NOISE * rng.standard_normal(len(field))
+        position = np.add(*material.respond(path, np.zeros(0)))[-len(field) :]
+        return position, position + NOISE * rng.standard_normal(len(field))
 
     return respond
 
 
-_STEP = ctypes.CFUNCTYPE(
-    ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_double
-)
-
-
-class _Played:
-    """What puts out its reference, where a controller would be."""
-
-    def __init__(self) -> None:
-        self._step = _STEP(lambda _state, _parameters, wanted, _measured: wanted)
-        self._status = (ctypes.c_uint32 * 2)()
-
-    @property
-    def addresses(self) -> tuple[int | None, int, int]:
-        """Of the step, and of a state without anything."""
-        status = ctypes.addressof(self._status)
-        return ctypes.cast(self._step, ctypes.c_void_p).value, status, status
-
-
-def outsider(name: str, seed: int) -> tuple[str, Respond]:
-    """Return the law of an outsider's stage, and the stage at a cycle a second."""
-    made = simulator(name)
-    truth = made.campaigns.stage_truth(seed, made.library)
-    ends = [truth[f"output_{e}_V"] / truth["amplifier_gain"] for e in ("min", "max")]
-    low_V, high_V = max(ends[0], -10.0), min(ends[1], 10.0)
-    middle_V, half_V = 0.5 * (low_V + high_V), 0.5 * SHARE * (high_V - low_V)
+def simulated_stage(name: str, seed: int) -> tuple[str, Respond]:
+    """Return the law of a third-party stage, and the stage at one cycle per second."""
+    simulator = load_simulator(name)
+    truth = simulator.campaigns.stage_truth(seed, simulator.library)
+    limits_V = [truth[f"output_{end}_V"] / truth["amplifier_gain"] for end in ("min", "max")]
+    low_V, high_V = max(limits_V[0], -10.0), min(limits_V[1], 10.0)
+    centre_V, half_V = 0.5 * (low_V + high_V), 0.5 * RANGE * (high_V - low_V)
     stroke_m = float(truth["stroke_m"])
 
     def respond(field: Array) -> tuple[Array, Array]:
-        plant = made.library.stage_open(seed, 7)
-        volts, rest = ctypes.c_double(), ctypes.c_double()
-        made.library.stage_rest(plant, ctypes.byref(volts), ctypes.byref(rest))
-        begin = np.linspace((volts.value - middle_V) / half_V, -1.0, 100)
-        path = np.concatenate([begin, np.tile(CYCLE, 2), field])
+        plant, rest_V, rest_m = simulator.open_stage(seed, 7)
+        approach = np.linspace((rest_V - centre_V) / half_V, -1.0, 100)
+        path = np.concatenate([approach, np.tile(CYCLE, 2), field])
         ticks = np.interp(np.arange(len(path) * TICKS) / TICKS, np.arange(len(path)), path)
-        run = drive(
-            _Played(),  # type: ignore[arg-type]
-            made.library.stage_step,
-            plant,
-            middle_V + half_V * ticks,
-            rest.value,
-        )
-        made.library.stage_close(plant)
-        at = np.arange(len(path) - len(field), len(path)) * TICKS
+        open_loop = PythonController(lambda reference, _: reference)
+        step = simulator.library.stage_step
+        run = drive(open_loop, step, plant, centre_V + half_V * ticks, rest_m)
+        simulator.library.stage_close(plant)
+        rows = np.arange(len(path) - len(field), len(path)) * TICKS
         sign = float(np.sign(np.polyfit(ticks, run.position, 1)[0]))
-        return sign * run.position[at] / stroke_m, sign * run.measured[at] / stroke_m
+        return sign * run.position[rows] / stroke_m, sign * run.measured[rows] / stroke_m
 
     return str(truth.get("law", "?")), respond
 
 
-def measured(
+def errors_of(
     respond: Respond, seed: int, classes: Sequence[str]
-) -> Iterator[tuple[str, Model, float, float, float]]:
-    """Yield class, model, and its errors: of the fit, on other drives, of the inverse, in %."""
+) -> Iterator[tuple[str, Model, tuple[float, float, float]]]:
+    """Yield class, model, and its errors in %: of the fit, on other drives, of the inverse."""
     rng = np.random.default_rng(seed)
-    sweep = through(np.concatenate([[-1.0], np.linspace(1.0, 0.05, 31) * (-1.0) ** np.arange(31)]))
-    walk = through(np.concatenate([[-1.0, 1.0, -1.0], rng.uniform(-1.0, 1.0, 30)]))
-    _, seen = respond(sweep)
-    moved, _ = respond(walk)
-    stroke = float(np.ptp(seen))
-    turn = np.linspace(0.0, 1.0, SPIRAL)
+    levels = np.linspace(1.0, 0.05, 31) * (-1.0) ** np.arange(31)
+    sweep = polyline(np.concatenate([[-1.0], levels]), 100)
+    walk = polyline(np.concatenate([[-1.0, 1.0, -1.0], rng.uniform(-1.0, 1.0, 30)]), 100)
+    _, reading = respond(sweep)
+    position, _ = respond(walk)
+    stroke = float(np.ptp(reading))
     for name in classes:
-        model = fitted(name, sweep, seen)
-        up = model.forward(np.linspace(-1.0, 1.0, 400))
-        middle, half = 0.5 * (up[0] + up[-1]), 0.5 * (up[-1] - up[0])
-        spiral = middle + REACH * half * turn * np.sin(2.0 * np.pi * TURNS * turn)
-        led = np.concatenate([np.linspace(up[0], middle, 200), spiral])
-        reached, _ = respond(model.inverse(led))
-        left = (model.forward(sweep) - seen, model.forward(walk) - moved, (reached - led)[200:])
-        yield name, model, *(100.0 * float(np.std(e)) / stroke for e in left)
+        model = FITS[name](sweep, reading)
+        start, centre, path = spiral(model, SPIRAL)
+        reference = np.concatenate([np.linspace(start, centre, 200), path])
+        response, _ = respond(model.inverse(reference))
+        fit, prediction, inverse = (
+            100.0 * float(np.std(error)) / stroke
+            for error in (
+                model.forward(sweep) - reading,
+                model.forward(walk) - position,
+                (response - reference)[200:],
+            )
+        )
+        yield name, model, (fit, prediction, inverse)
 
 
 def instructions(models: dict[str, Model]) -> dict[str, float]:
-    """Return instructions a sample of every inverse, as far as the tools are here."""
-    found = {}
+    """Return instructions per sample of every inverse; NaN without the tools."""
+    counts = {}
     for name, model in models.items():
         if isinstance(model, Plays | Functions):
             proof = emulate(ParameterFile(name="rival", axes=(_axis(model),)))
-            found[name] = float((proof.instructions_per_sample or {"x": np.nan})["x"])
+            counts[name] = float((proof.instructions_per_sample or {"x": np.nan})["x"])
     table, state = models.get("Preisach"), models.get("Bouc-Wen")
-    if not isinstance(table, Preisach) or not isinstance(state, BoucWen):
-        return found
-    try:
-        counts = _on_the_board(table, state)
-    except (OSError, subprocess.CalledProcessError):
-        counts = (np.nan, np.nan)
-    return found | {"Preisach": counts[0], "Bouc-Wen": counts[1]}
+    if isinstance(table, Preisach) and isinstance(state, BoucWen):
+        try:
+            counts["Preisach"], counts["Bouc-Wen"] = _emulated_instructions(table, state)
+        except (OSError, subprocess.CalledProcessError):
+            counts["Preisach"] = counts["Bouc-Wen"] = np.nan
+    return counts
 
 
 def _axis(model: Plays | Functions) -> AxisParameters:
@@ -195,66 +181,60 @@ def _axis(model: Plays | Functions) -> AxisParameters:
     return AxisParameters(axis="x", values=values)  # type: ignore[arg-type]
 
 
-def _on_the_board(table: Preisach, state: BoucWen) -> tuple[float, float]:
-    up = table.forward(np.linspace(-1.0, 1.0, 400))
-    middle, half = 0.5 * (up[0] + up[-1]), 0.5 * (up[-1] - up[0])
-    turn = np.linspace(0.0, 1.0, 1000)
-    wanted = middle + REACH * half * turn * np.sin(2.0 * np.pi * TURNS * turn)
+def _emulated_instructions(table: Preisach, state: BoucWen) -> tuple[float, float]:
+    _, _, path = spiral(table, 1000)
     rows = ",".join("{" + ",".join(f"{v:.9e}f" for v in row) + "}" for row in table.table)
     lines = (
         f"static const preisach table = {{{{{rows}}}, -1.0f, {2.0 / (NODES - 1):.9e}f}};",
-        f"static const real start = {table.begun:.9e}f;",
+        f"static const real start = {table.start:.9e}f;",
         f"static const bouc_wen state = {{{','.join(f'{v:.9e}f' for v in state.numbers)}}};",
-        f"static const real wanted[] = {{{','.join(f'{v:.9e}f' for v in wanted)}}};",
+        f"static const real path[] = {{{','.join(f'{v:.9e}f' for v in path)}}};",
     )
     with TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "numbers.h").write_text("\n".join(lines))
-        (folder / "inverses.c").write_bytes((HERE / "inverses.c").read_bytes())
-        for own in ("board.c", "board.ld"):
-            (folder / own).write_bytes(target_source(own))
-        made = ("inverses.c", "board.c", "-T", "board.ld", "-lm", "-o", "replay.elf")
+        (folder / "inverses.c").write_bytes((FOLDER / "inverses.c").read_bytes())
+        for source in ("board.c", "board.ld"):
+            (folder / source).write_bytes(target_source(source))
+        files = ("inverses.c", "board.c", "-T", "board.ld", "-lm", "-o", "replay.elf")
         flags = (*_FLAGS, *_TARGET_FLAGS, "-DBOARD", "-DSINGLE")
-        subprocess.run((_TARGET, *flags, *made), cwd=folder, check=True, capture_output=True)
-        said = subprocess.run(
+        subprocess.run((_TARGET, *flags, *files), cwd=folder, check=True, capture_output=True)
+        output = subprocess.run(
             (_EMULATOR, *_EMULATED), cwd=folder, check=True, capture_output=True, text=True
         ).stdout
-    counts = [int(count) / len(wanted) for count in said.split()]
+    counts = [int(count) / len(path) for count in output.split()]
     return counts[0], counts[1]
 
 
 def main() -> None:
     """Print every ceramic and stage, then the table."""
-    asked = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    asked.add_argument("--draws", type=int, default=2, help="ceramics of each law of the zoo")
-    asked.add_argument("--first", type=int, default=0, help="seed of the first of them")
-    asked.add_argument("--classes", default="; ".join(CLASSES), help="names of classes")
-    asked.add_argument("--stages", default="700-708", help="seeds of each outsider; empty: none")
-    given = asked.parse_args()
-    classes = given.classes.split("; ")
-    truths = [
-        ("zoo", f"{law.name} {seed}", ceramic(place, seed), seed)
-        for place, law in enumerate(ZOO)
-        for seed in range(given.first, given.first + given.draws)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--draws", type=int, default=2, help="ceramics of each law of the zoo")
+    parser.add_argument("--first", type=int, default=0, help="first seed of the ceramics")
+    parser.add_argument("--classes", default="; ".join(FITS), help="names of classes")
+    parser.add_argument("--stages", default="700-708", help="seeds of each simulator, or empty")
+    options = parser.parse_args()
+    classes = options.classes.split("; ")
+    cases = [
+        ("zoo", law.name, f"{law.name} {seed}", ceramic(index, seed), seed)
+        for index, law in enumerate(ZOO)
+        for seed in range(options.first, options.first + options.draws)
     ]
-    if given.stages:
-        first, _, last = given.stages.partition("-")
-        for seed in range(int(first), int(last or first) + 1):
-            for name in NAMES:
-                law, respond = outsider(name, seed)
-                truths.append(("outsiders", f"{name} {seed}, {law}", respond, seed))
+    for seed in seed_range(options.stages):
+        for name in NAMES:
+            law, respond = simulated_stage(name, seed)
+            cases.append(("outsiders", law, f"{name} {seed}, {law}", respond, seed))
     errors: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
     by_law: dict[str, dict[str, list[float]]] = {}
     models: dict[str, Model] = {}
-    for kind, told, respond, seed in truths:
-        shown = []
-        for name, model, *left in measured(respond, seed, classes):
+    for kind, law, title, respond, seed in cases:
+        cells = []
+        for name, model, class_errors in errors_of(respond, seed, classes):
             models[name] = model
-            errors.setdefault((kind, name), []).append((left[0], left[1], left[2]))
-            law = told.rpartition(" ")[0] if kind == "zoo" else told.partition(", ")[2]
-            by_law.setdefault(f"{kind}: {law}", {}).setdefault(name, []).append(left[2])
-            shown.append(f"{name} {left[0]:.3f} {left[1]:.3f} {left[2]:.3f}")
-        print(f"{kind} {told}: " + "; ".join(shown), flush=True)
+            errors.setdefault((kind, name), []).append(class_errors)
+            by_law.setdefault(f"{kind}: {law}", {}).setdefault(name, []).append(class_errors[2])
+            cells.append(f"{name} " + " ".join(f"{error:.3f}" for error in class_errors))
+        print(f"{kind} {title}: " + "; ".join(cells), flush=True)
     counts = instructions(models)
     print("fit, other drives and inverse, median (worst), % of the stroke")
     for kind in dict.fromkeys(kind for kind, _ in errors):
@@ -262,16 +242,17 @@ def main() -> None:
         print("| class | parameters | fit | other drives | inverse | instructions |")
         print("| --- | --- | --- | --- | --- | --- |")
         for name in classes:
-            each = np.array(errors[kind, name])
-            cells = (f"{np.median(c):.3f} ({c.max():.2f})" for c in each.T)
+            columns = np.array(errors[kind, name]).T
+            cells = (f"{np.median(column):.3f} ({column.max():.2f})" for column in columns)
             print(
                 f"| {name} | {models[name].parameters} | {' | '.join(cells)} | "
                 f"{counts[name]:.0f} |"
             )
     print("\n| inverse, by law | " + " | ".join(classes) + " |")
     print("| --- |" + " --- |" * len(classes))
-    for law, each in by_law.items():
-        print(f"| {law} | " + " | ".join(f"{np.median(each[n]):.3f}" for n in classes) + " |")
+    for law, inverse_errors in by_law.items():
+        medians = (f"{np.median(inverse_errors[name]):.3f}" for name in classes)
+        print(f"| {law} | " + " | ".join(medians) + " |")
 
 
 if __name__ == "__main__":

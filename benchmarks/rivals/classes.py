@@ -1,26 +1,27 @@
-"""Hysteresis classes and their inverses: fitted to one sweep, asked for other drives.
+"""Hysteresis classes and their inverses, fitted to one sweep.
 
     class                inverse
     Prandtl-Ishlinskii   closed form                            [Krejci & Kuhnen 2001]
     modified PI          closed form, dead zones behind plays   [Kuhnen 2003]
     generalised PI       closed form, envelope in front         [Al Janaideh, Rakheja & Su 2011]
-    plays, functions     from bend to bend, as it ships         [Krejci 1996]
+    plays, functions     from bend to bend, as shipped          [Krejci 1996]
     Preisach             by table, along the branch             [Mayergoyz 1991]
-    Bouc-Wen             multiplicative, nothing is inverted    [Rakotondrabe 2011]
+    Bouc-Wen             multiplicative, without an inversion   [Rakotondrabe 2011]
 
-All fields are parts of the range, -1 to 1; every drive begins at -1, after a full cycle.
+A field is the drive scaled to -1 to 1. Every drive starts at -1, after a full cycle.
 """
 
 import ctypes
 import subprocess
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
+from benchmarks.recordings import recording_of
 from piezoid.identification.hysteresis.coordinates import Shape, to_si_units
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
@@ -29,13 +30,12 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
 from piezoid.operators.preisach_plays import PreisachPlays
-from piezoid.records.frames import from_arrays
 
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 BUILD = Path("build/rivals")
 CYCLE = np.concatenate([np.linspace(-1.0, 1.0, 200), np.linspace(1.0, -1.0, 200)])
 NODES, DEEPEST = 21, 64  # of the table, as in inverses.c
-LEAST_SLOPE = 0.2  # of the mean one, of a branch right behind a turn: ours have 0.25 at least
+MIN_SLOPE = 0.2  # of the mean slope, right after a turning point; plays have 0.25 or more
 PLAY_SHAPES = {
     "PI": Shape(plays=16, below=0, above=0, lag="none"),
     "MPI": Shape(plays=16, below=6, above=6, lag="none"),
@@ -45,15 +45,15 @@ PLAY_SHAPES = {
 
 
 class Model(Protocol):
-    """A fitted class."""
+    """A fitted hysteresis model."""
 
     parameters: int
 
     def forward(self, field: Array) -> Array:
         """Return the displacement along a drive from -1, (samples,)."""
 
-    def inverse(self, wanted: Array) -> Array:
-        """Return the fields from -1 that make these displacements, (samples,)."""
+    def inverse(self, displacement: Array) -> Array:
+        """Return the fields from -1 that produce these displacements, (samples,)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,27 +73,27 @@ class Plays:
         """Return the displacement along a drive from -1."""
         return self.operator.run(field, self.memory)[0]
 
-    def inverse(self, wanted: Array) -> Array:
-        """Return the fields from -1 that make these displacements."""
+    def inverse(self, displacement: Array) -> Array:
+        """Return the fields from -1 that produce these displacements."""
         operator, memory, fields = self.operator, self.memory, []
-        for sample in range(len(wanted)):
-            field, _ = operator.inverse_run(wanted[sample : sample + 1], memory)
+        for sample in range(len(displacement)):
+            field, _ = operator.inverse_run(displacement[sample : sample + 1], memory)
             field = np.clip(field, -1.0, 1.0)
-            _, memory = operator.run(field, memory)  # of what is applied, not of what was computed
+            _, memory = operator.run(field, memory)  # the memory follows the limited field
             fields.append(field)
         return np.concatenate(fields)
 
 
-def play_model(name: str, field: Array, moved: Array) -> Plays:
-    """Fit a class of plays with the search that fits ours."""
-    recording = from_arrays(
-        voltage_V=field, displacement_m=moved, sampling_rate_Hz=400.0, axis="x"
-    )
+def play_model(name: str, field: Array, displacement: Array) -> Plays:
+    """Fit a class of plays with the search of piezoid."""
+    recording = recording_of(field, displacement, 400.0)
     scales = scales_of([recording], "x")
     pieces = pieces_of([recording], "x", scales, Rig())
     settings = Settings(longest_lag_s=0.02, follow_zero=False, iterations=40)
-    found = search(pieces, PLAY_SHAPES[name], settings)
-    return Plays(operator=to_si_units(found.operator, scales), parameters=found.shape.parameters)
+    optimum = search(pieces, PLAY_SHAPES[name], settings)
+    return Plays(
+        operator=to_si_units(optimum.operator, scales), parameters=optimum.shape.parameters
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,22 +112,22 @@ class Functions:
         """Return the displacement along a drive from -1."""
         return self.operator.run(field, self.memory)[0]
 
-    def inverse(self, wanted: Array) -> Array:
-        """Return the fields from -1 that make these displacements."""
-        return np.clip(self.operator.inverse_run(wanted, self.memory)[0], -1.0, 1.0)
+    def inverse(self, displacement: Array) -> Array:
+        """Return the fields from -1 that produce these displacements."""
+        return np.clip(self.operator.inverse_run(displacement, self.memory)[0], -1.0, 1.0)
 
 
-def function_model(field: Array, moved: Array) -> Functions:
-    """Fit the largest shape of plays behind functions as it is fitted to a stage."""
+def function_model(field: Array, displacement: Array) -> Functions:
+    """Fit the largest shape of plays behind functions, as the fit of a stage does."""
     lattice = lattice_of((-1.0, 1.0), SHAPES[-1])
     zero = lattice.virgin_memory()
     _, memory = play_columns(np.tile(CYCLE, 2), lattice.threshold_V, zero)
     states, _ = play_columns(field, lattice.threshold_V, memory)
     columns = np.stack(list(rise_columns(lattice, states)), axis=1)
-    rows = np.column_stack([columns, moved])
+    rows = np.column_stack([columns, displacement])
     rows -= rows.mean(axis=0)
-    rises = fit_rises(rows.T @ rows, len(rows), lattice, float(np.ptp(moved)))
-    offset = float(np.mean(moved - columns @ rises))
+    rises = fit_rises(rows.T @ rows, len(rows), lattice, float(np.ptp(displacement)))
+    offset = float(np.mean(displacement - columns @ rises))
     operator = replace(lattice, displacement_offset_m=offset)
     operator = operator.with_rises(rises.reshape(lattice.rise_m.shape))
     return Functions(operator=operator, parameters=len(rises) + 1)
@@ -135,12 +135,12 @@ def function_model(field: Array, moved: Array) -> Functions:
 
 @cache
 def library() -> ctypes.CDLL:
-    """Compile the inverses that are no play sums."""
+    """Compile the models without plays."""
     BUILD.mkdir(parents=True, exist_ok=True)
-    made = (BUILD / "inverses.so").absolute()
+    path = (BUILD / "inverses.so").absolute()
     command = ("cc", "-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC")
-    subprocess.run((*command, str(HERE / "inverses.c"), "-o", str(made), "-lm"), check=True)
-    code = ctypes.CDLL(str(made))
+    subprocess.run((*command, str(FOLDER / "inverses.c"), "-o", str(path), "-lm"), check=True)
+    code = ctypes.CDLL(str(path))
     for name in ("preisach_forward", "preisach_inverse", "bouc_wen_forward", "bouc_wen_inverse"):
         getattr(code, name).restype = ctypes.c_double
         getattr(code, name).argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double)
@@ -169,30 +169,30 @@ class _TableState(ctypes.Structure):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Preisach:
-    """A table of what rises add, and the displacement at -1."""
+    """Increments of rising branches in a table, and the displacement at -1."""
 
     table: Array
-    begun: float
+    start: float
     parameters: int
 
     def _run(self, name: str, values: Array) -> Array:
         table = _Table(low=-1.0, step=2.0 / (NODES - 1))
         np.ctypeslib.as_array(table.table)[...] = self.table
         state, step = _TableState(), getattr(library(), name)
-        places = ctypes.addressof(state), ctypes.addressof(table)
-        library().preisach_start(*places, self.begun)
-        return np.array([step(*places, value) for value in values.tolist()])
+        addresses = ctypes.addressof(state), ctypes.addressof(table)
+        library().preisach_start(*addresses, self.start)
+        return np.array([step(*addresses, value) for value in values.tolist()])
 
     def forward(self, field: Array) -> Array:
         """Return the displacement along a drive from -1."""
         return self._run("preisach_forward", np.clip(field, -1.0, 1.0))
 
-    def inverse(self, wanted: Array) -> Array:
-        """Return the fields from -1 that make these displacements."""
-        return self._run("preisach_inverse", wanted)
+    def inverse(self, displacement: Array) -> Array:
+        """Return the fields from -1 that produce these displacements."""
+        return self._run("preisach_inverse", displacement)
 
 
-def preisach_model(field: Array, moved: Array) -> Preisach:
+def preisach_model(field: Array, displacement: Array) -> Preisach:
     """Fit a non-negative density on a triangle of 20 by 20 cells.
 
     y = y_0 + sum over the branches of +- T; every cell of the density is one column of T.
@@ -203,34 +203,34 @@ def preisach_model(field: Array, moved: Array) -> Preisach:
     upper, lower = np.tril_indices(NODES - 1)  # cells (a, b) with a >= b
     diagonal = upper == lower
 
-    def added(high: float, low: float) -> Array:
+    def increments(high: float, low: float) -> Array:
         rises = np.clip((high - edges[upper]) / step, 0.0, 1.0)
         falls = np.clip((edges[lower + 1] - low) / step, 0.0, 1.0)
         return np.where(diagonal, np.maximum(rises + falls - 1.0, 0.0), rises * falls)
 
     turn, at, rises = [float(field[0])], [np.zeros(len(upper))], True
-    columns, here = np.zeros((len(field), len(upper))), float(field[0])
-    for k, to in enumerate(field.tolist()):
-        if to != here:
-            if (to > here) != rises:
-                turn, at, rises = [*turn, here], [*at, columns[k - 1]], to > here
-            while len(turn) > 1 and (to >= turn[-2] if rises else to <= turn[-2]):
-                keep = max(len(turn) - 2, 1)
-                turn, at = turn[:keep], at[:keep]
-            here = to
+    columns, previous = np.zeros((len(field), len(upper))), float(field[0])
+    for k, value in enumerate(field.tolist()):
+        if value != previous:
+            if (value > previous) != rises:
+                turn, at, rises = [*turn, previous], [*at, columns[k - 1]], value > previous
+            while len(turn) > 1 and (value >= turn[-2] if rises else value <= turn[-2]):
+                count = max(len(turn) - 2, 1)
+                turn, at = turn[:count], at[:count]
+            previous = value
         sign = 1.0 if rises else -1.0
-        columns[k] = at[-1] + sign * added(max(to, turn[-1]), min(to, turn[-1]))
-    least = LEAST_SLOPE * step * float(np.ptp(moved)) / 2.0 * diagonal
-    zero = np.ones((len(field), 1))
-    rest = moved - columns @ least - moved.min()
-    found, _ = nnls(np.hstack([columns, zero, -zero]), rest)
-    weight = found[:-2] + least
+        columns[k] = at[-1] + sign * increments(max(value, turn[-1]), min(value, turn[-1]))
+    min_weight = MIN_SLOPE * step * float(np.ptp(displacement)) / 2.0 * diagonal
+    constant = np.ones((len(field), 1))
+    remainder = displacement - columns @ min_weight - displacement.min()
+    solution, _ = nnls(np.hstack([columns, constant, -constant]), remainder)
+    weight = solution[:-2] + min_weight
     table = np.zeros((NODES, NODES))
     for a in range(NODES):
         for b in range(a):
             table[a, b] = weight[(upper < a) & (lower >= b)].sum()
-    begun = float(moved.min() + found[-2] - found[-1])
-    return Preisach(table=table, begun=begun, parameters=len(upper) + 1)
+    start = float(displacement.min() + solution[-2] - solution[-1])
+    return Preisach(table=table, start=start, parameters=len(upper) + 1)
 
 
 class _BoucWen(ctypes.Structure):
@@ -245,7 +245,7 @@ class _BoucWenState(ctypes.Structure):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoucWen:
-    """y = c + d u - share z, and the inverse multiplicative structure."""
+    """y = c + d u - share z, with the inverse multiplicative structure."""
 
     numbers: tuple[float, ...]
     parameters: int = 6
@@ -253,51 +253,44 @@ class BoucWen:
     def _run(self, name: str, values: Array) -> Array:
         state, step = _BoucWenState(field=-1.0, z=0.0), getattr(library(), name)
         numbers = _BoucWen(*self.numbers)
-        places = ctypes.addressof(state), ctypes.addressof(numbers)
+        addresses = ctypes.addressof(state), ctypes.addressof(numbers)
         for field in np.tile(CYCLE, 2).tolist():
-            library().bouc_wen_forward(*places, field)
-        return np.array([step(*places, value) for value in values.tolist()])
+            library().bouc_wen_forward(*addresses, field)
+        return np.array([step(*addresses, value) for value in values.tolist()])
 
     def forward(self, field: Array) -> Array:
         """Return the displacement along a drive from -1."""
         return self._run("bouc_wen_forward", field)
 
-    def inverse(self, wanted: Array) -> Array:
-        """Return the fields from -1 that make these displacements."""
-        return self._run("bouc_wen_inverse", wanted)
+    def inverse(self, displacement: Array) -> Array:
+        """Return the fields from -1 that produce these displacements."""
+        return self._run("bouc_wen_inverse", displacement)
 
 
-def bouc_wen_model(field: Array, moved: Array) -> BoucWen:
-    """Fit gamma, beta and exponent; c, d and share follow, being linear."""
+def bouc_wen_model(field: Array, displacement: Array) -> BoucWen:
+    """Fit gamma, beta and exponent; the linear parameters c, d and share follow."""
 
     def linear(shape: Array) -> tuple[Array, Array]:
         gamma, beta, exponent = np.exp(shape[0]) * shape[1], np.exp(shape[0]), np.exp(shape[2])
         z = BoucWen(numbers=(0.0, 0.0, gamma, beta, exponent, -1.0)).forward(field)
         columns = np.stack([np.ones_like(field), field, -z], axis=1)
-        found = np.linalg.lstsq(columns, moved, rcond=None)[0]
-        return found, columns @ found - moved
+        coefficients = np.linalg.lstsq(columns, displacement, rcond=None)[0]
+        return coefficients, columns @ coefficients - displacement
 
     bounds = ([-3.0, -0.9, 0.0], [5.0, 0.9, 1.5])
-    tried = [
+    fits = [
         least_squares(lambda x: linear(x)[1], start, bounds=bounds, diff_step=1e-3, max_nfev=25)
         for start in ([0.5, 0.0, 0.1], [2.0, -0.3, 0.4])
     ]
-    shape = min(tried, key=lambda found: found.cost).x
+    shape = min(fits, key=lambda fit: fit.cost).x
     (c, d, share), _ = linear(shape)
     gamma, beta, exponent = np.exp(shape[0]) * shape[1], np.exp(shape[0]), np.exp(shape[2])
     return BoucWen(numbers=tuple(map(float, (c, d, gamma, beta, exponent, share))))
 
 
-def fitted(name: str, field: Array, moved: Array) -> Model:
-    """Fit a class by its name."""
-    if name in PLAY_SHAPES:
-        return play_model(name, field, moved)
-    others = {
-        "plays, functions": function_model,
-        "Preisach": preisach_model,
-        "Bouc-Wen": bouc_wen_model,
-    }
-    return others[name](field, moved)
-
-
-CLASSES = (*PLAY_SHAPES, "plays, functions", "Preisach", "Bouc-Wen")
+FITS = {
+    **{name: partial(play_model, name) for name in PLAY_SHAPES},
+    "plays, functions": function_model,
+    "Preisach": preisach_model,
+    "Bouc-Wen": bouc_wen_model,
+}

@@ -1,12 +1,12 @@
-/* Inverses of two hysteresis models that are no play sums, a sample at a time.
+/* Two hysteresis models without plays and their inverses, sample by sample.
  *
- * Preisach by table: T(a, b) is what a rise from b to a adds, on a square grid of fields and linear
- * between its nodes; the memory is the stack of turning points that nothing has wiped out
- * [Mayergoyz 1991]. Along a branch the output rises with the field, so that the inverse walks the
- * nodes of the branch and solves the last stretch.
+ * Preisach by table: T(a, b) is the increment of a rise from b to a, on a square grid of fields
+ * with linear interpolation. The memory is the stack of turning points that are not wiped out
+ * [Mayergoyz 1991]. The output of a branch is monotone, so the inverse steps over the nodes of the
+ * branch and interpolates in the last interval.
  *
  * Bouc-Wen, inverse multiplicative: y = c + d u - h, so that u = (y - c + h) / d with the h of the
- * sample before, and h follows u [Rakotondrabe 2011]. Nothing is inverted.
+ * previous sample, and h follows u [Rakotondrabe 2011]. No inversion is needed.
  */
 #include <math.h>
 #include <stddef.h>
@@ -32,7 +32,7 @@ typedef struct {
 
 typedef struct {
     int32_t depth; /* turning points on the stack; the first is the lower end of the range */
-    int32_t rises; /* whether the field went up last */
+    int32_t rises; /* whether the field increased last */
     real field, output;
     real turn[DEEPEST], at[DEEPEST];
 } preisach_state;
@@ -47,17 +47,17 @@ typedef struct {
 
 void preisach_start(preisach_state *s, const preisach *p, real output);
 real preisach_forward(preisach_state *s, const preisach *p, real field);
-real preisach_inverse(preisach_state *s, const preisach *p, real wanted);
+real preisach_inverse(preisach_state *s, const preisach *p, real displacement);
 real bouc_wen_forward(bouc_wen_state *s, const bouc_wen *p, real field);
-real bouc_wen_inverse(bouc_wen_state *s, const bouc_wen *p, real wanted);
+real bouc_wen_inverse(bouc_wen_state *s, const bouc_wen *p, real displacement);
 
 static int32_t cell_of(const preisach *p, real field) {
     const int32_t i = (int32_t)((field - p->low) / p->step);
     return i < 0 ? 0 : (i > NODES - 2 ? NODES - 2 : i);
 }
 
-/* Linear in each field; in a cell of the diagonal, in their difference. */
-static real added(const preisach *p, real high, real low) {
+/* Increment of a rise; bilinear, or linear in the difference in a cell of the diagonal. */
+static real increment(const preisach *p, real high, real low) {
     if (!(high > low)) {
         return 0;
     }
@@ -78,10 +78,10 @@ void preisach_start(preisach_state *s, const preisach *p, real output) {
     s->at[0] = s->output = output;
 }
 
-/* Where the way back begins. */
-static void turned(preisach_state *s, int32_t rises) {
+/* Store the turning point if the direction changes. */
+static void start_branch(preisach_state *s, int32_t rises) {
     if (rises != s->rises) {
-        if (s->depth == DEEPEST) { /* the smallest loop of all is forgotten */
+        if (s->depth == DEEPEST) { /* drop the smallest loop */
             s->depth -= 2;
         }
         s->turn[s->depth] = s->field;
@@ -91,54 +91,55 @@ static void turned(preisach_state *s, int32_t rises) {
     }
 }
 
-static real along(const preisach *p, const preisach_state *s, real field) {
+static real branch_output(const preisach *p, const preisach_state *s, real field) {
     const real from = s->turn[s->depth - 1], base = s->at[s->depth - 1];
-    return s->rises ? base + added(p, field, from) : base - added(p, from, field);
+    return s->rises ? base + increment(p, field, from) : base - increment(p, from, field);
 }
 
 real preisach_forward(preisach_state *s, const preisach *p, real field) {
     if (field == s->field) {
         return s->output;
     }
-    turned(s, field > s->field);
-    while (s->depth > 1 && (s->rises ? field >= s->turn[s->depth - 2]
-                                     : field <= s->turn[s->depth - 2])) {
+    start_branch(s, field > s->field);
+    while (s->depth > 1 &&
+           (s->rises ? field >= s->turn[s->depth - 2] : field <= s->turn[s->depth - 2])) {
         s->depth = s->depth > 2 ? s->depth - 2 : 1;
-        if (s->depth == 1) { /* beyond every turning point: the major loop, from its other end */
+        if (s->depth == 1) { /* beyond all turning points: the major loop, from its other end */
             break;
         }
     }
     s->field = field;
-    s->output = along(p, s, field);
+    s->output = branch_output(p, s, field);
     return s->output;
 }
 
-real preisach_inverse(preisach_state *s, const preisach *p, real wanted) {
-    if (wanted == s->output) {
+real preisach_inverse(preisach_state *s, const preisach *p, real displacement) {
+    if (displacement == s->output) {
         return s->field;
     }
-    const int32_t rises = wanted > s->output;
-    turned(s, rises);
+    const int32_t rises = displacement > s->output;
+    start_branch(s, rises);
     while (s->depth > 2 &&
-           (rises ? wanted >= s->at[s->depth - 2] : wanted <= s->at[s->depth - 2])) {
+           (rises ? displacement >= s->at[s->depth - 2] : displacement <= s->at[s->depth - 2])) {
         s->field = s->turn[s->depth - 2];
         s->output = s->at[s->depth - 2];
         s->depth -= 2;
     }
     const real end = rises ? p->low + p->step * (real)(NODES - 1) : p->low;
     int32_t node = cell_of(p, s->field) + (rises ? 1 : 0);
-    real from = s->field, left = s->output;
+    real from = s->field, previous = s->output;
     for (;;) {
         const real to = p->low + p->step * (real)node;
-        const real there = along(p, s, to);
-        if ((rises ? there >= wanted : there <= wanted) || to == end) {
-            const real share = there == left ? 1 : (wanted - left) / (there - left);
+        const real next = branch_output(p, s, to);
+        if ((rises ? next >= displacement : next <= displacement) || to == end) {
+            const real share =
+                next == previous ? 1 : (displacement - previous) / (next - previous);
             s->field = from + (to - from) * (share > 1 ? 1 : share);
-            s->output = along(p, s, s->field);
+            s->output = branch_output(p, s, s->field);
             return s->field;
         }
         from = to;
-        left = there;
+        previous = next;
         node += rises ? 1 : -1;
     }
 }
@@ -155,8 +156,8 @@ real bouc_wen_forward(bouc_wen_state *s, const bouc_wen *p, real field) {
     return p->c + p->d * field - p->share * s->z;
 }
 
-real bouc_wen_inverse(bouc_wen_state *s, const bouc_wen *p, real wanted) {
-    follow(s, p, (wanted - p->c + p->share * s->z) / p->d);
+real bouc_wen_inverse(bouc_wen_state *s, const bouc_wen *p, real displacement) {
+    follow(s, p, (displacement - p->c + p->share * s->z) / p->d);
     return s->field;
 }
 
@@ -169,20 +170,20 @@ uint32_t board_instructions(void);
 int main(void) {
     preisach_state s;
     bouc_wen_state b = {0, 0};
-    uint32_t spent[2] = {0, 0};
-    volatile real kept = 0;
+    uint32_t instructions[2] = {0, 0};
+    volatile real result = 0;
     preisach_start(&s, &table, start);
-    for (size_t k = 0; k < sizeof wanted / sizeof wanted[0]; ++k) {
+    for (size_t k = 0; k < sizeof path / sizeof path[0]; ++k) {
         const uint32_t first = board_instructions();
-        kept = preisach_inverse(&s, &table, wanted[k]);
+        result = preisach_inverse(&s, &table, path[k]);
         const uint32_t second = board_instructions();
-        kept = bouc_wen_inverse(&b, &state, wanted[k]);
+        result = bouc_wen_inverse(&b, &state, path[k]);
         const uint32_t third = board_instructions();
         const uint32_t counting = board_instructions() - third;
-        spent[0] += second - first - counting;
-        spent[1] += third - second - counting;
+        instructions[0] += second - first - counting;
+        instructions[1] += third - second - counting;
     }
-    printf("%lu %lu\n", (unsigned long)spent[0], (unsigned long)spent[1]);
-    return kept > 1e30f;
+    printf("%lu %lu\n", (unsigned long)instructions[0], (unsigned long)instructions[1]);
+    return result > 1e30f;
 }
 #endif

@@ -1,4 +1,4 @@
-"""The way of a stage from recordings to the report, each step timed on what was made before."""
+"""Steps of a stage from recordings to the report, with the time of each."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,12 +24,12 @@ from piezoid_reports.page import Page
 from piezoid_reports.render import render
 
 STEPS = ("fit, all of it", "diagnosis", "design", "report")
-DIGEST = "0" * 64  # nothing here is written, so nothing is sealed
+DIGEST = "0" * 64  # no file is written
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Made:
-    """What the steps made, and the processor time each took, by its name in the table."""
+class ChainResult:
+    """Results of the steps, and processor times by the names in the table."""
 
     model: ActuatorModel
     diagnosis: Diagnosis
@@ -40,15 +40,15 @@ class Made:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Loop:
-    """One axis to be run in closed loop."""
+    """Plant, controller and reference of one axis."""
 
     plant: AxisPlant
     parameters: AxisParameters
     reference_m: Array
 
 
-def walked(watch: Stopwatch, campaign: Campaign) -> Made:
-    """Walk the whole way once."""
+def run_chain(watch: Stopwatch, campaign: Campaign) -> ChainResult:
+    """Run all steps once."""
     recordings, lab, times = campaign.recordings, campaign.lab, [used_s()]
     model = fit(recordings, lab=lab)
     times.append(used_s())
@@ -60,25 +60,25 @@ def walked(watch: Stopwatch, campaign: Campaign) -> Made:
         Page(model=model, recordings=recordings, design=design, diagnoses=(diagnosis,), lab=lab)
     )
     times.append(used_s())
-    found = dict(zip(STEPS, np.diff(times).tolist(), strict=True))
-    found["model forward"] = watch.cpu_s(
-        lambda: [simulate_recording(model[AXIS], one) for one in recordings]
+    time_s = dict(zip(STEPS, np.diff(times).tolist(), strict=True))
+    time_s["model forward"] = watch.cpu_s(
+        lambda: [simulate_recording(model[AXIS], recording) for recording in recordings]
     )
-    return Made(
+    return ChainResult(
         model=model,
         diagnosis=diagnosis,
         design=design,
         page=page,
-        time_s=MappingProxyType(found),
+        time_s=MappingProxyType(time_s),
     )
 
 
-def loop_of(made: Made, campaign: Campaign, samples: int) -> Loop:
-    """Return the designed axis against its identified stage, along ten sines."""
-    held = export_stage(made.model, made.design, design_digest=DIGEST, lab=campaign.lab)
-    parameters = held.axis(AXIS)
-    ends = [float(parameters.values[f"reference_{end}_m"]) for end in ("minimum", "maximum")]
-    reversals = np.sin(np.linspace(0.0, 20.0 * np.pi, samples))
-    reference_m = np.mean(ends) + 0.3 * (ends[1] - ends[0]) * reversals
-    plant = plant_of(parameters, made.model, campaign.lab)
+def loop_of(result: ChainResult, campaign: Campaign, samples: int) -> Loop:
+    """Return the designed controller with the identified plant, and ten sines as reference."""
+    file = export_stage(result.model, result.design, design_digest=DIGEST, lab=campaign.lab)
+    parameters = file.axis(AXIS)
+    low_m, high_m = (float(parameters.values[f"reference_{k}_m"]) for k in ("minimum", "maximum"))
+    sine = np.sin(np.linspace(0.0, 20.0 * np.pi, samples))
+    reference_m = 0.5 * (low_m + high_m) + 0.3 * (high_m - low_m) * sine
+    plant = plant_of(parameters, result.model, campaign.lab)
     return Loop(plant=plant, parameters=parameters, reference_m=reference_m)

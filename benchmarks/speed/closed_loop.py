@@ -20,34 +20,34 @@ def run(loop: Loop) -> object:
 
 
 def from_python(loop: Loop) -> object:
-    """Step the same controller and the bare operator, without its poles, from Python."""
+    """Call the same controller and the operator without its poles from Python."""
     controller, plant = Controller(loop.parameters.values), loop.plant
     reading = SettledPlant(plant).rest_position
     controller.start(plant.rest_voltage_V, reading)
     assert isinstance(plant.response, Hysteresis)
     operator = plant.response.operator
     memory = operator.virgin_memory()
-    for wanted in loop.reference_m:
-        voltage = controller.step(wanted, reading)
+    for reference in loop.reference_m:
+        voltage = controller.step(reference, reading)
         (reading,), memory = operator.run(np.array([voltage]), memory)
     return reading
 
 
 def controller_alone(loop: Loop) -> Callable[[], object]:
-    """Return the work of the controller without a plant: it reads what it wants."""
+    """Return a run of the controller without a plant, whose measurement is the reference."""
     controller = Controller(loop.parameters.values)
     controller.start(loop.plant.rest_voltage_V, SettledPlant(loop.plant).rest_position)
     return lambda: controller.run(loop.reference_m, loop.reference_m)
 
 
 def with_plays(loop: Loop, plays: int) -> Loop:
-    """Return the loop with so many plays in controller and plant, the slopes about the same."""
+    """Return the loop with a number of plays in controller and plant, of about equal slopes."""
     response = loop.plant.response
     assert isinstance(response, Hysteresis)
-    known = response.operator.plays
-    total, first = float(known.weight.sum()), float(known.weight[0])
+    plays_of_plant = response.operator.plays
+    total, first = float(plays_of_plant.weight.sum()), float(plays_of_plant.weight[0])
     spread = PrandtlIshlinskii(
-        threshold=np.linspace(0.0, float(known.threshold[-1]), plays),
+        threshold=np.linspace(0.0, float(plays_of_plant.threshold[-1]), plays),
         weight=np.concatenate([[first], np.full(plays - 1, (total - first) / (plays - 1))]),
     )
     values = {

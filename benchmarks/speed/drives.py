@@ -1,4 +1,4 @@
-"""What the kernels and the convex programs are given: a swelling sine, a model of many plays."""
+"""Inputs of the kernels and the convex programs: a modulated sine and a model of many plays."""
 
 import numpy as np
 
@@ -11,12 +11,12 @@ from piezoid.operators.play import play_columns
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 PLAYS, ZONES = 16, 6  # moving plays; dead zones on each side
-NOISE = 0.005  # of the whole amplitude
-LEVELS = 9.0  # how often the sine swells and falls
+NOISE = 0.005  # of the amplitude
+LEVELS = 9.0  # radians of the modulation
 
 
 def drive_V(samples: int) -> Array:
-    """Return a sine of 5 V that swells and falls: loops at all levels."""
+    """Return a sine of 5 V with modulated amplitude, with loops at all levels."""
     t = np.linspace(0.0, 1.0, samples)
     return np.asarray(5 * (0.05 + 0.95 * np.abs(np.cos(LEVELS * t))) * np.sin(400 * t))
 
@@ -27,9 +27,9 @@ def thresholds_V(plays: int = PLAYS) -> Array:
 
 
 def model(plays: int = PLAYS) -> ModifiedPrandtlIshlinskii:
-    """Return an operator of so many moving plays and twelve dead zones."""
-    side = np.linspace(0.9, 0.98, ZONES)
-    slope = np.concatenate([side, [1.0, 1.0], side[::-1]])
+    """Return an operator with a number of moving plays and twelve dead zones."""
+    slopes = np.linspace(0.9, 0.98, ZONES)
+    slope = np.concatenate([slopes, [1.0, 1.0], slopes[::-1]])
     return ModifiedPrandtlIshlinskii(
         plays=PrandtlIshlinskii(
             threshold=np.concatenate([[0.0], thresholds_V(plays)]),
@@ -52,7 +52,7 @@ def noisy_sum(columns: Array) -> Array:
 
 
 def piece_of(samples: int, plays: int = PLAYS) -> Piece:
-    """Return a recording of the model as a fit sees it: scaled, with noise."""
+    """Return a scaled recording of the model with noise, as a piece of a fit."""
     u_V, truth = drive_V(samples), model(plays)
     y_m, _ = truth.run(u_V, truth.virgin_memory())
     noise = NOISE * np.random.default_rng(1).standard_normal(samples)
@@ -71,8 +71,8 @@ def piece_of(samples: int, plays: int = PLAYS) -> Piece:
 def program_of(piece: Piece, plays: int = PLAYS) -> Program:
     """Return Kuhnen's program of a piece, a row for each of its samples."""
     threshold = np.arange(plays + 1) / (plays + 1)
-    place = (np.arange(1, ZONES + 1) - 0.5) / ZONES
-    zones = np.concatenate([-place[::-1], [0.0], place])
+    positive = (np.arange(1, ZONES + 1) - 0.5) / ZONES
+    zones = np.concatenate([-positive[::-1], [0.0], positive])
     memory = np.full(plays + 1, piece.drive[0])
     states, _ = play_columns(piece.drive, threshold, memory)
     bent = -DeadZones(threshold=zones, weight=np.ones(len(zones))).columns(piece.response)

@@ -1,4 +1,4 @@
-"""Play bank, model and inverse: against loops, chains of min and max, and a copy."""
+"""Play bank, model and inverse against loops, chains of min and max, and a copy."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,43 +13,46 @@ from benchmarks.speed.table import Row
 from piezoid.numerics.arrays import Array
 
 BANK, FORWARD, INVERSE = "play bank", "model forward", "inverse"
-LOOPED = slice(0, 5000)  # samples of the NumPy loops, which are slow
-CLOSE = {"rtol": 1e-9, "atol": 1e-15}
+LOOP_SAMPLES = slice(0, 5000)  # of the NumPy loops
+TOLERANCE = {"rtol": 1e-9, "atol": 1e-15}
 WIDTHS = (4, 8, 16, 32, 64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Kernel:
-    """One stage, the same as a NumPy loop over some samples, and by compiled loops.
+    """A function of piezoid, a NumPy loop for a slice of the samples, and compiled loops.
 
-    compiled  by name; each returns None where this machine has no such compiler
+    compiled  by name; each returns None without its compiler
     """
 
-    ours: Callable[[], Array]
-    looped: Callable[[slice], Array]
+    piezoid: Callable[[], Array]
+    numpy_loop: Callable[[slice], Array]
     compiled: Mapping[str, Callable[[], Array | None]]
 
 
 def kernel_rows(watch: Stopwatch, samples: int) -> list[Row]:
-    """Return a row each, all results compared before they are timed."""
+    """Return a row for each kernel, after a comparison of all results."""
     u_V = drive_V(samples)
     kernels = kernels_of(u_V)
-    for one in kernels.values():
-        compare(one)
-    own_s = {stage: watch.cpu_s(one.ours) for stage, one in kernels.items()}
-    bounds = bounds_of(watch, u_V, own_s)
-    return [row_of(watch, stage, kernels[stage], own_s[stage], bounds[stage]) for stage in kernels]
+    for kernel in kernels.values():
+        compare(kernel)
+    time_s = {stage: watch.cpu_s(kernel.piezoid) for stage, kernel in kernels.items()}
+    bounds = bounds_of(watch, u_V, time_s)
+    return [
+        row_of(watch, stage, kernel, time_s[stage], bounds[stage])
+        for stage, kernel in kernels.items()
+    ]
 
 
 def kernels_of(u_V: Array) -> dict[str, Kernel]:
-    """Return the three with their rivals; the inverse is asked for what the model makes."""
-    known = model()
-    rest = known.virgin_memory()
-    y_m, _ = known.run(u_V, rest)
+    """Return the three kernels; the inverse receives the output of the model."""
+    operator = model()
+    memory = operator.virgin_memory()
+    y_m, _ = operator.run(u_V, memory)
     return {
         BANK: Kernel(
-            ours=lambda: bank(u_V),
-            looped=lambda part: loops.numpy_bank(u_V[part], thresholds_V()),
+            piezoid=lambda: bank(u_V),
+            numpy_loop=lambda part: loops.numpy_bank(u_V[part], thresholds_V()),
             compiled={
                 "numba": lambda: loops.numba_bank(u_V, thresholds_V(), "C"),
                 "numba, in columns": lambda: loops.numba_bank(u_V, thresholds_V(), "F"),
@@ -57,63 +60,64 @@ def kernels_of(u_V: Array) -> dict[str, Kernel]:
             },
         ),
         FORWARD: Kernel(
-            ours=lambda: known.run(u_V, rest)[0],
-            looped=lambda part: loops.numpy_forward(u_V[part], known),
+            piezoid=lambda: operator.run(u_V, memory)[0],
+            numpy_loop=lambda part: loops.numpy_forward(u_V[part], operator),
             compiled={
-                "numba": lambda: loops.numba_forward(u_V, known),
-                "C": lambda: machine.c_forward(u_V, known),
+                "numba": lambda: loops.numba_forward(u_V, operator),
+                "C": lambda: machine.c_forward(u_V, operator),
             },
         ),
         INVERSE: Kernel(
-            ours=lambda: known.inverse_run(y_m, rest)[0],
-            looped=lambda part: loops.numpy_inverse(y_m[part], known),
+            piezoid=lambda: operator.inverse_run(y_m, memory)[0],
+            numpy_loop=lambda part: loops.numpy_inverse(y_m[part], operator),
             compiled={
-                "numba": lambda: loops.numba_inverse(y_m, known),
-                "C": lambda: machine.c_inverse(y_m, known),
+                "numba": lambda: loops.numba_inverse(y_m, operator),
+                "C": lambda: machine.c_inverse(y_m, operator),
             },
         ),
     }
 
 
 def compare(kernel: Kernel) -> None:
-    """Stop unless the loops' results are ours."""
-    expected = kernel.ours()
-    np.testing.assert_allclose(kernel.looped(LOOPED), expected[LOOPED], **CLOSE)
-    for again in kernel.compiled.values():
-        found = again()
-        if found is not None:
-            np.testing.assert_allclose(found, expected, **CLOSE)
+    """Stop if the loops give other results."""
+    expected = kernel.piezoid()
+    looped = kernel.numpy_loop(LOOP_SAMPLES)
+    np.testing.assert_allclose(looped, expected[LOOP_SAMPLES], **TOLERANCE)
+    for compiled_loop in kernel.compiled.values():
+        result = compiled_loop()
+        if result is not None:
+            np.testing.assert_allclose(result, expected, **TOLERANCE)
 
 
 def bounds_of(
-    watch: Stopwatch, u_V: Array, own_s: dict[str, float]
+    watch: Stopwatch, u_V: Array, time_s: dict[str, float]
 ) -> dict[str, dict[str, float]]:
-    """Return how many times as long as chains, as a copy, as one another the three take."""
+    """Return the times of the kernels over those of chains, of a copy, and of each other."""
     columns, work = bank(u_V), machine.chains(u_V, thresholds_V())
-    wall = columns.copy(order="F")
-    found: dict[str, dict[str, float]] = {BANK: {}, FORWARD: {}, INVERSE: {}}
+    target = columns.copy(order="F")
+    bounds: dict[str, dict[str, float]] = {BANK: {}, FORWARD: {}, INVERSE: {}}
     if work is not None:
         np.testing.assert_array_equal(work(), columns[-1])
         chains_s = watch.cpu_s(work)
         for stage in (BANK, FORWARD):
-            found[stage]["chains of min and max"] = own_s[stage] / chains_s
-    copy_s = watch.cpu_s(lambda: np.copyto(wall, columns))
-    found[BANK]["copy of its columns"] = own_s[BANK] / copy_s
-    found[INVERSE]["model forward"] = own_s[INVERSE] / own_s[FORWARD]
-    return found
+            bounds[stage]["chains of min and max"] = time_s[stage] / chains_s
+    copy_s = watch.cpu_s(lambda: np.copyto(target, columns))
+    bounds[BANK]["copy of its columns"] = time_s[BANK] / copy_s
+    bounds[INVERSE]["model forward"] = time_s[INVERSE] / time_s[FORWARD]
+    return bounds
 
 
 def row_of(
-    watch: Stopwatch, stage: str, kernel: Kernel, own_s: float, bounds: dict[str, float]
+    watch: Stopwatch, stage: str, kernel: Kernel, time_s: float, bounds: dict[str, float]
 ) -> Row:
-    """Return one row; the NumPy loop's time is that of as many samples as ours."""
-    expected = kernel.ours()
-    share = len(expected[LOOPED]) / len(expected)
+    """Return one row; the time of the NumPy loop is scaled to all samples."""
+    expected = kernel.piezoid()
+    share = len(expected[LOOP_SAMPLES]) / len(expected)
     return Row(
         stage=stage,
-        loop=watch.cpu_s(lambda: kernel.looped(LOOPED)) / share / own_s,
+        loop=watch.cpu_s(lambda: kernel.numpy_loop(LOOP_SAMPLES)) / share / time_s,
         compiled={
-            name: watch.cpu_s(work) / own_s
+            name: watch.cpu_s(work) / time_s
             for name, work in kernel.compiled.items()
             if work() is not None
         },
@@ -122,7 +126,7 @@ def row_of(
 
 
 def kernel_growths(watch: Stopwatch, samples: int) -> list[Growth]:
-    """Return how the three grow with samples and plays."""
+    """Return the growth of the kernels with samples and plays."""
     return growths(watch, {BANK: _bank, FORWARD: _forward, INVERSE: _inverse}, samples, WIDTHS)
 
 
@@ -132,11 +136,11 @@ def _bank(samples: int, plays: int) -> Callable[[], object]:
 
 
 def _forward(samples: int, plays: int) -> Callable[[], object]:
-    u_V, known = drive_V(samples), model(plays)
-    return lambda: known.run(u_V, known.virgin_memory())
+    u_V, operator = drive_V(samples), model(plays)
+    return lambda: operator.run(u_V, operator.virgin_memory())
 
 
 def _inverse(samples: int, plays: int) -> Callable[[], object]:
-    known = model(plays)
-    y_m, _ = known.run(drive_V(samples), known.virgin_memory())
-    return lambda: known.inverse_run(y_m, known.virgin_memory())
+    operator = model(plays)
+    y_m, _ = operator.run(drive_V(samples), operator.virgin_memory())
+    return lambda: operator.inverse_run(y_m, operator.virgin_memory())

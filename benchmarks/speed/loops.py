@@ -1,8 +1,8 @@
-"""The operators as one would write them oneself: NumPy sample by sample, and numba.
+"""Straightforward versions of the operators: NumPy sample by sample, and numba.
 
-Plays, model and inverse as in their definitions; those of numba as its friends would write them:
-plays innermost, where they become vectors, one pass over the samples, additions in whatever order
-is fast. The inverse loops return the voltage alone; ours follows the forward memory besides.
+The numba versions have the plays in the innermost loop, which is vectorised, one pass over the
+samples, and additions in any order. The inverse loops return the voltage only. The inverse of
+piezoid also updates the forward memory.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlins
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 NO_NUMBA = "numba is not installed, so its figures are missing: pip install piezoid[benchmarks]."
-Zones = tuple[Array, Array, int]  # thresholds, weights, which threshold is 0
+Zones = tuple[Array, Array, int]  # thresholds, weights, index of the threshold 0
 
 
 def numpy_bank(u: Array, threshold: Array) -> Array:
@@ -58,7 +58,7 @@ def numpy_forward(u: Array, model: ModifiedPrandtlIshlinskii) -> Array:
 
 
 def numpy_inverse(y: Array, model: ModifiedPrandtlIshlinskii) -> Array:
-    """Return the voltage that makes this displacement."""
+    """Return the voltage that produces this displacement."""
     q = numpy_zones(y, model.dead_zones.inverse())
     inverse = model.plays.inverse()
     return numpy_sum(q, inverse, model.plays.inverse_memory(model.virgin_memory()))
@@ -104,47 +104,47 @@ def _scalar_inverse(y: Array, r: Array, w: Array, z: Array, zones: Zones, u: Arr
 
 @cache
 def _compiled() -> tuple[Callable[..., Any], ...] | None:
-    """Return bank, forward and inverse through numba, or None where it is not installed."""
+    """Return bank, forward and inverse compiled by numba, or None if it is not installed."""
     if find_spec("numba") is None:
         return None
     import numba
 
-    written = _scalar_bank, _scalar_forward, _scalar_inverse
-    return tuple(numba.njit(one, fastmath=True) for one in written)
+    functions = _scalar_bank, _scalar_forward, _scalar_inverse
+    return tuple(numba.njit(function, fastmath=True) for function in functions)
 
 
 def numba_bank(u: Array, threshold: Array, order: Literal["C", "F"]) -> Array | None:
     """Return the states of the plays by numba, row by row or in columns; None without it."""
-    found = _compiled()
-    if found is None:
+    functions = _compiled()
+    if functions is None:
         return None
     columns = np.empty((len(u), len(threshold)), order=order)
-    found[0](u, threshold, columns)
+    functions[0](u, threshold, columns)
     return columns
 
 
 def numba_forward(u: Array, model: ModifiedPrandtlIshlinskii) -> Array | None:
     """Return the model's displacement by numba; None without it."""
-    found = _compiled()
-    if found is None:
+    functions = _compiled()
+    if functions is None:
         return None
     plays, y = model.plays, np.empty(len(u))
     memory = np.array(model.virgin_memory())
-    found[1](u, plays.threshold, plays.weight, memory, zones_of(model.dead_zones), y)
+    functions[1](u, plays.threshold, plays.weight, memory, zones_of(model.dead_zones), y)
     return y
 
 
 def numba_inverse(y: Array, model: ModifiedPrandtlIshlinskii) -> Array | None:
-    """Return the voltage that makes this displacement by numba; None without it."""
-    found = _compiled()
-    if found is None:
+    """Return the voltage that produces this displacement by numba; None without it."""
+    functions = _compiled()
+    if functions is None:
         return None
     plays, u = model.plays.inverse(), np.empty(len(y))
     memory = np.array(model.plays.inverse_memory(model.virgin_memory()))
-    found[2](y, plays.threshold, plays.weight, memory, zones_of(model.dead_zones.inverse()), u)
+    functions[2](y, plays.threshold, plays.weight, memory, zones_of(model.dead_zones.inverse()), u)
     return u
 
 
 def zones_of(zones: DeadZones) -> Zones:
-    """Return thresholds, weights and the place of the zone of threshold 0."""
+    """Return thresholds, weights and the index of the zone of threshold 0."""
     return zones.threshold, zones.weight, zones.zero

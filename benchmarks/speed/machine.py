@@ -1,4 +1,4 @@
-"""What this very machine can do: loops by hand in C, and chains of min and max in registers."""
+"""Loops written in C for this processor, and chains of min and max in registers."""
 
 import ctypes
 import shutil
@@ -17,9 +17,9 @@ from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
-HERE = Path(__file__).parent
-PLAYS = 16  # as in the source
-NO_COMPILER = "There is no C compiler called cc: nothing is compared with loops in C."
+FOLDER = Path(__file__).parent
+PLAYS = 16  # as in the C source
+NO_COMPILER = "There is no C compiler called cc, so loops in C are missing."
 
 
 def has_compiler() -> bool:
@@ -28,22 +28,23 @@ def has_compiler() -> bool:
 
 
 @cache
-def _compiled(name: str, *more: str) -> ctypes.CDLL:
-    """Compile a source for this very processor.
+def _compiled(name: str, *options: str) -> ctypes.CDLL:
+    """Compile a source for this processor.
 
-    Linked by itself: a library linked with -ffast-math rounds subnormal numbers of the whole
-    process to zero from the moment it is opened.
+    The linker must not see -ffast-math: such a library rounds subnormal numbers of the whole
+    process to zero.
     """
     with tempfile.TemporaryDirectory() as folder:
-        compiled, place = Path(folder) / f"{name}.o", Path(folder) / f"{name}.so"
-        flags = ("-std=c99", "-O3", "-march=native", *more, "-c", "-fPIC")
-        subprocess.run(["cc", *flags, str(HERE / f"{name}.c"), "-o", str(compiled)], check=True)
-        subprocess.run(["cc", "-shared", str(compiled), "-o", str(place)], check=True)
-        return ctypes.CDLL(str(place))
+        object_file, library = Path(folder) / f"{name}.o", Path(folder) / f"{name}.so"
+        source = str(FOLDER / f"{name}.c")
+        flags = ("-std=c99", "-O3", "-march=native", *options, "-c", "-fPIC")
+        subprocess.run(["cc", *flags, source, "-o", str(object_file)], check=True)
+        subprocess.run(["cc", "-shared", str(object_file), "-o", str(library)], check=True)
+        return ctypes.CDLL(str(library))
 
 
 def chains(u: Array, threshold: Array) -> Callable[[], Array] | None:
-    """Return work that leaves the last states of 16 plays, or None without a compiler."""
+    """Return a function that computes the last states of 16 plays, or None without a compiler."""
     if not has_compiler():
         return None
     library = _compiled("chains", "-ffp-contract=off")
@@ -75,7 +76,7 @@ def c_forward(u: Array, model: ModifiedPrandtlIshlinskii) -> Array | None:
 
 
 def c_inverse(y: Array, model: ModifiedPrandtlIshlinskii) -> Array | None:
-    """Return the voltage that makes this displacement by a loop in C; None without a compiler."""
+    """Return the voltage of a displacement by a loop in C; None without a compiler."""
     if not has_compiler():
         return None
     memory = np.array(model.plays.inverse_memory(model.virgin_memory()))
@@ -89,17 +90,19 @@ def _loops() -> ctypes.CDLL:
 def _mapped(
     loop: Any, values: Array, plays: PrandtlIshlinskii, memory: Array, zones: DeadZones
 ) -> Array:
-    made, (knot, weight, zero) = np.empty(len(values)), zones_of(zones)
+    output, (knot, weight, zero) = np.empty(len(values)), zones_of(zones)
     bank = len(memory), plays.threshold, plays.weight, memory
-    _call(loop, len(values), values, *bank, len(knot), knot, weight, zero, made)
-    return made
+    _call(loop, len(values), values, *bank, len(knot), knot, weight, zero, output)
+    return output
 
 
-def _call(function: Any, *given: Array | int) -> None:
-    """Call with arrays as addresses and numbers as sizes."""
+def _call(function: Any, *arguments: Array | int) -> None:
+    """Call a C function with arrays as addresses and numbers as sizes."""
     function(
         *(
-            ctypes.c_size_t(one) if isinstance(one, int) else ctypes.c_void_p(one.ctypes.data)
-            for one in given
+            ctypes.c_size_t(value)
+            if isinstance(value, int)
+            else ctypes.c_void_p(value.ctypes.data)
+            for value in arguments
         )
     )

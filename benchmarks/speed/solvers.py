@@ -1,4 +1,4 @@
-"""Weights from all rows: ours by way of the triangle, and general solvers on the whole matrix."""
+"""Weights from all rows: by the triangle of piezoid, and by general solvers on the full matrix."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from piezoid.identification.hysteresis.search import Settings, task_for
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import bounded_step, empty_triangle, gather
 
-BLOCK = 4096  # rows gathered at once
+BLOCK = 4096  # rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Program:
-    """Kuhnen's program on all rows: |rows x|^2 over lower <= constraint x <= upper."""
+    """Kuhnen's program on all rows: minimise |rows x|^2 over lower <= constraint x <= upper."""
 
     rows: Array
     threshold: Array
@@ -40,19 +40,19 @@ def triangle_of(rows: Array) -> Array:
 
 
 def weights(columns: Array, target: Array) -> Array:
-    """Return non-negative weights by way of the triangle."""
+    """Return non-negative weights from the triangle of all rows."""
     return on_triangle(triangle_of(np.column_stack([columns, target])))
 
 
 def on_triangle(triangle: Array) -> Array:
-    """Return non-negative weights from the triangle, the target its last column."""
+    """Return non-negative weights from the triangle, whose last column is the target."""
     unknowns = triangle.shape[1] - 1
     free = np.zeros(unknowns), np.full(unknowns, np.inf)
     return bounded_step(triangle[:, :-1], triangle[:, -1], *free)
 
 
-def on_triangle_by_others(triangle: Array) -> Mapping[str, Callable[[], Array]]:
-    """Return the same by solvers of small problems, by their names."""
+def general_on_triangle(triangle: Array) -> Mapping[str, Callable[[], Array]]:
+    """Return solvers of small problems by name."""
     factor, target = np.ascontiguousarray(triangle[:, :-1]), triangle[:, -1].copy()
     return {
         "nnls": lambda: np.asarray(nnls(factor, target)[0]),
@@ -64,7 +64,7 @@ def _by_daqp(factor: Array, target: Array) -> Array:
     import daqp
 
     unknowns = factor.shape[1]
-    found, _, flag, _ = daqp.solve(
+    solution, _, flag, _ = daqp.solve(
         factor.T @ factor,
         -factor.T @ target,
         np.empty((0, unknowns)),
@@ -74,11 +74,11 @@ def _by_daqp(factor: Array, target: Array) -> Array:
     )
     if flag != 1:
         raise AssertionError(f"daqp ended with {flag}")
-    return np.asarray(found)
+    return np.asarray(solution)
 
 
-def weights_by_others(columns: Array, target: Array) -> Mapping[str, Callable[[], Array]]:
-    """Return the same by general solvers, by their names."""
+def general_weights(columns: Array, target: Array) -> Mapping[str, Callable[[], Array]]:
+    """Return general solvers of the weights by name."""
     return {
         "nnls": lambda: np.asarray(nnls(columns, target)[0]),
         "lsq_linear": lambda: np.asarray(
@@ -89,12 +89,12 @@ def weights_by_others(columns: Array, target: Array) -> Mapping[str, Callable[[]
 
 
 def kuhnen(program: Program) -> Array:
-    """Solve Kuhnen's program by way of the triangle."""
-    return optimum_of(triangle_of(program.rows), program.threshold, program.zones)[0]
+    """Solve Kuhnen's program from the triangle of all rows."""
+    return optimum_of(triangle_of(program.rows), program.threshold, program.zones).x
 
 
 def kuhnen_by_cvxpy(program: Program) -> Array:
-    """Solve it as it stands, on all rows."""
+    """Solve Kuhnen's program on all rows."""
     constraint, lower, upper = program.limits
     return _by_cvxpy(program.rows, np.zeros(len(program.rows)), constraint, lower, upper)
 
@@ -105,17 +105,17 @@ def _by_cvxpy(
     import cvxpy as cp
 
     x = cp.Variable(rows.shape[1])
-    held = [constraint @ x >= lower]
+    constraints = [constraint @ x >= lower]
     if upper is not None:
         finite = np.isfinite(upper)
-        held.append(constraint[finite] @ x <= upper[finite])
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(rows @ x - target)), held)
+        constraints.append(constraint[finite] @ x <= upper[finite])
+    problem = cp.Problem(cp.Minimize(cp.sum_squares(rows @ x - target)), constraints)
     problem.solve(solver=cp.CLARABEL)
     return np.asarray(x.value)
 
 
-def begun(piece: Piece, shape: Shape) -> tuple[Array, Task]:
-    """Return where the search for all numbers of a shape starts, and what it minimises."""
+def start_of(piece: Piece, shape: Shape) -> tuple[Array, Task]:
+    """Return the initial parameters of a shape, and the task of the fit."""
     settings = Settings(longest_lag_s=0.0, rows=piece.rows, follow_zero=False)
     start = kuhnen_start([piece], shape, 0.0)
     task = task_for([piece], start.operator, shape.lag, settings)
@@ -125,12 +125,12 @@ def begun(piece: Piece, shape: Shape) -> tuple[Array, Task]:
 
 
 def by_least_squares(theta: Array, task: Task) -> float:
-    """Return the rms scipy's trust region reaches, its Jacobian by differences."""
+    """Return the rms residual of SciPy's trust region with a Jacobian by differences."""
     (piece,) = task.pieces
 
     def residual(x: Array) -> Array:
         return simulate(x, task, 0, piece) - piece.response
 
     bounds = task.coordinates.bounds(task.longest_lag_s)
-    found = least_squares(residual, theta, bounds=bounds, ftol=1e-5)
-    return rms_of(found.x, task)
+    optimum = least_squares(residual, theta, bounds=bounds, ftol=1e-5)
+    return rms_of(optimum.x, task)

@@ -1,4 +1,4 @@
-"""Processor time of a piece of work, and the power of its size with which it grows."""
+"""Processor time of a function, and its growth with a size."""
 
 import resource
 import time
@@ -10,16 +10,16 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True)
 class Growth:
-    """How the time of one stage follows one size.
+    """Processor time of one stage against one size.
 
-    stage   as in the table
-    what    ``samples``, ``plays`` or ``recordings``
-    size    what was tried, rising
-    time_s  processor time at each
+    stage     as in the table
+    quantity  ``samples``, ``plays`` or ``recordings``
+    size      increasing values of the quantity
+    time_s    processor time at each size
     """
 
     stage: str
-    what: str
+    quantity: str
     size: tuple[int, ...]
     time_s: tuple[float, ...]
 
@@ -30,30 +30,37 @@ class Growth:
 
 
 def used_s() -> float:
-    """Return the processor time of this process and of its children that have ended."""
+    """Return the processor time of this process and of its terminated children."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
 
 
+def peak_megabytes() -> float:
+    """Return the peak memory of this process."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
 @dataclass(frozen=True, kw_only=True)
 class Stopwatch:
-    """Takes the least of as many runs as patience allows, at least one."""
+    """Repeats a function for ``patience_s`` and takes the shortest time."""
 
     patience_s: float = 0.3
 
     def cpu_s(self, work: Callable[[], object]) -> float:
-        """Return the least processor time of a few runs."""
-        least_s, spent_s = np.inf, 0.0
+        """Return the shortest processor time of several runs."""
+        shortest_s, total_s = np.inf, 0.0
         while True:
-            begun_s, runs, took_s = used_s(), 0, 0.0
-            while took_s <= 0.0:  # the clock may tick more slowly than the work is done
+            start_s, runs, elapsed_s = used_s(), 0, 0.0
+            while elapsed_s <= 0.0:  # the function may be faster than the resolution of the clock
                 work()
-                runs, took_s = runs + 1, used_s() - begun_s
-            least_s, spent_s = min(least_s, took_s / runs), spent_s + took_s
-            if spent_s >= self.patience_s:
-                return float(least_s)
+                runs, elapsed_s = runs + 1, used_s() - start_s
+            shortest_s, total_s = min(shortest_s, elapsed_s / runs), total_s + elapsed_s
+            if total_s >= self.patience_s:
+                return float(shortest_s)
 
-    def grown(self, stage: str, what: str, works: Mapping[int, Callable[[], object]]) -> Growth:
+    def growth(
+        self, stage: str, quantity: str, works: Mapping[int, Callable[[], object]]
+    ) -> Growth:
         """Time one stage at several sizes."""
         times = tuple(self.cpu_s(work) for work in works.values())
-        return Growth(stage=stage, what=what, size=tuple(works), time_s=times)
+        return Growth(stage=stage, quantity=quantity, size=tuple(works), time_s=times)

@@ -1,4 +1,4 @@
-"""The table: one row for each stage, every figure a ratio of two times of the same run."""
+"""Table of relative times: one row for each stage."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,13 +18,13 @@ HEADINGS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What one stage was compared with.
+    """Relative times of one stage.
 
-    loop      how many times as long a loop over the samples takes in NumPy (of the closed loop:
-              calls from Python)
-    compiled  the same of loops in compiled languages, by their names
-    solvers   the same of general solvers, by their names
-    bounds    how many times as long as something that bounds it the stage itself takes
+    loop      time of a NumPy loop over the samples (closed loop: calls from Python) over that of
+              the stage
+    compiled  times of loops in compiled languages over that of the stage, by name
+    solvers   times of general solvers over that of the stage, by name
+    bounds    time of the stage over that of an operation that limits it, by name
     """
 
     stage: str
@@ -35,30 +35,28 @@ class Row:
 
 
 def short(value: float | None) -> str:
-    """Return two digits of a number; nothing of none."""
+    """Format a number with two digits; return an empty text for None."""
     return "" if value is None else f"{float(f'{value:.2g}'):.10g}"
 
 
 def table(rows: Sequence[Row], growths: Sequence[Growth]) -> str:
-    """Return the table as Markdown; what only grew has a row as well."""
+    """Return the table as Markdown, with rows for stages that have only a growth."""
     compared = {row.stage for row in rows}
-    others = dict.fromkeys(one.stage for one in growths if one.stage not in compared)
-    rows = [*rows, *(Row(stage=stage) for stage in others)]
+    further = dict.fromkeys(growth.stage for growth in growths if growth.stage not in compared)
+    rows = [*rows, *(Row(stage=stage) for stage in further)]
     lines = [HEADINGS, ["---"] * len(HEADINGS), *(_cells(row, growths) for row in rows)]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def _cells(row: Row, growths: Sequence[Growth]) -> list[str]:
-    power = {one.what: f"{one.exponent:.1f}" for one in growths if one.stage == row.stage}
+    exponents = {g.quantity: f"{g.exponent:.1f}" for g in growths if g.stage == row.stage}
     return [
         row.stage,
         short(row.loop),
-        _named(row.compiled),
-        _named(row.solvers),
+        *(
+            ", ".join(f"{name} {short(value)}" for name, value in values.items())
+            for values in (row.compiled, row.solvers)
+        ),
         ", ".join(f"{short(value)} {name}" for name, value in row.bounds.items()),
-        ", ".join(power.get(what, "-") for what in SIZES) if power else "",
+        ", ".join(exponents.get(quantity, "-") for quantity in SIZES) if exponents else "",
     ]
-
-
-def _named(values: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {short(value)}" for name, value in values.items())

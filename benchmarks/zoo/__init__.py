@@ -1,1 +1,1 @@
-"""Hidden effects on every law of the zoo: how often the diagnosis names what is there."""
+"""Effects hidden in stages of every law of the zoo, and the names that the diagnosis gives."""

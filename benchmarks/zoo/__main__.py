@@ -1,17 +1,16 @@
-"""How often the diagnosis names what is hidden in stages of every law of the zoo.
+"""Measure how often the diagnosis names the hidden effects on stages of every law of the zoo.
 
     python -m benchmarks.zoo [--laws takacs,dahl] [--kinds healthy,single] [--cases 5]
                              [--seeds 700000] [--workers 1] [--json build/zoo.jsonl] [--minutes 35]
                              [--effects lag,delay]
 
-``--cases`` stages of each law and kind; kinds are healthy, single, half, quarter (one effect at 1,
-1/2, 1/4 of full size), pair and triple; of these only those that hide one of ``--effects``,
-where it is given. Every stage is appended to the file of results as one
-line; one that stands there already is not made again, so a run that was cut short goes on, and
-the table is of all that was asked for and stands in the file. Ten seconds of one core a stage.
+``--cases`` is the number of stages of each law and kind. The kinds are healthy, single, half,
+quarter (one effect of 1, 1/2, 1/4 of the full size), pair and triple. ``--effects`` selects stages
+that hide one of these effects. Every stage is one line of the results file. A later run skips the
+stages in the file, and its tables cover all requested stages in the file. A stage takes ten
+seconds of one core.
 """
 
-import argparse
 import json
 import time
 from collections.abc import Iterator, Sequence
@@ -19,71 +18,59 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
-from benchmarks.zoo.score import Asked, Case, case_of_row, judged
-from benchmarks.zoo.stages import KINDS, NAMES, asked_for, drawn
-from benchmarks.zoo.table import confusion, table, told
+from benchmarks.zoo.command_line import add_results, read_rows, stage_parser
+from benchmarks.zoo.score import Case, StageRequest, case_of_row, score_stage
+from benchmarks.zoo.stages import KINDS, NAMES, draw_stage, stage_requests
+from benchmarks.zoo.table import confusion, summary_line, table
 
 
 def main() -> None:
-    """Judge what is not yet in the file, print a line for each, then the tables."""
-    asked = _arguments().parse_args()
-    laws, kinds = asked.laws.split(","), asked.kinds.split(",")
-    for known, names in ((NAMES, laws), (tuple(KINDS), kinds)):
-        if unknown := sorted(set(names) - set(known)):
-            raise SystemExit(f"found {', '.join(unknown)}, but known are {', '.join(known)}.")
-    wanted = list(asked_for(laws, kinds, asked.cases, asked.seeds))
-    if asked.effects:
-        wanted = [one for one in wanted if set(one.hidden) & set(asked.effects.split(","))]
-    held = read(asked.json)
-    missing = [one for one in wanted if (one.law, one.kind, one.seed) not in held]
-    asked.json.parent.mkdir(parents=True, exist_ok=True)
-    ends_s = time.monotonic() + 60.0 * asked.minutes
-    with asked.json.open("a") as file:
-        for case in _judged(missing, asked.workers):
-            held[case.law, case.kind, case.seed] = case
+    """Diagnose the missing stages, print a line for each, then the tables."""
+    parser = stage_parser(__doc__, cases=5, first=700_000)
+    parser.prog = "python -m benchmarks.zoo"
+    parser.add_argument("--laws", default=",".join(NAMES))
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--effects", default="", help="hide at least one of these")
+    parser.add_argument("--workers", type=int, default=1)
+    add_results(parser, "build/zoo.jsonl")
+    options = parser.parse_args()
+    laws, kinds = options.laws.split(","), options.kinds.split(",")
+    for valid, names in ((NAMES, laws), (tuple(KINDS), kinds)):
+        if unknown := sorted(set(names) - set(valid)):
+            raise SystemExit(f"found {', '.join(unknown)}, but known are {', '.join(valid)}.")
+    requests = list(stage_requests(laws, kinds, options.cases, options.seeds))
+    if options.effects:
+        effects = set(options.effects.split(","))
+        requests = [request for request in requests if set(request.hidden) & effects]
+    results = read(options.json)
+    missing = [r for r in requests if (r.law, r.kind, r.seed) not in results]
+    end_s = time.monotonic() + 60.0 * options.minutes
+    with options.json.open("a") as file:
+        for case in _score(missing, options.workers):
+            results[case.law, case.kind, case.seed] = case
             file.write(json.dumps(case.row()) + "\n")
             file.flush()
-            print(told(case), flush=True)
-            if time.monotonic() > ends_s:
+            print(summary_line(case), flush=True)
+            if time.monotonic() > end_s:
                 break
-    keys = [(one.law, one.kind, one.seed) for one in wanted]
-    cases = [held[key] for key in keys if key in held]
+    keys = [(request.law, request.kind, request.seed) for request in requests]
+    cases = [results[key] for key in keys if key in results]
     print(table(cases, kinds), confusion(cases), sep="\n\n")
 
 
-def read(place: Path) -> dict[tuple[str, str, int], Case]:
-    """Return what a file of results holds; a line cut short by the end of a run is left out."""
-    if not place.exists():
-        return {}
-    text = place.read_text()
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        place.write_text(whole)
-    cases = [case_of_row(json.loads(line)) for line in whole.splitlines()]
+def read(path: Path) -> dict[tuple[str, str, int], Case]:
+    """Return the cases of a results file by law, kind and seed."""
+    cases = [case_of_row(row) for row in read_rows(path)]
     return {(case.law, case.kind, case.seed): case for case in cases}
 
 
-def _judged(missing: Sequence[Asked], workers: int) -> Iterator[Case]:
-    task = partial(judged, drawn=drawn)
+def _score(requests: Sequence[StageRequest], workers: int) -> Iterator[Case]:
+    task = partial(score_stage, draw=draw_stage)
     if workers == 1:
-        yield from map(task, missing)
+        yield from map(task, requests)
         return
     with get_context("spawn").Pool(workers) as pool:
-        yield from pool.imap(task, missing)
-
-
-def _arguments() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.zoo", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--laws", default=",".join(NAMES))
-    parser.add_argument("--kinds", default=",".join(KINDS))
-    parser.add_argument("--effects", default="", help="of which one at least is hidden")
-    parser.add_argument("--cases", type=int, default=5, help="of each law and kind")
-    parser.add_argument("--seeds", type=int, default=700_000, help="the first of them")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--json", type=Path, default=Path("build/zoo.jsonl"))
-    parser.add_argument("--minutes", type=float, default=1e9, help="begin no stage after them")
-    return parser
+        yield from pool.imap(task, requests)
 
 
 if __name__ == "__main__":

@@ -1,18 +1,16 @@
-"""How much healthy stages show: the table by which the diagnosis tells what is more than that.
+"""Distribution of scores on healthy stages, to which the diagnosis compares its evidence.
 
     python -m benchmarks.zoo.healthy [--cases 4] [--seeds 2500000] [--json build/healthy.jsonl]
                                      [--minutes 60] [--workers 2] [--write]
 
-Healthy stages of every law are diagnosed, each is one line of the file of results, and a run that
-was cut short goes on. ``--write`` makes ``piezoid/diagnosis/healthy_scores.json`` of them: the
-scores of what is left and the strengths of the strongest evidence, by law, with the seeds they
-are of. An initial state is no evidence against health: these stages have pasts. Then, for each
-law, the probabilities of what is left by the table of all *other* laws are held against the
-uniform distribution. Most healthy stages show no evidence at all: a cause's probability is then no
-larger than the part of those that do.
+Healthy stages of every law are diagnosed; each is one line of the results file, which a later run
+continues. ``--write`` writes ``piezoid/diagnosis/healthy_scores.json``: by law, the scores of the
+remaining structure and the largest strength of evidence, with the seeds. Initial states do not
+count as evidence, because these stages have drive histories. For each law, the p-values by the
+scores of all other laws are then compared with a uniform distribution. Most healthy stages show
+no evidence, so the p-value of a cause is at most the share of those that do.
 """
 
-import argparse
 import json
 import time
 from collections.abc import Mapping, Sequence
@@ -23,8 +21,9 @@ from typing import Any
 
 from scipy.stats import kstest
 
-from benchmarks.zoo.score import PAST, diagnosed
-from benchmarks.zoo.stages import NAMES, drawn, stage
+from benchmarks.zoo.command_line import add_results, read_rows, stage_parser
+from benchmarks.zoo.score import INITIAL_STATE, StageRequest, diagnose_campaign
+from benchmarks.zoo.stages import NAMES, draw_stage, stage_requests
 from piezoid.diagnosis.null_distribution import rank_p_value, structure_score
 from piezoid.errors import PiezoidError
 
@@ -33,105 +32,92 @@ DIGITS = 4  # of a score
 
 
 def main() -> None:
-    """Score what is not yet in the file, then write and judge the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--cases", type=int, default=4, help="of each law")
-    parser.add_argument("--seeds", type=int, default=2_500_000, help="the first of them")
-    parser.add_argument("--json", type=Path, default=Path("build/healthy.jsonl"))
-    parser.add_argument("--minutes", type=float, default=1e9, help="begin no stage after them")
-    parser.add_argument("--workers", type=int, default=1, help="stages diagnosed at once")
-    parser.add_argument("--write", action="store_true", help="make the table")
-    asked = parser.parse_args()
-    ends_s = time.monotonic() + 60.0 * asked.minutes
-    rows = [json.loads(line) for line in _lines(asked.json)]
-    known = {row["seed"] for row in rows}
-    asked.json.parent.mkdir(parents=True, exist_ok=True)
-    wanted = [
-        (law, number)
-        for number in range(asked.cases)
-        for law in NAMES
-        if stage(law, "healthy", number, asked.seeds).seed not in known
+    """Score the missing stages, then print and write the table."""
+    parser = stage_parser(__doc__, cases=4, first=2_500_000)
+    add_results(parser, "build/healthy.jsonl")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes")
+    parser.add_argument("--write", action="store_true", help="write the table")
+    options = parser.parse_args()
+    end_s = time.monotonic() + 60.0 * options.minutes
+    rows = read_rows(options.json)
+    seeds = {row["seed"] for row in rows}
+    requests = [
+        request
+        for request in stage_requests(NAMES, ["healthy"], options.cases, options.seeds)
+        if request.seed not in seeds
     ]
-    with asked.json.open("a") as file, ProcessPoolExecutor(asked.workers) as pool:
-        for row in pool.map(partial(_scored, first=asked.seeds, ends_s=ends_s), wanted):
+    with options.json.open("a") as file, ProcessPoolExecutor(options.workers) as pool:
+        for row in pool.map(partial(_score, end_s=end_s), requests):
             if row is not None:
                 rows.append(row)
                 file.write(json.dumps(row) + "\n")
                 file.flush()
                 print(row, flush=True)
-    scores, strengths = (_by_law(rows, kind) for kind in ("score", "strength"))
-    if asked.write:
-        seeds = [row["seed"] for row in rows]
-        made = f"python -m benchmarks.zoo.healthy --cases {asked.cases} --seeds {asked.seeds}"
-        table = {"made_by": made, "seeds": sorted(seeds), "scores": scores}
-        table["strengths"] = strengths
+    scores, strengths = (_by_law(rows, key) for key in ("score", "strength"))
+    if options.write:
+        command = f"python -m benchmarks.zoo.healthy --cases {options.cases}"
+        table = {
+            "made_by": f"{command} --seeds {options.seeds}",
+            "seeds": sorted(row["seed"] for row in rows),
+            "scores": scores,
+            "strengths": strengths,
+        }
         TABLE.write_text(json.dumps(table, indent=1, sort_keys=True) + "\n")
     print(uniformity(scores))
-    told = ", ".join(f"{one:.2f}" for of_law in strengths.values() for one in of_law if one > 0.0)
-    print(f"strengths of the stages that show evidence at all: {told}")
+    positive = [f"{value:.2f}" for law in strengths.values() for value in law if value > 0.0]
+    print(f"strengths of the stages with evidence: {', '.join(positive)}")
 
 
-def _by_law(rows: Sequence[Mapping[str, Any]], kind: str) -> dict[str, list[float]]:
-    found: dict[str, list[float]] = {}
+def _by_law(rows: Sequence[Mapping[str, Any]], key: str) -> dict[str, list[float]]:
+    values: dict[str, list[float]] = {}
     for row in sorted(rows, key=lambda row: int(row["seed"])):
-        if row[kind] is not None:
-            found.setdefault(row["law"], []).append(row[kind])
-    return found
+        if row[key] is not None:
+            values.setdefault(row["law"], []).append(row[key])
+    return values
 
 
 def uniformity(scores: Mapping[str, Sequence[float]]) -> str:
-    """Return, law by law, how the probabilities by all other laws' scores are spread."""
-    lines, all_of_them = [], []
-    for law, own in scores.items():
-        others = [s for other, of_it in scores.items() if other != law for s in of_it]
-        chances = [rank_p_value(score, others) for score in own]
-        all_of_them += chances
-        told = ", ".join(f"{chance:.2f}" for chance in sorted(chances))
-        lines.append(f"| {law} | {told} | {kstest(chances, 'uniform').pvalue:.2g} |")
-    whole = kstest(all_of_them, "uniform").pvalue
-    below = sum(chance <= 0.05 for chance in all_of_them)
-    return "\n".join(
-        [
-            "| law | probabilities by the other laws | uniform with p |",
-            "| --- | --- | --- |",
-            *lines,
-            f"| all | at most 0.05: {below} of {len(all_of_them)} | {whole:.2g} |",
-        ]
-    )
+    """Return for each law the p-values by the scores of all other laws."""
+    lines = [
+        "| law | p-values by the other laws | uniform with p |",
+        "| --- | --- | --- |",
+    ]
+    total: list[float] = []
+    for law, law_scores in scores.items():
+        null = [score for name, values in scores.items() if name != law for score in values]
+        p_values = sorted(rank_p_value(score, null) for score in law_scores)
+        total += p_values
+        listed = ", ".join(f"{p:.2f}" for p in p_values)
+        lines.append(f"| {law} | {listed} | {kstest(p_values, 'uniform').pvalue:.2g} |")
+    below = sum(p <= 0.05 for p in total)
+    p_value = kstest(total, "uniform").pvalue
+    return "\n".join([*lines, f"| all | at most 0.05: {below} of {len(total)} | {p_value:.2g} |"])
 
 
-def _scored(wanted: tuple[str, int], *, first: int, ends_s: float) -> dict[str, Any] | None:
-    """Diagnose one healthy stage; None where time is up."""
-    if time.monotonic() > ends_s:
+def _score(request: StageRequest, *, end_s: float) -> dict[str, Any] | None:
+    """Diagnose one healthy stage, unless the time is up."""
+    if time.monotonic() > end_s:
         return None
-    law, number = wanted
-    asked = stage(law, "healthy", number, first)
-    row: dict[str, Any] = {"law": law, "seed": asked.seed, "said": []}
+    row: dict[str, Any] = {"law": request.law, "seed": request.seed, "findings": []}
     row |= {"score": None, "strength": None}
     try:
-        found, time_s = diagnosed(drawn(asked))
+        diagnosis, time_s = diagnose_campaign(draw_stage(request))
     except PiezoidError as error:
         return {**row, "failed": str(error)[:200]}
-    rest = found.unexplained
-    assert rest is not None
-    strengths = [v for name, v in found.strengths.items() if name != PAST]
-    left = found.envelope_rms_m / found.noise_floor_rms_m
+    unexplained = diagnosis.unexplained
+    assert unexplained is not None
+    strengths = [v for name, v in diagnosis.strengths.items() if name != INITIAL_STATE]
+    times_noise = diagnosis.envelope_rms_m / diagnosis.noise_floor_rms_m
     return {
         **row,
-        "score": round(structure_score(rest.gain, left, 1.0), DIGITS),
+        "score": round(structure_score(unexplained.gain, times_noise, 1.0), DIGITS),
         "strength": round(max(strengths, default=0.0), DIGITS),
-        "said": [[one.effect, one.p_value] for one in found.findings],
-        "times_noise": round(left, DIGITS),
-        "gain": round(rest.gain, DIGITS),
-        "coordinate": rest.coordinate,
+        "findings": [[finding.effect, finding.p_value] for finding in diagnosis.findings],
+        "times_noise": round(times_noise, DIGITS),
+        "gain": round(unexplained.gain, DIGITS),
+        "coordinate": unexplained.coordinate,
         "time_s": round(time_s, 1),
     }
-
-
-def _lines(place: Path) -> list[str]:
-    text = place.read_text() if place.exists() else ""
-    return text[: text.rfind("\n") + 1].splitlines()
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""One stage whose faults are known, and how the diagnosis did on it.
+"""Score of one diagnosis: the named effects against the effects hidden in a simulated stage.
 
-An effect that the laboratory could not put in (less than a tenth of the size it asked for) is not
-counted as hidden. Counted strictly: an effect is named where it is among the findings; what a
-finding says it cannot be told from counts for nothing. `something_else` is no name: on a healthy
-stage it is an accusation, elsewhere it is counted apart.
+An effect counts as hidden only if its simulated size reaches a tenth of the requested size. It
+counts as named only if a finding bears its name; effects that a finding declares inseparable do
+not count. `something_else` on a healthy stage is a false alarm. On other stages it is counted
+separately, as it names no effect.
 """
 
 import tempfile
@@ -25,15 +25,15 @@ from piezoid_datasets.virtual_lab.effects.effect import Measure
 from piezoid_datasets.virtual_lab.rig import Rig
 from piezoid_datasets.virtual_lab.write import write_campaign
 
-PUT_IN = 0.1
-ELSE = "something_else"
-LOOPS = "loop_shape"  # a property of the class of model, true of most laws
-PAST = "initial_state"
+MIN_SIZE_RATIO = 0.1  # of the requested size, from which an effect counts as hidden
+UNNAMED = "something_else"
+LOOP_SHAPE = "loop_shape"  # a property of the model class, which most laws of the zoo show
+INITIAL_STATE = "initial_state"
 Numbers = Mapping[str, float | str]
 
 
 def cut_off_percent(numbers: Numbers, rig: Rig) -> float:
-    """Return the larger part of the drive's range, which every sweep covers, beyond a limit."""
+    """Return the largest share of the drive range beyond a limit of the amplifier, in percent."""
     low_V, high_V = (rig.amplifier_gain_V_per_V * v for v in (rig.drive_min_V, rig.drive_max_V))
     above_V = high_V - float(numbers.get("high_V", high_V))
     below_V = float(numbers.get("low_V", low_V)) - low_V
@@ -41,7 +41,7 @@ def cut_off_percent(numbers: Numbers, rig: Rig) -> float:
 
 
 def delay_us(numbers: Numbers, campaign: Campaign) -> float:
-    """Return a delay by a time, or by rows in the recording that was read fastest."""
+    """Return a delay given as a time, or as rows of the recording with the highest rate."""
     if "delay_s" in numbers:
         return 1e6 * float(numbers["delay_s"])
     fastest_Hz = max(1.0 / (rows.time_s[1] - rows.time_s[0]) for rows in campaign.recordings)
@@ -49,12 +49,12 @@ def delay_us(numbers: Numbers, campaign: Campaign) -> float:
 
 
 def hum_percent(numbers: Numbers, rig: Rig) -> float:
-    """Return the rms of the grid's lines: a recording too slow for them shows any part."""
+    """Return the rms of all mains harmonics, in percent of the stroke."""
     amplitude_m = [float(a) for key, a in numbers.items() if key.startswith("amplitude_")]
     return 100.0 * sqrt(sum(a * a for a in amplitude_m) / 2.0) / rig.stroke_m
 
 
-# what the laboratory calls the size that a finding gives, in the finding's unit
+# True size of an effect in the unit that its finding states.
 TRUE_SIZE: dict[str, Callable[[Numbers, Campaign], float]] = {
     "creep": lambda n, _: 100.0 * float(n["creep_per_decade"]),
     "delay": delay_us,
@@ -67,13 +67,13 @@ TRUE_SIZE: dict[str, Callable[[Numbers, Campaign], float]] = {
     "sensor_periodic_error": lambda n, _: 1e9 * float(n["amplitude_m"]),
     "quantisation": lambda n, _: 1e9 * float(n["step_m"]),
 }
-# rms about its mean in the recording that it moves most, of the stroke
+# Their size is the standard deviation over the stroke, in the recording with the largest one.
 ADDED = ("thermal_drift", "cross_coupling", "rate_dependence")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Said:
-    """One finding: what was named, how surely, how large; ``truth`` where a size is known."""
+class ScoredFinding:
+    """One finding with its p-value and size; ``truth`` is the true size, if it is known."""
 
     name: str
     p_value: float
@@ -81,12 +81,12 @@ class Said:
     value: float
     unit: str
     ci95: tuple[float, float]
-    alike: tuple[str, ...] = ()
+    not_separable_from: tuple[str, ...] = ()
     truth: float | None = None
 
     @property
-    def held(self) -> bool | None:
-        """Whether the interval holds the laboratory's number; None where there is none."""
+    def is_covered(self) -> bool | None:
+        """Whether the interval contains the true size; None if the true size is unknown."""
         if self.truth is None:
             return None
         return bool(self.ci95[0] <= self.truth <= self.ci95[1])
@@ -94,16 +94,16 @@ class Said:
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One stage and what was said of it.
+    """One stage and the findings of its diagnosis.
 
-    kind         as on the command line: healthy, single, pair, triple
-    size         of full size
-    unexplained  p of what is left; None where the diagnosis does not say
-    past_percent rms, of the stroke, of what the past of the records changes against one that
-                 cycled until nothing moved, where it does most
-    noise_percent  rms of the sensor's noise, of the stroke
-    times_noise  what the widest class of hysteresis leaves, of the noise
-    failed       what was said instead of a diagnosis
+    kind           as on the command line: healthy, single, pair, triple
+    size           share of the full effect size
+    unexplained    p-value of the remaining structure, or None if the diagnosis has none
+    past_percent   largest rms change of a recording, in percent of the stroke, if all drives had
+                   cycled into a steady state before
+    noise_percent  rms noise of the sensor, in percent of the stroke
+    times_noise    residual of the widest hysteresis class over the noise
+    failed         reason for which there is no diagnosis
     """
 
     law: str
@@ -111,7 +111,7 @@ class Case:
     size: float
     seed: int
     hidden: tuple[str, ...]
-    said: tuple[Said, ...] = ()
+    findings: tuple[ScoredFinding, ...] = ()
     unexplained: float | None = None
     past_percent: float | None = None
     noise_percent: float = 0.0
@@ -122,45 +122,48 @@ class Case:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names from the catalogue."""
-        return tuple(one.name for one in self.said if one.name != ELSE)
+        """Named effects of the catalogue."""
+        return tuple(finding.name for finding in self.findings if finding.name != UNNAMED)
 
     @property
-    def wrong(self) -> tuple[Said, ...]:
-        """Names from the catalogue that are neither hidden nor a past that is there."""
-        true = {*self.hidden, ELSE, *((PAST,) if self.past_shows else ())}
-        return tuple(s for s in self.said if s.name not in true)
+    def wrong(self) -> tuple[ScoredFinding, ...]:
+        """Findings of effects that are neither hidden nor a true initial state."""
+        right = {*self.hidden, UNNAMED, *((INITIAL_STATE,) if self.has_initial_state else ())}
+        return tuple(finding for finding in self.findings if finding.name not in right)
 
     @property
-    def past_shows(self) -> bool:
-        """Whether what the drive did before the records moves one by more than the noise.
-
-        Laws that forget by and by show it, and a laboratory that lets its drive wander hides it.
-        """
+    def has_initial_state(self) -> bool:
+        """Whether the drive before the recordings changes one of them by more than the noise."""
         return (self.past_percent or 0.0) > self.noise_percent
 
     @property
-    def fair(self) -> bool:
-        """Whether a healthy stage is told nothing but that its past is unknown, and rightly."""
-        return bool(self.said) and self.past_shows and {s.name for s in self.said} == {PAST}
+    def is_only_initial_state(self) -> bool:
+        """Whether the initial state is true and the only finding."""
+        return self.has_initial_state and {f.name for f in self.findings} == {INITIAL_STATE}
 
     def row(self) -> dict[str, Any]:
-        """Return what a line of the file of results holds."""
+        """Return the line of the results file as a dictionary."""
         return asdict(self)
 
 
 def case_of_row(row: Mapping[str, Any]) -> Case:
-    """Read a line of the file of results."""
-    said = tuple(
-        Said(**{**one, "ci95": tuple(one["ci95"]), "alike": tuple(one["alike"])})
-        for one in row["said"]
+    """Return the case of one line of the results file."""
+    findings = tuple(
+        ScoredFinding(
+            **{
+                **finding,
+                "ci95": tuple(finding["ci95"]),
+                "not_separable_from": tuple(finding["not_separable_from"]),
+            }
+        )
+        for finding in row["findings"]
     )
-    return Case(**{**row, "said": said, "hidden": tuple(row["hidden"])})
+    return Case(**{**row, "findings": findings, "hidden": tuple(row["hidden"])})
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
-    """Which stage: its law, kind and seed, and the effects to hide at a part of full size."""
+class StageRequest:
+    """Law, kind and seed of a stage, and its hidden effects with their sizes in percent."""
 
     law: str
     kind: str
@@ -169,84 +172,84 @@ class Asked:
     hidden: Mapping[str, float] = field(default_factory=dict)
 
 
-def judged(asked: Asked, drawn: Callable[..., Campaign]) -> Case:
-    """Make a stage, diagnose it, and hold the findings against the answer.
+def score_stage(request: StageRequest, draw: Callable[..., Campaign]) -> Case:
+    """Simulate a stage, diagnose it and compare the findings with the hidden effects.
 
-    drawn  (asked, settled=...) -> its campaign; settled: had the drive cycled for long before
+    draw  (request, settled=...) -> campaign; with settled=True all drives start in a steady cycle
     """
-    known: dict[str, Any] = {
-        "law": asked.law,
-        "kind": asked.kind,
-        "size": asked.size,
-        "seed": asked.seed,
+    values: dict[str, Any] = {
+        "law": request.law,
+        "kind": request.kind,
+        "size": request.size,
+        "seed": request.seed,
     }
     try:
-        campaign = drawn(asked)
+        campaign = draw(request)
     except ValueError as error:  # its recordings cannot show the effect
-        return Case(**known, hidden=(), failed=f"not made: {error}")
-    known["hidden"] = tuple(
+        return Case(**values, hidden=(), failed=f"not made: {error}")
+    values["hidden"] = tuple(
         effect.name
         for effect in campaign.answer.effects
-        if effect.measured_percent > PUT_IN * effect.asked_percent
+        if effect.measured_percent > MIN_SIZE_RATIO * effect.asked_percent
     )
-    known["past_percent"] = _change_percent(campaign, drawn(asked, settled=True))
-    known["noise_percent"] = 100.0 * campaign.rig.noise_rms_m / campaign.rig.stroke_m
-    known["samples"] = sum(len(rows.time_s) for rows in campaign.recordings)
+    change_m = max(
+        Measure.RMS.of(rows.noise_free_m - settled.noise_free_m)
+        for rows, settled in zip(
+            campaign.recordings, draw(request, settled=True).recordings, strict=True
+        )
+    )
+    values["past_percent"] = 100.0 * change_m / campaign.rig.stroke_m
+    values["noise_percent"] = 100.0 * campaign.rig.noise_rms_m / campaign.rig.stroke_m
+    values["samples"] = sum(len(rows.time_s) for rows in campaign.recordings)
     try:
-        found, time_s = diagnosed(campaign)
+        diagnosis, time_s = diagnose_campaign(campaign)
     except PiezoidError as error:
-        return Case(**known, failed=str(error))
+        return Case(**values, failed=str(error))
     return Case(
-        **known,
-        said=tuple(
-            _said(finding, campaign, known["hidden"])
-            for finding in found.findings
-            if finding.effect != LOOPS
+        **values,
+        findings=tuple(
+            _score_finding(finding, campaign, values["hidden"])
+            for finding in diagnosis.findings
+            if finding.effect != LOOP_SHAPE
         ),
-        unexplained=found.unexplained.p_value if found.unexplained else None,
-        times_noise=found.envelope_rms_m / found.noise_floor_rms_m,
+        unexplained=diagnosis.unexplained.p_value if diagnosis.unexplained else None,
+        times_noise=diagnosis.envelope_rms_m / diagnosis.noise_floor_rms_m,
         time_s=time_s,
     )
 
 
-def _change_percent(one: Campaign, other: Campaign) -> float:
-    both = zip(one.recordings, other.recordings, strict=True)
-    most_m = max(Measure.RMS.of(a.noise_free_m - b.noise_free_m) for a, b in both)
-    return 100.0 * most_m / one.rig.stroke_m
-
-
-def recorded(campaign: Campaign) -> tuple[tuple[Recording, ...], Lab]:
-    """Write a campaign as a laboratory hands it over, and read it."""
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
-        write_campaign(campaign, place)
-        lab = read_lab(place / "recordings/lab.toml")
-        files = [place / f"recordings/{rows.run.name}.csv" for rows in campaign.recordings]
+def read_campaign(campaign: Campaign) -> tuple[tuple[Recording, ...], Lab]:
+    """Write the files of a campaign and read them as a user does."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_campaign(campaign, folder)
+        lab = read_lab(folder / "recordings/lab.toml")
+        files = [folder / f"recordings/{rows.run.name}.csv" for rows in campaign.recordings]
         return tuple(collect(files, lab).recordings), lab
 
 
-def diagnosed(campaign: Campaign) -> tuple[Diagnosis, float]:
-    """Return the diagnosis and its seconds of processor."""
-    recordings, lab = recorded(campaign)
-    begun = time.process_time()
-    return diagnose(recordings, lab=lab), time.process_time() - begun
+def diagnose_campaign(campaign: Campaign) -> tuple[Diagnosis, float]:
+    """Return the diagnosis and its processor time in seconds."""
+    recordings, lab = read_campaign(campaign)
+    start_s = time.process_time()
+    return diagnose(recordings, lab=lab), time.process_time() - start_s
 
 
-def _said(finding: Finding, campaign: Campaign, hidden: tuple[str, ...]) -> Said:
+def _score_finding(finding: Finding, campaign: Campaign, hidden: tuple[str, ...]) -> ScoredFinding:
     truth = None
     if finding.effect in hidden:
-        put_in = next(e for e in campaign.answer.effects if e.name == finding.effect)
+        effect = next(e for e in campaign.answer.effects if e.name == finding.effect)
         if finding.effect in TRUE_SIZE:
-            truth = TRUE_SIZE[finding.effect](put_in.numbers, campaign)
+            truth = TRUE_SIZE[finding.effect](effect.numbers, campaign)
         elif finding.effect in ADDED:
-            truth = put_in.moving_percent
-    return Said(
+            truth = effect.moving_percent
+    return ScoredFinding(
         name=finding.effect,
         p_value=float(finding.p_value),
         rms_percent=float(finding.rms_percent),
         value=float(finding.size.value),
         unit=finding.size.unit,
         ci95=(float(finding.size.ci95[0]), float(finding.size.ci95[1])),
-        alike=finding.not_separable_from,
+        not_separable_from=finding.not_separable_from,
         truth=truth,
     )

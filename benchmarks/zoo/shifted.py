@@ -1,31 +1,30 @@
-"""Placebos made of the data at hand, shifted and reversed columns, as the null of an effect.
+"""Null distribution of an effect from shifted and reversed columns of the same data.
 
     python -m benchmarks.zoo.shifted [--cases 1] [--seeds 3200000]
 
-On healthy stages of every law each effect of the catalogue gets its score test, with initial
-states of every recording's own. Its gain on blocks left out,
+On healthy stages of every law, each effect of the catalogue gets its score test with individual
+initial states. Its gain on the n held-out blocks,
 
-    g = -n log(rms with / rms without),   n blocks,
+    g = -n log(rms with / rms without),
 
-is held against those of its own columns rolled by chance along each recording, every other one
-run backwards; an exponential tail above their median gives small probabilities, times the number
-of effects tried (Bonferroni). Printed are the effects below 5 %: a null that holds accuses one
-stage in twenty. What hysteresis leaves is locked to the drive, and so are the columns of an
-effect, but not where they are rolled.
+is compared with that of placebos: the same columns, rolled by a random number of samples within
+each recording. Every other placebo is reversed in time. An exponential tail above their median
+extrapolates small p-values, which are multiplied by the number of tested effects (Bonferroni).
+The program prints the effects below 5 %; a valid null accuses one stage in twenty. Hysteresis
+residuals are locked to the drive, as are the columns of an effect, but rolled columns are not.
 """
 
-import argparse
 from dataclasses import dataclass
 from itertools import pairwise
 from math import log
 
 import numpy as np
 
-from benchmarks.zoo.score import recorded
-from benchmarks.zoo.stages import NAMES, Asked, drawn, stage
+from benchmarks.zoo.command_line import stage_parser
+from benchmarks.zoo.score import StageRequest, read_campaign
+from benchmarks.zoo.stages import NAMES, draw_stage, stage_requests
 from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.diagnose import view_on
-from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.initial_state_search import (
     with_individual_initial_states,
@@ -40,15 +39,15 @@ from piezoid.numerics.executor import SERIAL
 
 PLACEBOS = 40
 LEVEL = 0.05
-NEAREST = 0.05  # of a recording: the least that columns are rolled by
+MIN_SHIFT = 0.05  # of the length of a recording
 
 
 @dataclass(frozen=True, kw_only=True)
-class Accused:
-    """An effect that its shifted placebos make evident.
+class FalseName:
+    """An effect with more evidence than its placebos.
 
     gain     1 - rms with / rms without
-    p_value  times the number of effects tried
+    p_value  times the number of tested effects
     """
 
     name: str
@@ -56,73 +55,66 @@ class Accused:
     p_value: float
 
 
-def accused(asked: Asked) -> list[Accused]:
-    """Return what a stage is accused of by this null."""
-    recordings, lab = recorded(drawn(asked))
+def false_names(request: StageRequest) -> list[FalseName]:
+    """Return the effects that this null names on a healthy stage."""
+    recordings, lab = read_campaign(draw_stage(request))
     clean, _, _ = repair_faults(view_on(recordings, axis="x", lab=lab), SERIAL)
     view = with_individual_initial_states(clean, with_shared_initial_state(clean, SERIAL))
-    view = min(clean, view, key=lambda one: one.rms)
-    tests = [one for one in map(lambda effect: _tested(effect, view), EFFECTS) if one is not None]
-    tried = [(one, len(tests) * _p_value(one, view)) for one in tests]
-    return [
-        Accused(name=one.effect.name, gain=one.cv.gain, p_value=p) for one, p in tried if p < LEVEL
+    view = min(clean, view, key=lambda candidate: candidate.rms)
+    tests = [
+        test
+        for effect in EFFECTS
+        if effect.structural is None
+        and not effect.untestable(view)
+        and (test := score_test(effect, view)) is not None
+        and test.physical
     ]
-
-
-def _tested(effect: Effect, view: View) -> ScoreTest | None:
-    if effect.structural is not None or effect.untestable(view):
-        return None
-    found = score_test(effect, view)
-    return found if found is not None and found.physical else None
-
-
-def _p_value(found: ScoreTest, view: View) -> float:
-    null, chance = null_of(found.effect, view), np.random.default_rng(5)
-    placebos = [
-        _nats(null, _moved(found.trial.columns, null, chance, backwards=j % 2 == 1))
-        for j in range(PLACEBOS)
+    names = [
+        FalseName(
+            name=test.effect.name, gain=test.cv.gain, p_value=len(tests) * _p_value(test, view)
+        )
+        for test in tests
     ]
-    own, middle = -len(null.edges) * log(1.0 - found.cv.gain), float(np.median(placebos))
-    beyond = [one - middle for one in placebos if one >= middle]
-    if own <= middle:
+    return [name for name in names if name.p_value < LEVEL]
+
+
+def _p_value(test: ScoreTest, view: View) -> float:
+    null, rng = null_of(test.effect, view), np.random.default_rng(5)
+    blocks = len(null.edges)
+    gains = []
+    for k in range(PLACEBOS):
+        columns = _placebo(test.trial.columns, null, rng, is_reversed=k % 2 == 1)
+        gains.append(-blocks * log(1.0 - null.cross_validated(columns).gain))
+    gain, median = -blocks * log(1.0 - test.cv.gain), float(np.median(gains))
+    if gain <= median:
         return 1.0
-    return 0.5 * float(np.exp(-(own - middle) / max(float(np.mean(beyond)), 1e-9)))
+    excess = float(np.mean([value - median for value in gains if value >= median]))
+    return 0.5 * float(np.exp(-(gain - median) / max(excess, 1e-9)))
 
 
-def _nats(null: Null, columns: Array) -> float:
-    return -len(null.edges) * log(1.0 - null.cross_validated(columns).gain)
-
-
-def _moved(columns: Array, null: Null, chance: np.random.Generator, *, backwards: bool) -> Array:
+def _placebo(columns: Array, null: Null, rng: np.random.Generator, *, is_reversed: bool) -> Array:
+    """Roll the columns of each recording by a random number of rows."""
     recording = null.block // BLOCKS
     edges = [0, *(np.flatnonzero(np.diff(recording)) + 1).tolist(), len(recording)]
-    moved = np.empty_like(columns)
-    for first, last in pairwise(edges):
-        own = columns[first:last][::-1] if backwards else columns[first:last]
-        near = max(1, int(NEAREST * (last - first)))
-        moved[first:last] = np.roll(own, chance.integers(near, last - first - near), axis=0)
-    return moved
+    placebo = np.empty_like(columns)
+    for start, stop in pairwise(edges):
+        rows = columns[start:stop][::-1] if is_reversed else columns[start:stop]
+        shift = max(1, int(MIN_SHIFT * (stop - start)))
+        placebo[start:stop] = np.roll(rows, rng.integers(shift, stop - start - shift), axis=0)
+    return placebo
 
 
 def main() -> None:
-    """Print a line for each stage, then how many were accused."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--cases", type=int, default=1, help="of each law")
-    parser.add_argument("--seeds", type=int, default=3_200_000, help="the first of them")
-    asked = parser.parse_args()
-    wrong = 0
-    stages = [
-        stage(law, "healthy", number, asked.seeds)
-        for number in range(asked.cases)
-        for law in NAMES
-    ]
-    for one in stages:
-        found = accused(one)
-        wrong += bool(found)
-        words = ", ".join(f"{f.name} (gain {f.gain:.1%}, p {f.p_value:.1g})" for f in found)
-        print(f"{one.law} {one.seed}: {words or 'nothing'}", flush=True)
-    print(f"{wrong} of {len(stages)} healthy stages accused at {LEVEL:.0%}")
+    """Print a line for each stage, then the number of accused stages."""
+    options = stage_parser(__doc__, cases=1, first=3_200_000).parse_args()
+    accused = 0
+    requests = list(stage_requests(NAMES, ["healthy"], options.cases, options.seeds))
+    for request in requests:
+        names = false_names(request)
+        accused += bool(names)
+        listed = ", ".join(f"{n.name} (gain {n.gain:.1%}, p {n.p_value:.1g})" for n in names)
+        print(f"{request.law} {request.seed}: {listed or 'nothing'}", flush=True)
+    print(f"{accused} of {len(requests)} healthy stages accused at {LEVEL:.0%}")
 
 
 if __name__ == "__main__":

@@ -1,16 +1,16 @@
-"""What the laws behind sizes may be wrong by: errors of sizes on stages of the zoo.
+"""Model errors of effect sizes: stated sizes against the true ones on stages of the zoo.
 
     python -m benchmarks.zoo --kinds single --cases 17 --seeds 930000 --json build/sizes.jsonl \\
         --effects creep,delay,lag,resonance,slew_limit,gain_change,amplifier_saturation
     python -m benchmarks.zoo.sizes [--json build/sizes.jsonl]
 
-A size s has the standard error d that its blocks tell, and may be wrong by a part k of it because
-the effect's law, or the hysteresis beside it, is not quite the stage's,
+A size s has the standard error d from its blocks and a relative model error k, because the law of
+the effect or the hysteresis differs from that of the stage,
 
     |s - truth| <= 2 sqrt(d^2 + (k s)^2)    in 95 of 100 stages.
 
-A stage asks for the k at which this is an equation; printed are the largest k that any law asks
-for, and how many sizes of each law the intervals hold with the largest k of all *other* laws.
+The required k of a stage makes this an equation. The table states the largest required k of any
+law, and how many intervals of each law contain the truth with the largest k of all other laws.
 """
 
 import argparse
@@ -18,37 +18,34 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 from pathlib import Path
+from statistics import median_high
 
 from benchmarks.zoo.__main__ import read
 from benchmarks.zoo.table import share
 from piezoid.diagnosis.candidate import QUANTILE
 from piezoid.diagnosis.effects import EFFECTS
 
-KNOWN_TO = {effect.name: effect.model_error for effect in EFFECTS}
+MODEL_ERROR = {effect.name: effect.model_error for effect in EFFECTS}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Error:
-    """A size beside the truth, both as parts of the size.
+class SizeError:
+    """Error of one stated size, relative to the size.
 
-    off     size less truth
-    spread  standard error that blocks tell
-    stated  half of the interval that was stated
+    error           size minus truth
+    standard_error  from the blocks
+    half_width      of the stated interval
     """
 
     law: str
-    off: float
-    spread: float
-    stated: float
+    error: float
+    standard_error: float
+    half_width: float
 
     @property
-    def asks(self) -> float:
-        """Return the part k that makes the interval end at the truth."""
-        return sqrt(max((self.off / QUANTILE) ** 2 - self.spread**2, 0.0))
-
-    def holds(self, part: float) -> bool:
-        """Tell whether the interval with another part k holds the truth."""
-        return self.asks <= part
+    def required_model_error(self) -> float:
+        """Model error k at which the interval ends at the truth."""
+        return sqrt(max((self.error / QUANTILE) ** 2 - self.standard_error**2, 0.0))
 
 
 def main() -> None:
@@ -56,40 +53,45 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--json", type=Path, default=Path("build/sizes.jsonl"))
-    errors: dict[str, list[Error]] = {}
+    errors: dict[str, list[SizeError]] = {}
     for case in read(parser.parse_args().json).values():
-        for said in case.said:
-            if said.truth is None or said.value == 0.0:
+        for finding in case.findings:
+            if finding.truth is None or finding.value == 0.0:
                 continue
-            reach = (said.ci95[1] - said.value) / abs(said.value)
-            spread = sqrt(max((reach / QUANTILE) ** 2 - KNOWN_TO[said.name] ** 2, 0.0))
-            off = (said.value - said.truth) / abs(said.value)
-            one = Error(law=case.law, off=off, spread=spread, stated=reach)
-            errors.setdefault(said.name, []).append(one)
+            size = abs(finding.value)
+            half_width = (finding.ci95[1] - finding.value) / size
+            variance = (half_width / QUANTILE) ** 2 - MODEL_ERROR[finding.name] ** 2
+            errors.setdefault(finding.name, []).append(
+                SizeError(
+                    law=case.law,
+                    error=(finding.value - finding.truth) / size,
+                    standard_error=sqrt(max(variance, 0.0)),
+                    half_width=half_width,
+                )
+            )
     print(
-        "| effect | sizes | known to | held as stated | asked for at most | held by other laws' k "
-        "| median error | median half of the interval |\n| --- " * 1 + "| --- " * 7 + "|"
+        "| effect | sizes | model error | intervals that hold | largest required model error "
+        "| intervals that hold with the largest of the other laws | median error "
+        "| median half width |\n" + "| --- " * 8 + "|"
     )
-    for name, found in sorted(errors.items()):
-        print(_row(name, found))
+    for name, sizes in sorted(errors.items()):
+        print(_row(name, sizes))
 
 
-def _row(name: str, found: Sequence[Error]) -> str:
-    held = sum(abs(one.off) <= one.stated for one in found)
-    others = sum(
-        one.holds(max((o.asks for o in found if o.law != one.law), default=0.0)) for one in found
+def _row(name: str, sizes: Sequence[SizeError]) -> str:
+    covered = sum(abs(size.error) <= size.half_width for size in sizes)
+    covered_by_others = sum(
+        size.required_model_error
+        <= max((s.required_model_error for s in sizes if s.law != size.law), default=0.0)
+        for size in sizes
     )
     return (
-        f"| {name} | {len(found)} | {KNOWN_TO[name]:g} | {share(held, len(found))} | "
-        f"{max(one.asks for one in found):.2g} | {share(others, len(found))} | "
-        f"{_median([abs(one.off) for one in found]):.2g} | "
-        f"{_median([one.stated for one in found]):.2g} |"
+        f"| {name} | {len(sizes)} | {MODEL_ERROR[name]:g} | {share(covered, len(sizes))} | "
+        f"{max(size.required_model_error for size in sizes):.2g} | "
+        f"{share(covered_by_others, len(sizes))} | "
+        f"{median_high([abs(size.error) for size in sizes]):.2g} | "
+        f"{median_high([size.half_width for size in sizes]):.2g} |"
     )
-
-
-def _median(values: Sequence[float]) -> float:
-    ordered = sorted(values)
-    return ordered[len(ordered) // 2]
 
 
 if __name__ == "__main__":

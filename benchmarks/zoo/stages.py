@@ -1,24 +1,24 @@
-"""Which stages are asked for: every law, and on each healthy ones, singles, pairs and triples.
+"""Stages of the zoo: every hysteresis law, healthy or with one, two or three hidden effects.
 
-Full size is four times what a person sees by eye; a quarter is what a person just sees. Every
-stage stands in a laboratory of its own: other instruments, pasts, zeros; three to six recordings,
-of which some show nothing that is hidden (an axis that moves unfelt, holds without creep).
+The full size of an effect is four times, a quarter of it once the size that is visible by eye.
+Each stage has its own laboratory with instruments, drive histories and offsets. It has three to
+six recordings, of which some do not show the hidden effect.
 """
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from benchmarks.zoo.score import Asked
+from benchmarks.zoo.score import StageRequest
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
 from piezoid_datasets.virtual_lab.effects import EFFECTS
 from piezoid_datasets.virtual_lab.laboratory import draw_laboratory
 from piezoid_datasets.virtual_lab.truths import ZOO
 
-FULL = 4.0  # times what is visible
+FULL_SIZE = 4.0  # times the visible size
 HIDDEN = tuple(e.name for e in EFFECTS if e.name != "asymmetry")  # the simulation has dead zones
 VISIBLE = {effect.name: effect.visible_percent for effect in EFFECTS}
-# kind -> effects at once, part of full size
+# kind -> number of effects, share of full size
 KINDS: dict[str, tuple[int, float]] = {
     "healthy": (0, 1.0),
     "single": (1, 1.0),
@@ -27,46 +27,48 @@ KINDS: dict[str, tuple[int, float]] = {
     "pair": (2, 1.0),
     "triple": (3, 1.0),
 }
-# a stage has the same seed whatever else is asked for, so that runs can be resumed and joined
+# The seed of a stage does not depend on the other requested ones, so that runs can be joined.
 PER_KIND = 1000
 PER_LAW = PER_KIND * len(KINDS)
 NAMES = tuple(truth.name for truth in ZOO)
 
 
-def asked_for(
+def stage_requests(
     laws: Sequence[str], kinds: Sequence[str], cases: int, first: int
-) -> Iterator[Asked]:
-    """Yield stages, one of each law and kind in turn, so that a run cut short is a small one."""
+) -> Iterator[StageRequest]:
+    """Return the stages in rounds of one per law and kind, so that a partial run is balanced."""
     for number in range(cases):
         for kind in kinds:
             for law in laws:
                 yield stage(law, kind, number, first)
 
 
-def stage(law: str, kind: str, number: int, first: int) -> Asked:
-    """Return the stage of a number; singles take the effects in turn, from law to law others."""
-    place, (count, size) = NAMES.index(law), KINDS[kind]
-    seed = first + place * PER_LAW + list(KINDS).index(kind) * PER_KIND + number
+def stage(law: str, kind: str, number: int, first: int) -> StageRequest:
+    """Return one stage; single effects rotate with the number and start differently per law."""
+    index, (count, size) = NAMES.index(law), KINDS[kind]
+    seed = first + index * PER_LAW + list(KINDS).index(kind) * PER_KIND + number
     if count == 1:
-        names = [HIDDEN[(number + 5 * place) % len(HIDDEN)]]
+        names = [HIDDEN[(number + 5 * index) % len(HIDDEN)]]
     else:
         rng = np.random.default_rng([seed, 7])
         names = [HIDDEN[int(k)] for k in rng.choice(len(HIDDEN), count, replace=False)]
-    hidden = {name: FULL * size * VISIBLE[name] for name in names}
-    return Asked(law=law, kind=kind, seed=seed, size=size, hidden=hidden)
+    hidden = {name: FULL_SIZE * size * VISIBLE[name] for name in names}
+    return StageRequest(law=law, kind=kind, seed=seed, size=size, hidden=hidden)
 
 
-def drawn(asked: Asked, *, settled: bool = False, plans: Sequence[str] | None = None) -> Campaign:
-    """Record the stage in a laboratory of its own.
+def draw_stage(
+    request: StageRequest, *, settled: bool = False, plans: Sequence[str] | None = None
+) -> Campaign:
+    """Simulate the recordings of a stage in its own laboratory.
 
-    settled  its drives always cycled until nothing moved
-    plans    its recordings; None: three to six, one of which shows what is hidden
+    settled  all drives start in a steady cycle
+    plans    names of the recordings; None draws three to six, of which one shows the effects
     """
-    laboratory = draw_laboratory(np.random.default_rng([asked.seed, 9]))
+    laboratory = draw_laboratory(np.random.default_rng([request.seed, 9]))
     return draw_campaign(
-        asked.seed,
-        effects=asked.hidden,
-        truth=asked.law,
+        request.seed,
+        effects=request.hidden,
+        truth=request.law,
         plans=plans,
         laboratory=laboratory.settled if settled else laboratory,
     )

@@ -99,9 +99,13 @@ def draw_campaign(
     Raises ``ValueError`` with the available names for an unknown name.
     """
     sizes = dict(effects) if isinstance(effects, Mapping) else dict.fromkeys(effects)
-    sizes_percent = {name: _size(named(EFFECTS, name), size, seed) for name, size in sizes.items()}
+    sizes_percent = {
+        name: _size(member_named(EFFECTS, name), size, seed) for name, size in sizes.items()
+    }
     hidden = [effect for effect in EFFECTS if sizes_percent.get(effect.name, 0.0) > 0.0]
-    kind = named(ZOO, truth or str(_generator(seed, "truth").choice([t.name for t in TRUTHS])))
+    kind = member_named(
+        ZOO, truth or str(_generator(seed, "truth").choice([t.name for t in TRUTHS]))
+    )
     rig = draw_rig(_generator(seed, "rig"), name=f"virtual stage {seed}")
     past_V = careless_history_V if careless else None
     acts: tuple[Act, ...] = ()
@@ -110,7 +114,9 @@ def draw_campaign(
         past_V = past_V or laboratory.past_V
     stage = Stage(rig=rig, ceramic=kind.draw(_generator(seed, "ceramic")), acts=acts, seed=seed)
     plan_choices = plans or _plans_for(hidden, _generator(seed, "plans"))
-    plan_records = [named(PLANS, plan) if isinstance(plan, str) else plan for plan in plan_choices]
+    plan_records = [
+        member_named(PLANS, plan) if isinstance(plan, str) else plan for plan in plan_choices
+    ]
     runs = [
         run_of(plan, rig, _generator(seed, f"plan {plan.name}"), past_V=past_V)
         for plan in plan_records
@@ -189,8 +195,8 @@ def measure_effect(
     recordings: Sequence[Rows],
 ) -> HiddenEffect:
     """Measure the change of the noise-free readings if one effect is removed."""
-    others = {name: fault for name, fault in faults.items() if name != effect.name}
-    without = record_all(stage, runs, others)
+    remaining = {name: fault for name, fault in faults.items() if name != effect.name}
+    without = record_all(stage, runs, remaining)
     changes = {a.run.name: change_m(a, b) for a, b in zip(recordings, without, strict=True)}
     percent = 100.0 / stage.rig.stroke_m
     return HiddenEffect(
@@ -212,7 +218,7 @@ def change_m(recording: Rows, reference: Rows) -> Array:
     return recording.noise_free_m[:count] - reference.noise_free_m[:count]
 
 
-def named(members: Sequence[Member], name: str) -> Member:
+def member_named(members: Sequence[Member], name: str) -> Member:
     """Return the member with a name; raise ``ValueError`` with all names if it does not exist."""
     by_name = {member.name: member for member in members}
     if name not in by_name:

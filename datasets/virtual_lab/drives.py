@@ -28,8 +28,8 @@ def nested_loops(rate_Hz: float, slope_per_s: float, levels: tuple[float, ...]) 
     """Move through given turning points at constant speed."""
     stops = (-1.0, *levels, -1.0)
     parts = [np.array([-1.0])]
-    for here, there in itertools.pairwise(stops):
-        parts.append(ramp(rate_Hz, here, there, abs(there - here) / slope_per_s))
+    for start, end in itertools.pairwise(stops):
+        parts.append(ramp(rate_Hz, start, end, abs(end - start) / slope_per_s))
     return np.concatenate(parts)
 
 
@@ -39,12 +39,12 @@ def random_levels(rate_Hz: float, move_s: float, moves: int, rng: np.random.Gene
     Each move covers a random fraction of the distance to the edge, which gives minor loops of all
     spans at all biases.
     """
-    parts, here, edge = [np.array([-1.0])], -1.0, 0.95
+    parts, position, edge = [np.array([-1.0])], -1.0, 0.95
     for _ in range(moves):
-        there = here + (edge - here) * float(rng.uniform(0.2, 1.0))
-        parts.append(glide(rate_Hz, here, there, move_s * float(rng.uniform(0.7, 1.3))))
-        here, edge = there, -edge
-    return np.concatenate((*parts, glide(rate_Hz, here, -1.0, move_s)))
+        target = position + (edge - position) * float(rng.uniform(0.2, 1.0))
+        parts.append(glide(rate_Hz, position, target, move_s * float(rng.uniform(0.7, 1.3))))
+        position, edge = target, -edge
+    return np.concatenate((*parts, glide(rate_Hz, position, -1.0, move_s)))
 
 
 def staircase(
@@ -52,10 +52,10 @@ def staircase(
 ) -> Array:
     """Move to random levels and hold each."""
     levels = [-1.0, *rng.uniform(-0.95, 0.95, steps).tolist(), -1.0]
-    held = np.ones(round(hold_s * rate_Hz))
-    parts = [-held[: len(held) // 2]]
-    for here, there in itertools.pairwise(levels):
-        parts += [glide(rate_Hz, here, there, move_s), there * held]
+    hold = np.ones(round(hold_s * rate_Hz))
+    parts = [-hold[: len(hold) // 2]]
+    for start, end in itertools.pairwise(levels):
+        parts += [glide(rate_Hz, start, end, move_s), end * hold]
     return np.concatenate(parts)
 
 
@@ -79,9 +79,9 @@ def chirp(rate_Hz: float, low_Hz: float, high_Hz: float, time_s: float, amplitud
 
 def long_hold(rate_Hz: float, move_s: float, level: float, hold_s: float) -> Array:
     """Rise to the end, return to a level, and hold it, so that creep and drift are visible."""
-    held = np.full(round(hold_s * rate_Hz), level)
-    up, back = glide(rate_Hz, -1.0, 1.0, move_s), glide(rate_Hz, 1.0, level, move_s)
-    return np.concatenate((up, back, held, glide(rate_Hz, level, -1.0, move_s)))
+    hold = np.full(round(hold_s * rate_Hz), level)
+    up, down = glide(rate_Hz, -1.0, 1.0, move_s), glide(rate_Hz, 1.0, level, move_s)
+    return np.concatenate((up, down, hold, glide(rate_Hz, level, -1.0, move_s)))
 
 
 def wave(phase: Array, *, triangle: bool) -> Array:

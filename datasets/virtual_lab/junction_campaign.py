@@ -194,27 +194,27 @@ def name_of(spot: int) -> str:
 
 def _lab_toml(campaign: JunctionCampaign) -> str:
     """Return the declarations of the owner, without barrier, disturbances and latency."""
-    one = campaign.junctions[0]
-    actuator = one.drive_gain_m_per_V / AMPLIFIER_GAIN_V_per_V
-    ceiling_A = CEILING_SHARE * one.input_range_V / one.current_gain_V_per_A
+    junction = campaign.junctions[0]
+    actuator = junction.drive_gain_m_per_V / AMPLIFIER_GAIN_V_per_V
+    ceiling_A = CEILING_SHARE * junction.input_range_V / junction.current_gain_V_per_A
     text = f"""[rig]
 name = "virtual tip {campaign.seed}"
 
 [acquisition]
-sampling_rate_Hz = {one.sampling_rate_Hz:g}
+sampling_rate_Hz = {junction.sampling_rate_Hz:g}
 dac_bits = 16
 adc_bits = 16
-input_range_V = [{-one.drive_range_V:g}, {one.drive_range_V:g}]
+input_range_V = [{-junction.drive_range_V:g}, {junction.drive_range_V:g}]
 
 [tunnelling]
-set_point_A = {one.set_point_A:g}
-floor_A = {one.lost_below_A:g}
+set_point_A = {junction.set_point_A:g}
+floor_A = {junction.lost_below_A:g}
 ceiling_A = {ceiling_A:g}
-feedback_ohm = {one.current_gain_V_per_A:g}
+feedback_ohm = {junction.current_gain_V_per_A:g}
 
 [axis.z.amplifier]
 gain_V_per_V = {AMPLIFIER_GAIN_V_per_V:g}
-bandwidth_Hz = {one.amplifier_pole_Hz:g}
+bandwidth_Hz = {junction.amplifier_pole_Hz:g}
 
 [axis.z.actuator]
 gain_m_per_V = {actuator:g}

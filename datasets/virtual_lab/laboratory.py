@@ -51,8 +51,8 @@ class Laboratory:
         middle_V = 0.5 * (rig.drive_min_V + rig.drive_max_V)
         reach_V = rig.drive_max_V - middle_V
         shrinking = np.sort(rng.uniform(0.05, 1.0, turns))[::-1] * (-1.0) ** np.arange(turns)
-        full = np.array([rig.drive_max_V, rig.drive_min_V] * cycles)
-        return np.concatenate((full, middle_V + reach_V * shrinking))
+        cycles_V = np.array([rig.drive_max_V, rig.drive_min_V] * cycles)
+        return np.concatenate((cycles_V, middle_V + reach_V * shrinking))
 
     @property
     def settled(self) -> "Laboratory":

@@ -36,7 +36,7 @@ def run_of(plan: Plan, rig: Rig, rng: np.random.Generator, *, past_V: Past | Non
 
     past_V  (rig, rng) -> turning points before the recording; None: two cycles over the range
     """
-    rate_Hz, shape, others = plan.shape(rig, rng)
+    rate_Hz, shape, other_drives = plan.shape(rig, rng)
     history = cycled_history_V(rig) if past_V is None else past_V(rig, rng)
     return Run(
         name=plan.name,
@@ -44,7 +44,7 @@ def run_of(plan: Plan, rig: Rig, rng: np.random.Generator, *, past_V: Past | Non
         command_V=volts_of(rig, shape),
         history_V=history,
         rest_s=float(rng.uniform(20.0, 300.0)),
-        others_V={axis: volts_of(rig, drive) for axis, drive in others.items()},
+        others_V={axis: volts_of(rig, drive) for axis, drive in other_drives.items()},
     )
 
 
@@ -69,8 +69,8 @@ def sweep(_: Rig, rng: np.random.Generator) -> Shapes:
     triangle = bool(rng.random() < 0.6)
     shape = drives.decaying_sweep(rate_Hz, frequency_Hz, cycles, triangle=triangle)
     loops = drives.nested_loops(rate_Hz, 4.0 * frequency_Hz, (1.0, -0.2, 0.5, -0.7, 0.3, -1.0))
-    again = drives.decaying_sweep(rate_Hz, frequency_Hz, 4, keep=1.0, triangle=triangle)
-    return rate_Hz, np.concatenate((shape, loops, again)), {}
+    full_cycles = drives.decaying_sweep(rate_Hz, frequency_Hz, 4, keep=1.0, triangle=triangle)
+    return rate_Hz, np.concatenate((shape, loops, full_cycles)), {}
 
 
 def check(_: Rig, rng: np.random.Generator) -> Shapes:
@@ -107,9 +107,9 @@ def other_axis(_: Rig, rng: np.random.Generator) -> Shapes:
     slow = 0.5 * np.sin(2.0 * np.pi * 0.19 * np.arange(round(time_s * rate_Hz)) / rate_Hz)
     up = drives.glide(rate_Hz, -1.0, 0.0, 2.0)
     shape = np.concatenate((up, slow, drives.glide(rate_Hz, float(slow[-1]), -1.0, 2.0)))
-    other = drives.decaying_sweep(rate_Hz, float(rng.uniform(0.5, 0.9)), 8)
-    still = np.full(max(len(shape) - len(other), 0) // 2, -1.0)
-    moves = np.concatenate((still, other, np.full(len(shape), -1.0)))[: len(shape)]
+    drive = drives.decaying_sweep(rate_Hz, float(rng.uniform(0.5, 0.9)), 8)
+    still = np.full(max(len(shape) - len(drive), 0) // 2, -1.0)
+    moves = np.concatenate((still, drive, np.full(len(shape), -1.0)))[: len(shape)]
     return rate_Hz, shape, {"y": moves}
 
 

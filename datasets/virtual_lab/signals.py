@@ -108,5 +108,5 @@ def _filter(
         return cast(Array, lfilter(numerator, denominator, signal, zi=state)[0])
     old = float(numerator[1]) if len(numerator) > 1 else 0.0
     state = np.array([old * float(signal[0]) - denominator[1] * start])
-    rest = cast(Array, lfilter(numerator, denominator, signal[1:], zi=state)[0])
-    return np.concatenate(([start], rest))
+    filtered = cast(Array, lfilter(numerator, denominator, signal[1:], zi=state)[0])
+    return np.concatenate(([start], filtered))

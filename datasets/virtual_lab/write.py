@@ -51,9 +51,9 @@ def campaign_files(campaign: Campaign) -> dict[str, bytes]:
 def write_campaign(campaign: Campaign, folder: Path) -> None:
     """Write recordings/ and truth/ into a folder."""
     for name, content in campaign_files(campaign).items():
-        place = folder / name
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_bytes(content)
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
 
 
 def lab_toml(rig: Rig) -> str:
@@ -95,7 +95,7 @@ def csv_text(rows: Rows, *, axis: str = "") -> str:
     interval_s = 1.0 / rows.run.sampling_rate_Hz
     decimals = next((n for n in range(1, 9) if abs(round(interval_s, n) - interval_s) < 1e-12), 9)
     names = ["time [s]", f"voltage{mark} [V]", f"displacement{mark} [um]"]
-    names += [f"voltage_{other} [V]" for other in rows.others_V]
+    names += [f"voltage_{name} [V]" for name in rows.others_V]
     columns = [
         [f"{value:.{decimals}f}" for value in rows.time_s.tolist()],
         [f"{value:.5f}" for value in rows.voltage_V.tolist()],

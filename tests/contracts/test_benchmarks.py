@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import million_samples, ratios, streamed_fit
-from benchmarks.speed.campaign import made
+from benchmarks.speed.campaign import make_campaign as made
 from benchmarks.speed.chain import Loop
 from benchmarks.speed.chain_rows import loop_growths, loop_row
 from benchmarks.speed.stopwatch import Stopwatch

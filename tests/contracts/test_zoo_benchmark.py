@@ -5,14 +5,14 @@ import json
 import pytest
 
 from benchmarks.zoo.__main__ import read
-from benchmarks.zoo.score import Case, Said, case_of_row
-from benchmarks.zoo.stages import HIDDEN, KINDS, NAMES, asked_for, stage
+from benchmarks.zoo.score import Case, ScoredFinding, case_of_row
+from benchmarks.zoo.stages import HIDDEN, KINDS, NAMES, stage, stage_requests
 from benchmarks.zoo.table import confusion, share, table
 from piezoid_datasets.virtual_lab.truths import ZOO
 
 
-def finding(name: str, *, truth: float | None = None, p_value: float = 1e-9) -> Said:
-    return Said(
+def finding(name: str, *, truth: float | None = None, p_value: float = 1e-9) -> ScoredFinding:
+    return ScoredFinding(
         name=name,
         p_value=p_value,
         rms_percent=0.1,
@@ -24,7 +24,7 @@ def finding(name: str, *, truth: float | None = None, p_value: float = 1e-9) -> 
 
 
 def case(
-    kind: str, hidden: tuple[str, ...], *findings: Said, past_percent: float | None = None
+    kind: str, hidden: tuple[str, ...], *findings: ScoredFinding, past_percent: float | None = None
 ) -> Case:
     return Case(
         law="dahl",
@@ -32,7 +32,7 @@ def case(
         size=1.0,
         seed=len(hidden),
         hidden=hidden,
-        said=findings,
+        findings=findings,
         unexplained=0.5,
         past_percent=past_percent,
         noise_percent=0.05,
@@ -41,8 +41,8 @@ def case(
 
 
 def test_a_stage_does_not_depend_on_the_other_stages():
-    subset = list(asked_for(["dahl"], ["single", "pair"], 2, 5))
-    full_set = list(asked_for([law.name for law in ZOO], list(KINDS), 3, 5))
+    subset = list(stage_requests(["dahl"], ["single", "pair"], 2, 5))
+    full_set = list(stage_requests([law.name for law in ZOO], list(KINDS), 3, 5))
     assert all(task in full_set for task in subset)
     assert len({task.seed for task in full_set}) == len(full_set) == 3 * len(KINDS) * len(ZOO)
     assert tuple(law.name for law in ZOO) == NAMES

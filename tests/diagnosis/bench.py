@@ -4,8 +4,9 @@ from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 
-from benchmarks.zoo.score import recorded as recorded
-from benchmarks.zoo.stages import KINDS, NAMES, PER_KIND, PER_LAW, drawn, stage
+from benchmarks.zoo.score import read_campaign as recorded
+from benchmarks.zoo.stages import KINDS, NAMES, PER_KIND, PER_LAW, stage
+from benchmarks.zoo.stages import draw_stage as drawn
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.residual_view import View

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.zoo.stages import drawn, stage
+from benchmarks.zoo.stages import draw_stage as drawn
+from benchmarks.zoo.stages import stage
 from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.diagnosis.structure_findings import NoiseLevel, noise_level

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.zoo.score import recorded
-from benchmarks.zoo.stages import drawn, stage
+from benchmarks.zoo.score import read_campaign as recorded
+from benchmarks.zoo.stages import draw_stage as drawn
+from benchmarks.zoo.stages import stage
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import timestamp_fault

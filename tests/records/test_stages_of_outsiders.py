@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.outsiders.simulators import simulator
-from benchmarks.zoo.stages import drawn, stage
+from benchmarks.outsiders.simulators import load_simulator as simulator
+from benchmarks.zoo.stages import draw_stage as drawn
+from benchmarks.zoo.stages import stage
 from piezoid.records.checks.consistency import check_consistency
 from piezoid.records.collection import collect
 from piezoid.records.lab import read_lab

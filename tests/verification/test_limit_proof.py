@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.proof_mutants import LATERAL, SOURCE, TIP, broken
+from benchmarks.proof_mutants import LATERAL, SOURCE, TIP, mutate
 from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import bundle, runtime_source
 from piezoid.export.export_stage import function_values
@@ -37,7 +37,7 @@ def test_the_tip_is_proved_and_a_missing_limit_raises_an_alarm():
     assert proof.tool.startswith("Frama-C")
     assert any("inside the limits" in claim for claim in proof.claims)
     clamp = "clamp(wanted, p->voltage_minimum_V, p->voltage_maximum_V)"
-    source = broken(files[SOURCE].decode(), ("convert", clamp, "wanted"))
+    source = mutate(files[SOURCE].decode(), ("convert", clamp, "wanted"))
     disproof = prove_axis({**files, SOURCE: source.encode()}, file.axes[0], 0, "float")
     assert not disproof.passed
     assert any("to_code" in alarm for alarm in disproof.alarms)
@@ -114,6 +114,6 @@ def test_an_alarm_fails_the_verification_and_is_in_its_file():
 def test_every_mutant_changes_the_source():
     source = runtime_source(SOURCE).decode()
     assert len(LATERAL) + len(TIP) >= 50
-    assert len({broken(source, slip) for slip in LATERAL + TIP}) == len(LATERAL) + len(TIP)
+    assert len({mutate(source, slip) for slip in LATERAL + TIP}) == len(LATERAL) + len(TIP)
     with pytest.raises(ValueError, match="clamp does not hold"):
-        broken(source, ("clamp", "x ==", "x !="))
+        mutate(source, ("clamp", "x ==", "x !="))

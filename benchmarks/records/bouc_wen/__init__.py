@@ -1,6 +1,6 @@
-"""The Bouc-Wen benchmark: one mode whose spring is hysteretic, identified from its record.
+"""The Bouc-Wen benchmark: one mode with a hysteretic spring, identified from its record.
 
-Start at ``record.py``; ``fit.py`` and ``mode.py`` need nothing of piezoid.
+Start at ``record.py``. ``fit.py`` and ``mode.py`` do not import piezoid.
 """
 
 from benchmarks.records.bouc_wen.record import FOLDER, NAME, report

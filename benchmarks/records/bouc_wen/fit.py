@@ -1,8 +1,8 @@
-"""Identify the mode: a start by its equation of motion, then its output error.
+"""Identification of the mode: a start from the equation of motion, then the output error.
 
 The equation of motion, filtered by F = 1 / (p^2 + a p + b), is linear in m, c, k, k2, k3, h and
 f0 once the state z is computed from the measured displacement [Steiglitz & McBride 1965; Young
-1981]. Noise of the displacement biases that start. The fit proper minimises
+1981]. Noise of the displacement biases that start. The final fit minimises
 
     sum_k (y[k] - y_model[k])^2
 
@@ -19,8 +19,8 @@ from scipy.stats import t as student
 from benchmarks.records.bouc_wen.mode import BoucWenMode, band_limited, integrate, state_along
 
 FINE = 4  # filter steps per sample
-ROUNDS = 4  # of the filter: a and b come from the mode of the round before
-# Starts of beta, gamma and n: a knee within the displacement's range or beyond it, a force that
+ROUNDS = 4  # of the filter, whose a and b follow from the mode of the previous round
+# Starts of beta, gamma and n: a knee inside or outside the range of the displacement, a force that
 # saturates or stiffens.
 KNEES = tuple(
     (beta, gamma, n) for n in (1.0, 2.0) for beta in (0.5, 2.0) for gamma in (-2.0, -0.5, 0.5)
@@ -34,7 +34,7 @@ NAMES = tuple(field.name for field in fields(BoucWenMode))[:-1]
 class BoucWenFit:
     """The identified mode.
 
-    interval        95 %, by parameter name
+    interval        95 % interval by parameter name
     residual_rms_m  on the training record
     """
 
@@ -65,12 +65,12 @@ def fit(force: np.ndarray, displacement_m: np.ndarray, rate_Hz: float) -> BoucWe
     best = least_squares(
         error, x, bounds=(lower, np.inf), x_scale="jac", diff_step=1e-6, ftol=1e-9, xtol=1e-9
     )
-    half = _half_widths(best.jac, best.fun) * scale
+    half_width = _half_widths(best.jac, best.fun) * scale
     values = best.x * scale
     return BoucWenFit(
         mode=mode(best.x),
         interval={
-            name: (float(values[i] - half[i]), float(values[i] + half[i]))
+            name: (float(values[i] - half_width[i]), float(values[i] + half_width[i]))
             for i, name in enumerate(NAMES)
         },
         residual_rms_m=size_m * float(np.sqrt(np.mean(best.fun**2))),
@@ -89,7 +89,7 @@ def equation_error_start(
     impulse = np.zeros_like(y)
     impulse[0] = 1.0
 
-    def solve(natural: tuple[float, float], others: list[np.ndarray]) -> tuple:
+    def solve(natural: tuple[float, float], nonlinear: list[np.ndarray]) -> tuple:
         def low_pass(signal: np.ndarray) -> np.ndarray:
             return lfilter(*_second_order(0.0, natural, fine_Hz), signal)
 
@@ -99,7 +99,7 @@ def equation_error_start(
         position, velocity = low_pass(y), derivative(y)
         acceleration = y - natural[0] * velocity - natural[1] * position
         columns = [
-            acceleration, velocity, position, *map(low_pass, others),
+            acceleration, velocity, position, *map(low_pass, nonlinear),
             low_pass(np.ones_like(y)), low_pass(impulse), derivative(impulse),
         ]  # fmt: skip
         matrix, target = np.column_stack(columns)[::FINE], low_pass(u)[::FINE]

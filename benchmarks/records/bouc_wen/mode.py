@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import resample_poly
 
-SIDE_SAMPLES = 32  # of the interpolating sinc: 0.4 of the sampling rate passes to 1e-5
+SIDE_SAMPLES = 32  # of the interpolating sinc, which passes 0.4 of the sampling rate to 1e-5
 DIVERGED = 1e3  # times size_m
-# Steps per period of the mode. The true equations leave 10.4e-7 m of the benchmark's multisine at
-# 43 steps, 3.5 at 86, 2.5 at 172, 2.4 at 430.
+# Steps per period of the mode. The error of the true equations on the multisine of the benchmark
+# is 10.4e-7 m with 43 steps, 3.5e-7 with 86, 2.5e-7 with 172, 2.4e-7 with 430.
 STEPS_PER_PERIOD = 200
-PERIODS = 5  # simulated of a periodic drive; the last is returned
+PERIODS = 5  # of a periodic drive, of which the last is returned
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class BoucWenMode:
         """Return the displacement, (samples,) m, from rest at k y = u - f0 and z = 0.
 
         force     (samples,) N, band-limited between the samples
-        periodic  one period of many: the displacement of the fifth is returned
+        periodic  repeats the force five times and returns the last period
         """
         drive = np.tile(force, PERIODS) if periodic else force
         steps = self.steps(rate_Hz)
@@ -62,13 +62,13 @@ class BoucWenMode:
 def band_limited(signal: np.ndarray, factor: int) -> np.ndarray:
     """Interpolate a signal without components above half its sampling rate.
 
-    returned  (factor (samples - 1) + 1,); the signal is continued point-symmetrically at its ends
+    The signal is extended point-symmetrically. Returns (factor (samples - 1) + 1,) values.
     """
-    before = 2.0 * signal[0] - signal[SIDE_SAMPLES:0:-1]
-    after = 2.0 * signal[-1] - signal[-2 : -SIDE_SAMPLES - 2 : -1]
+    head = 2.0 * signal[0] - signal[SIDE_SAMPLES:0:-1]
+    tail = 2.0 * signal[-1] - signal[-2 : -SIDE_SAMPLES - 2 : -1]
     time = np.arange(-SIDE_SAMPLES * factor, SIDE_SAMPLES * factor + 1) / factor
     window = np.sinc(time) * np.kaiser(len(time), 10.0) / factor
-    fine = resample_poly(np.concatenate([before, signal, after]), factor, 1, window=window)
+    fine = resample_poly(np.concatenate([head, signal, tail]), factor, 1, window=window)
     first = SIDE_SAMPLES * factor
     return np.ascontiguousarray(fine[first : first + factor * (len(signal) - 1) + 1])
 
@@ -76,7 +76,7 @@ def band_limited(signal: np.ndarray, factor: int) -> np.ndarray:
 def integrate(
     mode: BoucWenMode, fine_force: np.ndarray, steps: int, rate_Hz: float, start: np.ndarray
 ) -> np.ndarray:
-    """Return the displacement in units of ``size_m``, (samples,); infinite once it diverges.
+    """Return the displacement in units of ``size_m``, (samples,), or infinity if it diverges.
 
     fine_force  (2 steps (samples - 1) + 1,)  N
     start       (3,)  y and z in units of ``size_m``, y' in those per second
@@ -98,10 +98,8 @@ def state_along(
     displacement: np.ndarray, beta: float, gamma: float, exponent: float
 ) -> np.ndarray:
     """Return z along a displacement, both of the order of one, (samples,)."""
-    given, state = np.ascontiguousarray(displacement), np.empty(len(displacement))
-    _library().follow(
-        len(given), given.ctypes.data, beta, gamma, exponent, 0.01, state.ctypes.data
-    )
+    path, state = np.ascontiguousarray(displacement), np.empty(len(displacement))
+    _library().follow(len(path), path.ctypes.data, beta, gamma, exponent, 0.01, state.ctypes.data)
     return state
 
 

@@ -3,8 +3,9 @@
 J.P. Noel & M. Schoukens, Hysteretic benchmark with a dynamic nonlinearity, Workshop on Nonlinear
 System Identification Benchmarks, Brussels 2016; data doi 10.4121/12967592, CC BY-SA 4.0.
 
-The folder holds train_data.csv.gz (y m, u N; 750 Hz; five periods of 8192 samples of a multisine
-of 5 to 150 Hz and 50 N rms, noise of about 7.3e-6 m on y) and {u,y}val_{multisine,sinesweep}.mat.
+The folder contains train_data.csv.gz (y m, u N; 750 Hz) and {u,y}val_{multisine,sinesweep}.mat.
+The training data are five periods of 8192 samples of a multisine of 5 to 150 Hz and 50 N rms, with
+noise of about 7.3e-6 m on y.
 """
 
 import csv
@@ -30,13 +31,12 @@ PERIOD = 8192
 Simulation = Callable[[np.ndarray, bool], np.ndarray]
 
 PROTOCOL = """Bouc-Wen benchmark (Noel & Schoukens 2016; doi 10.4121/12967592)
-Everything is learnt from the training record (40,960 samples, noise included), its first sample
-too: the state there is estimated. The force is taken as band-limited between samples, integrated
-at the steps named below, and the displacement is read at the samples, without the publishers'
-decimation filter. Multisine: rms over all 8192 samples of the steady period, simulated for five
-periods of which the last counts. Sweep: rms over all 153,000 samples, from rest."""
+All parameters and the initial state are fitted to the training record (40,960 samples with noise).
+The force is band-limited between the samples and integrated with the number of steps below. The
+displacement has no decimation filter, unlike that of the publishers. Multisine: rms over the 8192
+samples of the last of five simulated periods. Sweep: rms over all 153,000 samples, from rest."""
 
-# rms on the multisine, m. The sweep was not reported with them, or not on these samples.
+# rms on the multisine, m. Their authors did not report the sweep, or not on these samples.
 PUBLISHED = (
     ("polynomial nonlinear state space, the best", 1.2e-5),
     ("polynomial nonlinear state space, another", 5.4e-5),
@@ -47,7 +47,7 @@ PUBLISHED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """Error of one method; None where it was not run, infinite where it diverged."""
+    """Error of one method; None if it was not run, infinite if it diverged."""
 
     method: str
     multisine_m: float
@@ -65,16 +65,16 @@ def training(folder: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def validation(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return force (N) and displacement of ``multisine`` or ``sinesweep``."""
-    found = []
-    for part in "uy":
-        held = loadmat(folder / f"{part}val_{name}.mat")
-        (values,) = (value for key, value in held.items() if not key.startswith("__"))
-        found.append(np.ascontiguousarray(values.ravel(), dtype=np.float64))
-    return found[0], found[1]
+    columns = []
+    for letter in "uy":
+        variables = loadmat(folder / f"{letter}val_{name}.mat")
+        (values,) = (value for key, value in variables.items() if not key.startswith("__"))
+        columns.append(np.ascontiguousarray(values.ravel(), dtype=np.float64))
+    return columns[0], columns[1]
 
 
 def true_mode() -> BoucWenMode:
-    """Return the publishers' equations with their parameters: the floor of any integration."""
+    """Return the mode with the parameters of the publishers, a lower limit of all errors."""
     size_m = 1e-3
     return BoucWenMode(
         mass=2.0, damping=10.0, stiffness=5e4, quadratic=0.0, cubic=0.0, spring_stiffness=5e4,
@@ -89,16 +89,16 @@ def linear(force: np.ndarray, motion_m: np.ndarray) -> Simulation:
     columns += [np.roll(force, lag) for lag in range(order + 1)]
     start = np.linalg.lstsq(np.column_stack(columns)[order:], motion_m[order:] / size, rcond=None)
 
-    def simulated(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    def simulate(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         return size * lfilter(x[order:], np.concatenate([[1.0], -x[:order]]), u)
 
     def error(x: np.ndarray) -> np.ndarray:
-        return np.clip(np.nan_to_num((simulated(x, force) - motion_m) / size), -1e3, 1e3)
+        return np.clip(np.nan_to_num((simulate(x, force) - motion_m) / size), -1e3, 1e3)
 
     best = least_squares(error, start[0], x_scale="jac").x
 
     def run(u: np.ndarray, periodic: bool) -> np.ndarray:
-        return simulated(best, np.tile(u, 3) if periodic else u)[-len(u) :]
+        return simulate(best, np.tile(u, 3) if periodic else u)[-len(u) :]
 
     return run
 
@@ -106,7 +106,7 @@ def linear(force: np.ndarray, motion_m: np.ndarray) -> Simulation:
 def sparse(force: np.ndarray, motion_m: np.ndarray) -> Simulation | None:
     """Fit y[k+1] = cubic polynomial of y[k], y[k-1], u[k+1], u[k], u[k-1] with pysindy.
 
-    Of four thresholds that one counts whose simulation leaves least of the training record.
+    The threshold is the one of four with the smallest simulation error on the training record.
     """
     try:
         import pysindy
@@ -114,33 +114,33 @@ def sparse(force: np.ndarray, motion_m: np.ndarray) -> Simulation | None:
         return None
     force_rms, size = force.std(), motion_m.std()
     y, u = motion_m / size, force / force_rms
-    states, after = np.column_stack([y[1:-1], y[:-2]]), np.column_stack([y[2:], y[1:-1]])
+    states, next_states = np.column_stack([y[1:-1], y[:-2]]), np.column_stack([y[2:], y[1:-1]])
     inputs = np.column_stack([u[2:], u[1:-1], u[:-2]])
 
-    def fitted(threshold: float) -> Simulation:
+    def fit_with(threshold: float) -> Simulation:
         model = pysindy.DiscreteSINDy(
             optimizer=pysindy.STLSQ(threshold=threshold, alpha=0.0),
             feature_library=pysindy.PolynomialLibrary(degree=3),
         )
-        model.fit(states, u=inputs, x_next=after, t=1)
+        model.fit(states, u=inputs, x_next=next_states, t=1)
         weights = model.coefficients()[0]
-        used = np.flatnonzero(weights)
-        powers, weights = model.feature_library.powers_[used], weights[used]
+        nonzero = np.flatnonzero(weights)
+        powers, weights = model.feature_library.powers_[nonzero], weights[nonzero]
 
         def run(drive: np.ndarray, periodic: bool) -> np.ndarray:
             v = (np.tile(drive, 2) if periodic else drive) / force_rms
-            found = np.zeros(len(v))
+            output = np.zeros(len(v))
             for k in range(2, len(v)):
-                known = np.array([found[k - 1], found[k - 2], v[k], v[k - 1], v[k - 2]])
-                found[k] = weights @ np.prod(known**powers, axis=1)
-                if not abs(found[k]) < 1e3:
-                    found[k:] = np.inf
+                features = np.array([output[k - 1], output[k - 2], v[k], v[k - 1], v[k - 2]])
+                output[k] = weights @ np.prod(features**powers, axis=1)
+                if not abs(output[k]) < 1e3:
+                    output[k:] = np.inf
                     break
-            return size * found[-len(drive) :]
+            return size * output[-len(drive) :]
 
         return run
 
-    candidates = [fitted(threshold) for threshold in (1e-3, 3e-3, 1e-2, 3e-2)]
+    candidates = [fit_with(threshold) for threshold in (1e-3, 3e-3, 1e-2, 3e-2)]
     return min(candidates, key=lambda run: rms(run(force, False) - motion_m))
 
 
@@ -166,18 +166,19 @@ def report(folder: Path) -> Iterator[str]:
     def simulation_of(mode: BoucWenMode) -> Simulation:
         return lambda u, periodic: mode.simulate(u, RATE_HZ, periodic=periodic)
 
-    began = time.process_time()
+    start_s = time.process_time()
     identified = fit(force, motion_m, RATE_HZ)
-    took_s = time.process_time() - began
-    rows = [evaluate("mode with a Bouc-Wen spring", simulation_of(identified.mode), took_s)]
-    for method, rival in (("linear, order 4 (scipy)", linear), ("SINDy, cubic (pysindy)", sparse)):
-        began = time.process_time()
-        run = rival(force, motion_m)
-        took_s = time.process_time() - began
+    training_s = time.process_time() - start_s
+    rows = [evaluate("mode with a Bouc-Wen spring", simulation_of(identified.mode), training_s)]
+    methods = (("linear, order 4 (scipy)", linear), ("SINDy, cubic (pysindy)", sparse))
+    for method, train in methods:
+        start_s = time.process_time()
+        run = train(force, motion_m)
+        training_s = time.process_time() - start_s
         if run is None:
-            yield f"{method}: left out, the package is absent; install the extra 'benchmarks'"
+            yield f"{method}: skipped without the package; install the extra 'benchmarks'"
             continue
-        rows.append(evaluate(method, run, took_s))
+        rows.append(evaluate(method, run, training_s))
     rows.append(evaluate("true equations and parameters", simulation_of(true_mode()), None))
     rows += [
         Row(method=f"published: {method}", multisine_m=value, sweep_m=None, training_s=None)
@@ -191,6 +192,6 @@ def report(folder: Path) -> Iterator[str]:
     yield "| method | multisine, rms m | sweep, rms m | training, s of one core |"
     yield "| --- | --- | --- | --- |"
     for row in rows:
-        swept = "" if row.sweep_m is None else f"{row.sweep_m:.2e}"
-        took = "" if row.training_s is None else f"{row.training_s:.0f}"
-        yield f"| {row.method} | {row.multisine_m:.2e} | {swept} | {took} |"
+        sweep_text = "" if row.sweep_m is None else f"{row.sweep_m:.2e}"
+        training_text = "" if row.training_s is None else f"{row.training_s:.0f}"
+        yield f"| {row.method} | {row.multisine_m:.2e} | {sweep_text} | {training_text} |"

@@ -3,9 +3,9 @@
     Y = e^(-s delay) [ G(s, l) U + sum_t sum_c b_c(s, l) W_ct F_t(u, e) ]
 
 G is the linear model of ``piezoid.fit_coupled`` and b_c are its columns (modes, lags, direct).
-F_t are plays and products of the drives u and of the elongations e = B G u, B the inverse of the
-gain at low frequency, and the drives themselves, which correct the residues of G. W is linear, and
-ridge regression of the residual finds it at fixed poles.
+F_t are plays and products of the drives u and of the elongations e = B G u, where B is the inverse
+of the gain at low frequency. The drives themselves are terms that correct the residues of G. W is
+linear, and ridge regression of the residual determines it for fixed poles.
 """
 
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ from scipy.linalg import cho_factor, cho_solve
 
 import piezoid
 
-OVERSAMPLING = 4  # a play turns between samples; at 2.5 samples a period it would miss the tips
+OVERSAMPLING = 4  # at 2.5 samples per period a play would miss the turning points
 # Half-widths of plays of the drive, of the elongation, and of the drive with and against half the
 # elongation, each over the rms of its signal at the largest level.
 DRIVE_WIDTHS = (0.02, 0.06, 0.15, 0.4, 1.0)
 ELONGATION_WIDTHS = (0.03, 0.12, 0.4, 1.2)
 SUM_WIDTHS = (0.05, 0.2, 0.7)
-# Of the curvature of each coefficient: 1e-3 and 3e-3 leave 3.72 and 3.78 % at 100 mV, 2.37 and
-# 2.34 % at 300 mV of the mirror's first realisation.
+# Over the curvature of each coefficient. With 1e-3 and 3e-3 the errors of the first realisation
+# are 3.72 and 3.78 % at 100 mV, 2.37 and 2.34 % at 300 mV.
 RIDGE = 2e-3
-FREE = 1e-9  # ridge of the drives themselves, which correct the residues of the linear part
+FREE = 1e-9  # ridge of the terms that correct the residues of the linear part
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,12 +43,12 @@ class DistortedStage:
     weight: np.ndarray
 
     def simulate(self, drive_V: np.ndarray) -> np.ndarray:
-        """Return the steady answer to a period of the drive, (samples, outputs), m, no mean."""
+        """Return the steady response to a period, without mean, (samples, outputs), m."""
         linear_m = self.linear.simulate(drive_V, periodic=True)
         return linear_m + self.distortion(drive_V[:, :, None])[:, :, 0]
 
     def distortion(self, drive_V: np.ndarray) -> np.ndarray:
-        """Return the steady distortion of periods, (samples, outputs, realisations), m.
+        """Return the distortion of periods in steady state, (samples, outputs, realisations), m.
 
         drive_V  (samples, inputs, realisations)
         """
@@ -61,15 +61,15 @@ class DistortedStage:
         terms = _terms(self.linear, drive_V, self.scale_V, level_V)[lines[inside]]
         spectrum = np.zeros((samples // 2 + 1, *self.weight.shape[2:], drive_V.shape[2]), complex)
         delay = np.exp(-2j * np.pi * f[inside] * self.linear.delay_s)[:, None, None]
-        acted = np.einsum("fc,ftr,cto->for", columns, terms, self.weight, optimize=True)
-        spectrum[lines[inside]] = delay * acted
+        response = np.einsum("fc,ftr,cto->for", columns, terms, self.weight, optimize=True)
+        spectrum[lines[inside]] = delay * response
         return np.fft.irfft(spectrum, samples, axis=0)
 
 
 def fit_distorted(levels: Sequence[piezoid.PeriodicData], modes: int) -> DistortedStage:
-    """Fit the linear part, then the distortion to its residual, on the means of the periods.
+    """Fit the linear part, then the distortion to its residual, to the means of the periods.
 
-    Ridge regression, each realisation weighted by one over the power of its residual.
+    The ridge regression weights each realisation by the inverse power of its residual.
     """
     linear = piezoid.fit_coupled(levels, modes=modes, intervals=False)
     levels = sorted(levels, key=lambda level: float(level.voltage_V.std()))
@@ -106,18 +106,18 @@ def _residual_lines(
     lines: np.ndarray,
     level_V: float,
 ) -> np.ndarray:
-    """Return the residual of the linear part, delay removed, (lines, outputs, realisations)."""
+    """Return the residual of the linear part without delay, (lines, outputs, realisations)."""
     f = level.frequency_Hz(lines)
-    drive, moved = (
+    drive, response = (
         np.fft.rfft(signal.mean(axis=3), axis=0)[lines]
         for signal in (level.voltage_V, level.displacement_m)
     )
-    residual = moved - linear.response(f, level_V) @ drive
+    residual = response - linear.response(f, level_V) @ drive
     return residual * np.exp(2j * np.pi * f * linear.delay_s)[:, None, None]
 
 
 def _columns(linear: piezoid.CoupledStage, f: np.ndarray, level_V: float) -> np.ndarray:
-    """Return the columns that the residues of the linear part multiply, (lines, columns).
+    """Return the columns of the residues of the linear part, (lines, columns).
 
     h = w / (s - p),  (h + h~) / 2,  j (h - h~) / 2,  w_l / (s + w_l),  1
     """
@@ -133,22 +133,21 @@ def _columns(linear: piezoid.CoupledStage, f: np.ndarray, level_V: float) -> np.
 def _signals(
     linear: piezoid.CoupledStage, drive_V: np.ndarray, level_V: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return drives and elongations, oversampled, (fine samples, inputs, realisations), V."""
+    """Return oversampled drives and elongations, (fine samples, inputs, realisations), V."""
     samples = len(drive_V)
     spectrum = np.fft.rfft(drive_V, axis=0)
     f = np.arange(len(spectrum)) * linear.sampling_rate_Hz / samples
     spectrum[(f < 0.5 * linear.band_Hz[0]) | (f > linear.band_Hz[1])] = 0.0
     delay = np.exp(2j * np.pi * f * linear.delay_s)[:, None, None]
     elongation = np.linalg.pinv(linear.coupling_m_per_V)
-    moved = elongation @ (delay * linear.response(f, level_V) @ spectrum)
-    drives, elongations = (_oversampled(one, samples) for one in (spectrum, moved))
-    return drives, elongations
+    elongations = elongation @ (delay * linear.response(f, level_V) @ spectrum)
+    return _oversampled(spectrum, samples), _oversampled(elongations, samples)
 
 
 def _terms(
     linear: piezoid.CoupledStage, drive_V: np.ndarray, scale_V: np.ndarray, level_V: float
 ) -> np.ndarray:
-    """Return the lines of the terms F, (samples // 2 + 1, terms, realisations)."""
+    """Return the spectra of the terms F, (samples // 2 + 1, terms, realisations)."""
     u, e = (
         signal / scale[:, None]
         for signal, scale in zip(_signals(linear, drive_V, level_V), scale_V, strict=True)
@@ -163,10 +162,10 @@ def _terms(
             played += [signal] * len(half_widths)
             widths += half_widths
         products += [a**3, a**2 * b, a * b**2]
-    both = np.concatenate([e, u], axis=1)
-    for signals, order in ((both, 2), (e, 3)):
-        for chosen in combinations_with_replacement(range(signals.shape[1]), order):
-            products.append(signals[:, list(chosen)].prod(axis=1))
+    both_signals = np.concatenate([e, u], axis=1)
+    for signals, order in ((both_signals, 2), (e, 3)):
+        for indices in combinations_with_replacement(range(signals.shape[1]), order):
+            products.append(signals[:, list(indices)].prod(axis=1))
     plays = _plays(np.stack(played, axis=1), np.array(widths))
     linear_terms = [u, linear.coordinate(level_V) * u]
     terms = np.concatenate([plays, np.stack(products, axis=1), *linear_terms], axis=1)
@@ -186,14 +185,14 @@ def _plays(signal: np.ndarray, half_width: np.ndarray) -> np.ndarray:
 
 
 def _oversampled(spectrum: np.ndarray, samples: int) -> np.ndarray:
-    """Return a signal at ``OVERSAMPLING`` times the rate of its lines."""
+    """Return a signal with ``OVERSAMPLING`` times its sampling rate."""
     fine = np.zeros((OVERSAMPLING * samples // 2 + 1, *spectrum.shape[1:]), dtype=complex)
     fine[: len(spectrum)] = OVERSAMPLING * spectrum
     return np.fft.irfft(fine, OVERSAMPLING * samples, axis=0)
 
 
 def _gram(columns: np.ndarray, terms: np.ndarray) -> np.ndarray:
-    """Return A'A of the rows b_c F_t without forming A, (columns * terms,) twice.
+    """Return A'A of the rows b_c F_t without computing A, (columns * terms, columns * terms).
 
     (A'A)_(ct, du) = sum_f Re( conj(b_c) b_d sum_r conj(F_t) F_u )
     """

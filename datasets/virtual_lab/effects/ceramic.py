@@ -191,15 +191,22 @@ def creep_of(per_decade: float, tilt: float) -> Fault:
 
 def _crept(response_m: Array, scene: Scene, tilt: float) -> Array:
     """Return the integral over a spectrum of one per decade."""
-    first, last = DECADES
-    decades = first + (np.arange(round((last - first) * PER_DECADE)) + 0.5) / PER_DECADE
-    ends = np.minimum(decades - first, last - decades)
-    weight = np.clip(ends / EDGE_DECADES, 0.0, 1.0) * (1.0 + tilt * (decades - 1.0)) / PER_DECADE
+    first_decade, last_decade = DECADES
+    decades = (
+        first_decade
+        + (np.arange(round((last_decade - first_decade) * PER_DECADE)) + 0.5) / PER_DECADE
+    )
+    edge_distance = np.minimum(decades - first_decade, last_decade - decades)
+    weight = (
+        np.clip(edge_distance / EDGE_DECADES, 0.0, 1.0)
+        * (1.0 + tilt * (decades - 1.0))
+        / PER_DECADE
+    )
     middle_m = 0.5 * float(np.min(response_m) + np.max(response_m))
     crept = np.zeros_like(response_m)
     for log_tau, share in zip(decades, weight, strict=True):
         tau_s = 10.0 ** float(log_tau)
-        left = -np.expm1(-CYCLED_s / tau_s) * np.exp(-scene.rest_s / tau_s)
-        start = float(response_m[0] + (middle_m - response_m[0]) * left)
+        remaining = -np.expm1(-CYCLED_s / tau_s) * np.exp(-scene.rest_s / tau_s)
+        start = float(response_m[0] + (middle_m - response_m[0]) * remaining)
         crept += share * first_order(response_m, tau_s, scene.rate_Hz, start)
     return crept

@@ -145,7 +145,7 @@ def effect(
 ) -> Callable[[Install], Effect]:
     """Return a decorator that makes an effect of the function that installs it."""
 
-    def named(install: Install) -> Effect:
+    def decorate(install: Install) -> Effect:
         return Effect(
             name=install.__name__,
             measure=measure,
@@ -154,7 +154,7 @@ def effect(
             install=install,
         )
 
-    return named
+    return decorate
 
 
 def largest_rms(changes: Iterable[Array]) -> float:

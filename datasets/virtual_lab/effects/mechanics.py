@@ -109,21 +109,23 @@ def cross_coupling(size_m: float, bench: Bench, rng: np.random.Generator) -> Fau
     Source: Devasia, Eleftheriou & Moheimani, IEEE TCST 15 (2007), section on coupling.
     """
     sign = float(rng.choice([-1.0, 1.0]))
-    other = None if rng.random() < 0.5 else draw_preisach(rng)
+    second_ceramic = None if rng.random() < 0.5 else draw_preisach(rng)
 
     def coupled(scene: Scene) -> Array:
         """Return the sum of the other voltages (electrical) or displacements (mechanical)."""
         total = np.zeros_like(scene.time_s)
         for voltage_V in scene.others_V.values():
-            if other is None:
+            if second_ceramic is None:
                 total += voltage_V
                 continue
-            reversible, irreversible = other.respond(scene.rig.field_of(voltage_V), AT_REST)
+            reversible, irreversible = second_ceramic.respond(
+                scene.rig.field_of(voltage_V), AT_REST
+            )
             total += scene.rig.stroke_m * (reversible + irreversible)
         return total
 
     path, place, unit_m = "mechanical", Place.MECHANICS, 1.0
-    if other is None:
+    if second_ceramic is None:
         rig = bench.rig
         range_V = rig.amplifier_gain_V_per_V * (rig.drive_max_V - rig.drive_min_V)
         path, place, unit_m = "electrical", Place.OUTPUT, rig.stroke_m / range_V

@@ -45,17 +45,17 @@ def bouc_wen_memory(
     top = NEARLY * float((beta + gamma) ** (-1.0 / sharpness))
     state = top * np.tanh(np.linspace(-7.0, 7.0, STEPS + 1)) / np.tanh(7.0)
     middle = 0.5 * (state[1:] + state[:-1])
-    ends, centres = (
+    slopes, middle_slopes = (
         1.0 - (gamma + beta * np.sign(s)) * np.abs(s) ** sharpness for s in (state, middle)
     )
-    cost = (1.0 / ends[1:] + 4.0 / centres + 1.0 / ends[:-1]) / 6
+    cost = (1.0 / slopes[1:] + 4.0 / middle_slopes + 1.0 / slopes[:-1]) / 6
     position = np.concatenate(([0.0], np.cumsum(cost * np.diff(state))))
     z = np.full_like(path, state[0])
     for start, end, rising in branches(path):
         sign = 1.0 if rising else -1.0
         entry = np.interp(sign * z[start], state, position)
-        reached = entry + sign * (drive[start : end + 1] - drive[start])
-        z[start : end + 1] = sign * np.interp(reached, position, state)
+        positions = entry + sign * (drive[start : end + 1] - drive[start])
+        z[start : end + 1] = sign * np.interp(positions, position, state)
     steepest = 2.0 * beta / (beta + gamma)  # slope of a branch that has just left saturation
     return steepest * drive - z
 
@@ -155,8 +155,8 @@ def duhem_memory(
     state = np.full_like(path, -1.0)
     for start, end, rising in branches(path):
         sign, switched = (1.0, up) if rising else (-1.0, down)
-        way = sign * (switched[start : end + 1] - switched[start])
-        state[start : end + 1] = sign * (1.0 - (1.0 - sign * state[start]) * np.exp(-way))
+        distance = sign * (switched[start : end + 1] - switched[start])
+        state[start : end + 1] = sign * (1.0 - (1.0 - sign * state[start]) * np.exp(-distance))
     return state
 
 
@@ -187,17 +187,17 @@ def wall_pinning_memory(anhysteretic: Curve, pinning: float, path: Array) -> Arr
     path = settled(path)
     field = np.linspace(-FAR, FAR, round(2 * FAR * GRID_PER_FIELD) + 1)
     target = anhysteretic(field)
-    # on a branch the field plays the part of time: a first-order lag of "time constant" k
+    # A branch is a first-order lag along the field with the constant k.
     rising_curve = first_order(target, pinning, GRID_PER_FIELD, float(target[0]))
     falling_curve = first_order(target[::-1].copy(), pinning, GRID_PER_FIELD, float(target[-1]))
     on_rising = np.interp(path, field, rising_curve)
     on_falling = np.interp(path, field, falling_curve[::-1])
     output = np.full_like(path, on_rising[0])
     for start, end, rising in branches(path):
-        far = on_rising if rising else on_falling
+        asymptote = on_rising if rising else on_falling
         travelled = np.abs(path[start : end + 1] - path[start])
-        memory = (output[start] - far[start]) * np.exp(-travelled / pinning)
-        output[start : end + 1] = far[start : end + 1] + memory
+        memory = (output[start] - asymptote[start]) * np.exp(-travelled / pinning)
+        output[start : end + 1] = asymptote[start : end + 1] + memory
     return output
 
 

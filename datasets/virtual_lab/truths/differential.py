@@ -39,21 +39,21 @@ def states_along(slope: Slope, path: Array, start: float, *, jumps: Sequence[flo
     """
     path = settled(path)
     states = np.full_like(path, start)
-    for first, last, rising in branches(path):
+    for first_row, last_row, rising in branches(path):
         sign = 1.0 if rising else -1.0
-        begin, end, state = float(path[first]), float(path[last]), float(states[first])
+        begin, end, state = float(path[first_row]), float(path[last_row]), float(states[first_row])
         inside = sorted(sign * j for j in jumps if min(begin, end) < j < max(begin, end))
         stops = [begin, *(sign * j for j in inside), end]
-        curve = np.empty(last + 1 - first)
-        distance = sign * (path[first : last + 1] - begin)
+        curve = np.empty(last_row + 1 - first_row)
+        distance = sign * (path[first_row : last_row + 1] - begin)
         for low, high in itertools.pairwise(stops):
             knots, values, growth = _integrate(slope, low, high, state)
             is_piece = (distance >= abs(low - begin)) & (distance <= abs(high - begin))
             spline = CubicHermiteSpline(knots, values, growth)
             curve[is_piece] = spline(distance[is_piece] - abs(low - begin))
             state = values[-1]
-        states[first + 1 : last + 1] = curve[1:]
-        states[last] = state
+        states[first_row + 1 : last_row + 1] = curve[1:]
+        states[last_row] = state
     return states
 
 
@@ -65,19 +65,19 @@ def _integrate(
     steps = max(math.ceil(abs(end - begin) / STEP), 1)
     step = (end - begin) / steps
     # a hair inside the ends: there the slope is that of this piece
-    hair = 1e-12 * (end - begin)
-    travelled, states, growth = [0.0], [state], [sign * slope(begin + hair, state, sign)]
+    offset = 1e-12 * (end - begin)
+    travelled, states, growth = [0.0], [state], [sign * slope(begin + offset, state, sign)]
     for k in range(steps):
         field = begin + k * step
-        one = sign * growth[-1]
-        two = slope(field + 0.5 * step, state + 0.5 * step * one, sign)
-        three = slope(field + 0.5 * step, state + 0.5 * step * two, sign)
-        last = field + step - (hair if k == steps - 1 else 0.0)
-        four = slope(last, state + step * three, sign)
-        state += step * (one + 2.0 * two + 2.0 * three + four) / 6.0
+        slope_1 = sign * growth[-1]
+        slope_2 = slope(field + 0.5 * step, state + 0.5 * step * slope_1, sign)
+        slope_3 = slope(field + 0.5 * step, state + 0.5 * step * slope_2, sign)
+        field_end = field + step - (offset if k == steps - 1 else 0.0)
+        slope_4 = slope(field_end, state + step * slope_3, sign)
+        state += step * (slope_1 + 2.0 * slope_2 + 2.0 * slope_3 + slope_4) / 6.0
         travelled.append(abs(step) * (k + 1))
         states.append(state)
-        growth.append(sign * slope(last, state, sign))
+        growth.append(sign * slope(field_end, state, sign))
     return travelled, states, growth
 
 
@@ -149,9 +149,9 @@ def generalised_bouc_wen_memory(
         psi = b1 * sign * z + b2 * sign * x + b3 * x * z + b4 * sign + b5 * z + b6 * x
         return 1.0 - float(abs(state) ** sharpness) * psi
 
-    others = sum(map(abs, shape[1:]))
-    saturation = float((b1 - others) ** (-1.0 / sharpness))  # a bound of the state
-    steepest = 1.0 + float(saturation**sharpness) * (b1 + others)  # a bound of the slope
+    remainder = sum(map(abs, shape[1:]))
+    saturation = float((b1 - remainder) ** (-1.0 / sharpness))  # a bound of the state
+    steepest = 1.0 + float(saturation**sharpness) * (b1 + remainder)  # a bound of the slope
     first = -float((b1 - b2 + b3 + b4 - b5 - b6) ** (-1.0 / sharpness))
     return steepest * path - states_along(slope, path, first, jumps=(centre,))
 

@@ -26,7 +26,7 @@ THRESHOLDS = np.linspace(-1.7, 1.3, 16)
 RIDGE = 0.8  # four steps of the grid: no step of it can be seen in a branch
 DOWN, UP = (np.array(side) for side in np.triu_indices(len(THRESHOLDS)))
 ELEMENTS = 40
-AT_ONCE = 4096  # samples, so that a long branch stays within a few megabytes
+CHUNK = 4096  # samples, so that a long branch needs a few megabytes
 
 
 def draw_preisach(rng: np.random.Generator) -> Ceramic:
@@ -137,11 +137,11 @@ def lorentzian_everett(
         return np.asarray(width[1] * np.arctan((field + coercive[1]) / width[1]))
 
     density = 1.0 / (1.0 + ((GRID - coercive[0]) / width[0]) ** 2)
-    both = CubicSpline(GRID, density * falling(GRID)).antiderivative()
+    integral = CubicSpline(GRID, density * falling(GRID)).antiderivative()
 
     def everett(high: Array, low: Array) -> Array:
         switched_up = rising(high) - rising(low)
-        return np.asarray(both(high) - both(low) - falling(low) * switched_up)
+        return np.asarray(integral(high) - integral(low) - falling(low) * switched_up)
 
     return everett
 
@@ -172,8 +172,8 @@ def krasnoselskii_pokrovskii_memory(weight: Array, path: Array) -> Array:
     state = np.full(len(DOWN), -1.0)
     output = np.full(len(path), float(state @ weight))
     for start, end, rising in branches(path):
-        for first in range(start, end, AT_ONCE):
-            piece = slice(first + 1, min(first + AT_ONCE, end) + 1)
+        for first in range(start, end, CHUNK):
+            piece = slice(first + 1, min(first + CHUNK, end) + 1)
             side = ridge(path[piece, None] - THRESHOLDS)
             kernels = (
                 np.maximum(state, side[:, UP]) if rising else np.minimum(state, side[:, DOWN])
@@ -224,15 +224,15 @@ def takacs_memory(
             turns.append((float(path[start]), float(output[start])))
         sign, branch_shift = (1.0, shift[0]) if rising else (-1.0, -shift[1])
         ahead = sign * path[start + 1 : end + 1]
-        done = 0
-        while done < len(ahead):
+        offset = 0
+        while offset < len(ahead):
             (end_field, end_value), (start_field, start_value) = turns[-2:]
             stop = (
                 int(np.searchsorted(ahead, sign * end_field, side="left"))
                 if len(turns) > 2
                 else len(ahead)
             )
-            piece = slice(start + 1 + done, start + 1 + stop)
+            piece = slice(start + 1 + offset, start + 1 + stop)
             fields = np.concatenate(([start_field, end_field], path[piece]))
             curve = np.tanh(steepness * (fields - centre - branch_shift))
             low, high = curve[:2].tolist()
@@ -240,7 +240,7 @@ def takacs_memory(
             output[piece] = start_value + rise * (curve[2:] - low) / (high - low)
             if stop < len(ahead):
                 del turns[-2:]
-            done = stop
+            offset = stop
     return output
 
 
@@ -254,29 +254,29 @@ class MaxwellSlip:
     bends: tuple[float, float]
 
     def scale(self, field: Array) -> Array:
-        """Return x of a field; it goes straight on outside the drive range."""
+        """Return x of a field, with a straight continuation outside the drive range."""
         inside = np.clip(field, -1.2, 1.2)
         bent = inside + self.bends[0] * inside**2 + self.bends[1] * inside**3
         return bent + (field - inside)
 
-    def limit(self, place: Array) -> Array:
+    def limit(self, position: Array) -> Array:
         """Return the largest force of each element (..., elements)."""
-        return np.multiply.outer(1.0 + self.growth * np.clip(place, -1.3, 1.3), self.breaks)
+        return np.multiply.outer(1.0 + self.growth * np.clip(position, -1.3, 1.3), self.breaks)
 
 
 def maxwell_slip_memory(law: MaxwellSlip, path: Array) -> Array:
     """Return the strain along a path that starts with every element sliding."""
     path = settled(path)
-    place = law.scale(path)
-    force = -law.limit(place[0])
-    output = np.full(len(path), float(law.stiffness @ (place[0] - force)))
+    position = law.scale(path)
+    force = -law.limit(position[0])
+    output = np.full(len(path), float(law.stiffness @ (position[0] - force)))
     for start, end, rising in branches(path):
         sign = 1.0 if rising else -1.0
-        for first in range(start, end, AT_ONCE):
-            piece = slice(first + 1, min(first + AT_ONCE, end) + 1)
-            stuck = sign * (force + (place[piece] - place[first])[:, None])
-            forces = sign * np.minimum(stuck, law.limit(place[piece]))
-            output[piece] = (place[piece, None] - forces) @ law.stiffness
+        for first in range(start, end, CHUNK):
+            piece = slice(first + 1, min(first + CHUNK, end) + 1)
+            stuck = sign * (force + (position[piece] - position[first])[:, None])
+            forces = sign * np.minimum(stuck, law.limit(position[piece]))
+            output[piece] = (position[piece, None] - forces) @ law.stiffness
             force = forces[-1]
     return output
 

@@ -26,8 +26,8 @@ class Ceramic:
 
         strain[field] = (1 - p) reversible(field) + p irreversible[field]
 
-    Both parts run from 0 to 1 over the major loop between field -1 and 1; ``p`` was chosen for
-    the wanted opening of that loop.
+    Both parts run from 0 to 1 over the major loop between field -1 and 1; ``p`` determines the
+    opening of that loop.
     """
 
     share: float
@@ -84,12 +84,12 @@ def ceramic_with_opening(opening: float, reversible: Curve, memory: Memory) -> C
     share = opening / widest
     if not 0.0 < share < 1.0:
         raise ValueError(f"an opening of {opening:.3f} needs {share:.2f} of the strain")
-    ends = reversible(np.array([-1.0, 1.0]))
-    start, rise = float(ends[0]), float(ends[1] - ends[0])
+    strain = reversible(np.array([-1.0, 1.0]))
+    start, rise = float(strain[0]), float(strain[1] - strain[0])
     return Ceramic(
         share=share,
         reversible_curve=lambda field: (reversible(field) - start) / rise,
-        memory=lambda way: (memory(way) - low) / span,
+        memory=lambda path: (memory(path) - low) / span,
     )
 
 
