@@ -76,6 +76,7 @@ def fit(data: Recording) -> TimedFit:
 
 
 def every_sample(task: Task) -> Task:
+    """Return the task with every sample fitted."""
     return replace(task, samples=[piece.fitted_samples() for piece in task.pieces])
 
 

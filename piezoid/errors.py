@@ -7,6 +7,7 @@
     |   +-- ExcitationError           too few reversals, too small a range or band
     +-- LabFileError              lab.toml contains an unusable declaration
     +-- IdentificationError       the fit has no usable solution
+    |   +-- InfeasibleFitError        the constraints contradict each other
     |   +-- NotInvertibleError        the weights have no inverse
     +-- DesignError               no controller meets the specification
     |   +-- UnstableLoopError
@@ -99,6 +100,10 @@ class IdentificationError(PiezoidError):
     """The fit has no usable solution."""
 
     exit_status = 4
+
+
+class InfeasibleFitError(IdentificationError):
+    """The constraints of a fit contradict each other."""
 
 
 class NotInvertibleError(IdentificationError):

@@ -6,12 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, nnls
 
-from piezoid.identification.hysteresis.convex_start import (
-    MIN_INVERSE_SLOPE,
-    kuhnen_start,
-    optimum_of,
-)
-from piezoid.identification.hysteresis.coordinates import MIN_SLOPE, Shape, vector_of
+from piezoid.identification.hysteresis.convex_start import constraints_of, kuhnen_start, optimum_of
+from piezoid.identification.hysteresis.coordinates import Shape, vector_of
 from piezoid.identification.hysteresis.gauss_newton import Task, rms_of, simulate
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.search import Settings, task_for
@@ -33,22 +29,6 @@ class Program:
     def limits(self) -> tuple[Array, Array, Array]:
         """Constraint, lower and upper."""
         return constraints_of(self.threshold, self.zones, self.rows.shape[1])
-
-
-def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, Array, Array]:
-    """Return A, l and u of l <= A x <= u: weights, slopes of Psi', and a normalisation."""
-    plays, count = len(threshold), len(zones)
-    zero = int(np.flatnonzero(zones == 0.0)[0])
-    rows = np.zeros((plays + count + 1, unknowns))
-    rows[:plays, :plays] = np.eye(plays)
-    for i in range(count):
-        rows[plays + i, plays + min(i, zero) : plays + max(i, zero) + 1] = 1.0
-    rows[-1, :plays] = 1.0 - threshold
-    lower = np.concatenate([np.zeros(plays), np.full(count, MIN_INVERSE_SLOPE), [1.0]])
-    lower[0] = MIN_SLOPE
-    upper = np.full(len(rows), np.inf)
-    upper[-1] = 1.0
-    return rows, lower, upper
 
 
 def triangle_of(rows: Array) -> Array:
@@ -110,7 +90,7 @@ def general_weights(columns: Array, target: Array) -> Mapping[str, Callable[[], 
 
 def kuhnen(program: Program) -> Array:
     """Solve Kuhnen's program from the triangle of all rows."""
-    return optimum_of(triangle_of(program.rows), program.threshold, program.zones)[0]
+    return optimum_of(triangle_of(program.rows), program.threshold, program.zones).x
 
 
 def kuhnen_by_cvxpy(program: Program) -> Array:

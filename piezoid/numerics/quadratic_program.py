@@ -6,14 +6,17 @@ unlike the Gram matrix J'J, does not square the condition number, which reaches 
 regressors.
 """
 
-from typing import cast
+from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
-from scipy import optimize
+from scipy import optimize, sparse
 from scipy.linalg import lapack
 
+from piezoid.errors import InfeasibleFitError
 from piezoid.numerics.arrays import Array
 
+_TOLERANCE = 1e-10
 # Added to the diagonal for columns of norm 1: the first value with which the active-set method
 # converges, for nearly dependent columns.
 RIDGES = (0.0, 1e-13, 1e-11, 1e-9)
@@ -25,6 +28,76 @@ _EQUALITY = 5  # daqp's constraint type of equal bounds
 _SOLVED = 1  # daqp's status
 _PRIMAL_TOLERANCE = 1e-11  # of variables of order one
 _REFLECTED_COLUMNS = 16  # together, in an update of the triangular factor
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Optimum:
+    """Solution of a convex program, with a bound of its distance from the optimum.
+
+    x        (unknowns,)
+    cost     |R x - c|^2
+    kkt_gap  scaled stationarity residual: 0 at an exact optimum, dimensionless
+    """
+
+    x: Array
+    cost: float
+    kkt_gap: float
+
+
+def constrained_least_squares(
+    triangle: Array, target: Array, constraint: Array, lower: Array, upper: Array
+) -> Optimum:
+    """Minimise |R x - c|^2 subject to l <= A x <= u.
+
+    OSQP solves the problem with the residual as an additional variable, so that the conditioning
+    is that of R and not of R'R: with R'R of play regressors and default tolerances the weights
+    are wrong by half. Columns, target and constraints are scaled to norm 1, since the tolerances
+    are absolute.
+
+    R     triangle      (rows, unknowns)
+    c     target        (rows,)
+    A     constraint    (constraints, unknowns)
+    l, u  lower, upper  (constraints,), infinite without a limit
+
+    Raises ``InfeasibleFitError`` when the constraints contradict each other.
+    """
+    import osqp
+
+    scale = column_norms(triangle)
+    factor, height = triangle / scale, float(np.linalg.norm(target)) or 1.0
+    rows, unknowns = factor.shape
+    sides = constraint / scale * height
+    length = column_norms(sides.T)
+    # The rows R x - e = c and A x, for the unknowns x and then the residual e.
+    residual = sparse.hstack([sparse.csc_matrix(factor), -sparse.eye(rows)])
+    zeros = sparse.csc_matrix((len(sides), rows))
+    limited = sparse.hstack([sparse.csc_matrix(sides / length[:, None]), zeros])
+    solver: Any = osqp.OSQP()
+    solver.setup(
+        P=sparse.csc_matrix(sparse.diags(np.repeat([0.0, 1.0], [unknowns, rows]))),
+        q=np.zeros(unknowns + rows),
+        A=sparse.csc_matrix(sparse.vstack([residual, limited])),
+        l=np.concatenate([target / height, lower / length]),
+        u=np.concatenate([target / height, upper / length]),
+        eps_abs=_TOLERANCE,
+        eps_rel=_TOLERANCE,
+        max_iter=200_000,
+        polishing=True,
+        verbose=False,
+    )
+    result = solver.solve(raise_error=False)
+    if result.info.status not in {"solved", "solved inaccurate"}:
+        raise InfeasibleFitError(
+            f"the quadratic program of the fit ended as {result.info.status!r}",
+            needed="constraints that some set of weights can meet",
+            remedy="Lower the number of plays or dead zones, or check the drive's range.",
+        )
+    x = result.x[:unknowns] * height / scale
+    return Optimum(
+        x=x,
+        cost=float(np.sum((triangle @ x - target) ** 2)),
+        kkt_gap=stationarity(triangle, x, target, constraint, (lower, upper)),
+    )
 
 
 def column_norms(columns: Array) -> Array:
@@ -39,13 +112,8 @@ def stationarity(
 ) -> float:
     """Return the relative part of the gradient at x that active constraints cannot balance.
 
-    |R x - c|^2 is minimised subject to l <= A x <= u. Columns are scaled to norm 1. The result is
-    0 at an exact optimum.
-
-    R     triangle    (rows, unknowns)
-    c     target      (rows,)
-    A     constraint  (constraints, unknowns)
-    l, u  limits      (constraints,) each, infinite without a limit
+    The arguments are those of ``constrained_least_squares``, with columns scaled to norm 1. The
+    result is 0 at an exact optimum.
     """
     scale = column_norms(triangle)
     gradient = triangle.T @ (triangle @ x - target) / scale

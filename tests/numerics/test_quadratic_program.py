@@ -1,14 +1,17 @@
 """Small convex programs against independent solvers."""
 
+import daqp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
+from piezoid.errors import InfeasibleFitError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import (
     bounded_step,
+    constrained_least_squares,
     empty_triangle,
     gather,
     stationarity,
@@ -38,9 +41,12 @@ def test_nonnegative_weights_agree_with_nnls_on_all_rows(rng, plays):
     reference = nnls(columns, target)[0]
     factor, right = reduced(columns, target)
     unbounded, zero = np.full(plays, np.inf), np.zeros(plays)
-    weight = bounded_step(factor, right, zero, unbounded)
-    np.testing.assert_allclose(weight, reference, atol=1e-11)
-    assert stationarity(factor, weight, right, np.eye(plays), (zero, unbounded)) < 1e-10
+    program = constrained_least_squares(factor, right, np.eye(plays), zero, unbounded)
+    # OSQP stops at 1e-10 of its residuals; the regressors' condition of 1e4 multiplies that.
+    np.testing.assert_allclose(program.x, reference, atol=1e-6)
+    assert program.kkt_gap < 1e-10
+    assert program.cost == pytest.approx(float(np.sum((factor @ program.x - right) ** 2)))
+    np.testing.assert_allclose(bounded_step(factor, right, zero, unbounded), reference, atol=1e-11)
 
 
 def test_the_gap_without_bounds_is_the_gradient_relative_to_zero(rng):
@@ -102,6 +108,52 @@ def test_a_step_without_a_target_moves_only_to_its_bounds():
         assert not bounded_step(factor, np.zeros(2), -abs(lower), unbounded).any()
 
 
+def test_general_constraints_agree_with_an_active_set_solver(rng):
+    factor, right = reduced(rng.normal(size=(200, 8)), rng.normal(size=200))
+    constraint = rng.normal(size=(5, 8))
+    lower, upper = np.full(5, -0.02), np.array([0.02, 0.02, np.inf, 0.01, np.inf])
+    program = constrained_least_squares(factor, right, constraint, lower, upper)
+    reference, _, flag, _ = daqp.solve(
+        factor.T @ factor,
+        -factor.T @ right,
+        constraint,
+        np.where(np.isinf(upper), 1e30, upper),
+        lower,
+        np.zeros(5, dtype=np.int32),
+    )
+    assert flag == 1
+    np.testing.assert_allclose(program.x, reference, atol=1e-8)
+    # Active constraints hold to rounding, not only to the tolerance of the iteration.
+    slack = np.minimum(constraint @ program.x - lower, upper - constraint @ program.x)
+    is_active = slack < 1e-6
+    assert is_active.any()
+    assert np.abs(slack[is_active]).max() < 1e-13
+
+
+@pytest.mark.parametrize("power", [-40, -12, -3, 3, 12, 40])
+@pytest.mark.parametrize("scaled_part", ["target", "columns", "rows"])
+def test_a_constrained_solution_in_other_units_is_the_same_solution(rng, power, scaled_part):
+    factor, right = reduced(rng.normal(size=(200, 8)), rng.normal(size=200))
+    constraint, lower, upper = rng.normal(size=(5, 8)), np.full(5, -0.02), np.full(5, 0.01)
+    expected = constrained_least_squares(factor, right, constraint, lower, upper).x
+    unit = 10.0**power
+    scales = rng.permutation([unit, 1.0, 1.0 / unit, unit, 1.0])
+    solution = {
+        "target": lambda u: (
+            constrained_least_squares(factor, u * right, constraint, u * lower, u * upper).x / u
+        ),
+        "columns": lambda u: (
+            constrained_least_squares(u * factor, right, constraint, lower / u, upper / u).x * u
+        ),
+        "rows": lambda _: (
+            constrained_least_squares(
+                factor, right, scales[:, None] * constraint, scales * lower, scales * upper
+            ).x
+        ),
+    }[scaled_part](unit)
+    np.testing.assert_allclose(solution, expected, atol=1e-9)
+
+
 def test_a_step_along_nearly_equal_columns_is_optimal(rng):
     """R'R does not resolve the columns, so the active set must come from R."""
     columns = rng.normal(size=(300, 1)) + 1e-9 * rng.normal(size=(300, 12))
@@ -112,6 +164,14 @@ def test_a_step_along_nearly_equal_columns_is_optimal(rng):
     assert ((x >= lower) & (x <= upper)).all()
     assert (slope[x < upper] > -1e-9).all()
     assert (slope[x > lower] < 1e-9).all()
+
+
+def test_contradicting_constraints_are_refused():
+    constraint = np.array([[1.0], [1.0]])
+    with pytest.raises(InfeasibleFitError, match="infeasible"):
+        constrained_least_squares(
+            np.eye(1), np.ones(1), constraint, np.array([1.0, -np.inf]), np.array([np.inf, 0.0])
+        )
 
 
 def test_a_triangle_gathered_in_chunks_holds_the_norm_of_every_combination(rng):

@@ -21,7 +21,9 @@ from piezoid.identification.hysteresis.pieces import Piece, widest_swing
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.derivative_free import direct_search
 from piezoid.numerics.quadratic_program import (
+    Optimum,
     bounded_step,
+    constrained_least_squares,
     empty_triangle,
     gather,
     stationarity,
@@ -57,7 +59,7 @@ def kuhnen_start(
     threshold  (plays + 1,) scaled, from 0; None spreads them evenly over the widest swing
 
         E[k] = sum_i w_i z_i[k] - sum_j w'_j s_j(y[k]) + c_p,   min sum E^2
-        w_i >= 0 for i > 0, slopes of Psi' >= eps, (U - r)'w = U         [Kuhnen 2003]
+        w_0 >= eps, w_i >= 0, slopes of Psi' >= eps, (U - r)'w = U       [Kuhnen 2003]
 
     with an offset c_p for every piece; Psi is the inverse of the Psi' found.
     """
@@ -67,12 +69,12 @@ def kuhnen_start(
     highest = max(float(piece.response.max()) for piece in pieces)
     lowest = min(float(piece.response.min()) for piece in pieces)
     zones = zone_thresholds(lowest, highest, shape)
-    optimum, kkt_gap = optimum_of(triangle_of(pieces, threshold, zones, lag_s), threshold, zones)
-    weight = np.maximum(optimum[: shape.plays + 1], 0.0)
+    optimum = optimum_of(triangle_of(pieces, threshold, zones, lag_s), threshold, zones)
+    weight = np.maximum(optimum.x[: shape.plays + 1], 0.0)
     inverse = DeadZones(
-        threshold=zones, weight=optimum[shape.plays + 1 : shape.plays + 1 + len(zones)]
+        threshold=zones, weight=optimum.x[shape.plays + 1 : shape.plays + 1 + len(zones)]
     )
-    constant = float(np.mean(optimum[shape.plays + 1 + len(zones) :]))
+    constant = float(np.mean(optimum.x[shape.plays + 1 + len(zones) :]))
     # Rewrite Psi(h + c) as offset + Psi_c(h) with Psi_c(0) = 0 and central slope 1.
     psi = inverse.inverse()
     kinks = psi.threshold[psi.threshold != 0.0] - constant
@@ -92,7 +94,7 @@ def kuhnen_start(
         lag_s=lag_s,
     )
     offset = float(psi.run(np.array([constant]))[0])
-    return Start(operator=operator, offset=offset, kkt_gap=kkt_gap)
+    return Start(operator=operator, offset=offset, kkt_gap=optimum.kkt_gap)
 
 
 def zone_thresholds(low: float, high: float, shape: Shape) -> Array:
@@ -124,14 +126,26 @@ def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: 
     return triangle
 
 
-def optimum_of(triangle: Array, threshold: Array, zones: Array) -> tuple[Array, float]:
-    """Return weights, slopes and offsets of the program, and its duality (KKT) gap.
+def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Optimum:
+    """Solve the program, given the triangular factor of its rows with the offsets last."""
+    limits = constraints_of(threshold, zones, triangle.shape[1])
+    target = np.zeros(len(triangle))
+    x = bounded_optimum(triangle, threshold, zones)
+    if x[0] < MIN_SLOPE:
+        return constrained_least_squares(triangle, target, *limits)
+    constraint, lower, upper = limits
+    return Optimum(
+        x=x,
+        cost=float(np.sum((triangle @ x) ** 2)),
+        kkt_gap=stationarity(triangle, x, target, constraint, (lower, upper)),
+    )
 
-    triangle  factor of the rows of the program, with the offsets last
+
+def bounded_optimum(triangle: Array, threshold: Array, zones: Array) -> Array:
+    """Return the optimum without the limit of w_0, by least squares within bounds.
 
     The unknowns are slopes of Psi' instead of weights, so that their limits are bounds; w_0
     follows from the normalisation: w_0 = 1 - sum_(i>0) (1 - r_i) w_i in scaled units, r_0 = 0.
-    A w_0 below its limit is raised to it afterwards.
     """
     plays, count = len(threshold), len(zones)
     zero = int(np.flatnonzero(zones == 0.0)[0])
@@ -142,12 +156,28 @@ def optimum_of(triangle: Array, threshold: Array, zones: Array) -> tuple[Array, 
             free[plays + zone, plays + zone + (1 if zone < zero else -1)] = -1.0
     lower = np.full(len(free) - 1, -np.inf)
     lower[: plays - 1], lower[plays - 1 : plays - 1 + count] = 0.0, MIN_INVERSE_SLOPE
-    design, target, upper = triangle @ free[:, 1:], -triangle[:, 0], np.full(len(lower), np.inf)
-    step = bounded_step(design, target, lower, upper)
+    step = bounded_step(
+        triangle @ free[:, 1:], -triangle[:, 0], lower, np.full(len(lower), np.inf)
+    )
     x = free[:, 1:] @ step
-    x[0] = max(1.0 + x[0], MIN_SLOPE)
-    gap = stationarity(design, step, target, np.eye(len(step)), (lower, upper))
-    return np.asarray(x), gap
+    x[0] += 1.0
+    return np.asarray(x)
+
+
+def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, Array, Array]:
+    """Return A, l and u of l <= A x <= u: weights, slopes of Psi', and a normalisation."""
+    plays, count = len(threshold), len(zones)
+    zero = int(np.flatnonzero(zones == 0.0)[0])
+    rows = np.zeros((plays + count + 1, unknowns))
+    rows[:plays, :plays] = np.eye(plays)
+    for i in range(count):
+        rows[plays + i, plays + min(i, zero) : plays + max(i, zero) + 1] = 1.0
+    rows[-1, :plays] = 1.0 - threshold
+    lower = np.concatenate([np.zeros(plays), np.full(count, MIN_INVERSE_SLOPE), [1.0]])
+    lower[0] = MIN_SLOPE
+    upper = np.full(len(rows), np.inf)
+    upper[-1] = 1.0
+    return rows, lower, upper
 
 
 def _spread(positions: Array, distance: float) -> Array:
