@@ -287,11 +287,13 @@ def _best_instant(view: View, repaired: View, slip: Slip) -> Slip:
     offsets = track.response[track.rows] - residual - static[track.rows]
     error = view.tracks[k].response - np.interp(np.arange(n), track.rows, offsets) - static
     later_error = error - delay_change(static, np.arange(n), int(slip.samples))
-    before = np.concatenate([[0.0], np.cumsum(error**2)])
-    behind = np.cumsum((later_error**2)[::-1])[::-1]
+    power_before = np.concatenate([[0.0], np.cumsum(error**2)])
+    power_after = np.cumsum((later_error**2)[::-1])[::-1]
     width = instant_error(len(view.tracks[k].drive))
     first, stop = max(slip.instant - width, 2), min(slip.instant + width, n - 2)
-    return replace(slip, instant=first + int(np.argmin((before[:-1] + behind)[first:stop])))
+    return replace(
+        slip, instant=first + int(np.argmin((power_before[:-1] + power_after)[first:stop]))
+    )
 
 
 def undo_slip(view: View, slip: Slip) -> View:

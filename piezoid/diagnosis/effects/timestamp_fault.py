@@ -266,10 +266,10 @@ def _refined_beside(
     slips: Sequence[SlipEvidence], evidence: SlipEvidence, view: View, refit: Refit
 ) -> SlipEvidence:
     """Refine the only slip of a track, all others undone, if that clearly reduces the error."""
-    others = [other for other in slips if other is not evidence]
-    if any(other.slip.track == evidence.slip.track for other in others):
+    further_slips = [slip for slip in slips if slip is not evidence]
+    if any(further.slip.track == evidence.slip.track for further in further_slips):
         return evidence
-    beside = refit(_undone(others, view))
+    beside = refit(_undone(further_slips, view))
     refined = refine_slip(beside, evidence.slip, refit=refit)
     rms, refined_rms = (
         refit(undo_slip(beside, slip).tracks).rms for slip in (evidence.slip, refined)
