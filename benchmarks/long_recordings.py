@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from benchmarks.zoo.score import recorded
+from benchmarks.zoo.score import read_campaign
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid_datasets.virtual_lab import drives
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
@@ -83,7 +83,7 @@ def plans(samples: int) -> tuple[Plan, ...]:
 def main(seed: int, effects: tuple[str, ...], samples: int, threads: int) -> None:
     """Draw, write, read and diagnose one campaign."""
     campaign = draw_campaign(seed, effects=effects, plans=plans(samples))
-    recordings, lab = recorded(campaign)
+    recordings, lab = read_campaign(campaign)
     begun_s, used_s = time.perf_counter(), time.process_time()
 
     def report(step: str) -> None:
