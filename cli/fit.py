@@ -90,8 +90,6 @@ def fit(
         names = dict.fromkeys(name.partition("/")[0] for name in calibration.files)
         say(f"report: {out / 'report.html'}")
         say(f"also in {out}: {', '.join(name for name in names if name != 'report.html')}")
-        if any(f.not_separable_from for d in calibration.diagnoses for f in d.findings):
-            say(f"next: piezoid plan {out} writes the shortest drive that separates these effects")
     if not calibration.passed:
         raise typer.Exit(1)
 

@@ -76,15 +76,7 @@ def validate_response(
         "its own gain, and a controller is designed for both"
     )
     if recorded is not None:
-        # The gain at rest lies below the band of a recording, where a fitted lag makes it
-        # meaningless: the gains are compared at a frequency measured in both.
-        low_Hz = max(
-            BELOW_MODE * _strongest_Hz(recorded[0]),
-            ABOVE_BAND * recorded[0].band_Hz[0],
-            d.band_Hz[0],
-        )
-        gains_at_low = [np.abs(dynamics.response([low_Hz])[0]) for dynamics in (recorded[0], d)]
-        factor = float(gains_at_low[0] / gains_at_low[1])
+        factor = _gain_ratio(recorded[0], d)
         record = replace(
             record,
             factor=record.factor * factor,
@@ -140,6 +132,20 @@ def _contradiction(
             f"(its modes: {listed}). Another axis, load or stage"
         )
     return ""
+
+
+def _gain_ratio(recorded: LinearDynamics, measured: LinearDynamics) -> float:
+    """Return the gain of a recording over that of a response, at a frequency measured in both.
+
+    The gain at rest lies below the band of a recording, where a fitted lag makes it meaningless.
+    """
+    low_Hz = max(
+        BELOW_MODE * _strongest_Hz(recorded),
+        ABOVE_BAND * recorded.band_Hz[0],
+        measured.band_Hz[0],
+    )
+    gains = [np.abs(dynamics.response([low_Hz])[0]) for dynamics in (recorded, measured)]
+    return float(gains[0] / gains[1])
 
 
 def _strongest_Hz(dynamics: LinearDynamics) -> float:
