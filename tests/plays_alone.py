@@ -20,8 +20,7 @@ def fit_plays_alone(patch: pytest.MonkeyPatch) -> None:
 
 
 def fit_one_order(patch: pytest.MonkeyPatch) -> None:
-    """Fit a single number of plays, no envelope, and no lag of second order."""
+    """Fit a single number of plays and no envelope."""
     estimate = partial(estimate_axis, orders=((8, 2),))
     patch.setattr("piezoid.identification.fit.estimate_axis", estimate)
     patch.setattr("piezoid.identification.hysteresis.order_selection.BENDS", ())
-    patch.setattr("piezoid.identification.hysteresis.estimate.limits_of_lag", lambda *_: ((), ""))

@@ -3,34 +3,30 @@
 The class is rejected for three reasons: a loop whose opening changes sign (branches of the
 operator never cross), a displacement that turns back while the drive continues (branches of an
 invertible operator are monotone), and a wide loop that a lag alone explains (a sum of plays
-imitates lag, with weights that hold at no other rate). At one speed a second-order lag imitates a
-loop as well,
+imitates lag, with weights that hold at no other rate):
 
     y = c + sum_k a_k x^k, k = 1..3,     x = w^2 / (s^2 + 2 d w s + w^2) e^(-s T) u
 
-and only recordings at another speed distinguish the two. w, d and T are searched for, with the
-linear coefficients eliminated; the error is that on the rows held out of the fits of plays.
+w, d and T are searched for, with the linear coefficients eliminated. Only recordings at several
+speeds distinguish a lag of second order from a loop.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from piezoid.formatting import with_unit
-from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.order_selection import (
     Choice,
-    fit_trial,
     folds_of,
     without_bends,
 )
 from piezoid.identification.hysteresis.pieces import Piece, Scales, response_range, widest_swing
 from piezoid.identification.hysteresis.scope import scope_of
-from piezoid.identification.hysteresis.search import Settings
 from piezoid.identification.quality import Limit
 from piezoid.numerics.arrays import Array, Samples, freeze
-from piezoid.numerics.derivative_free import direct_search
 from piezoid.numerics.robust import white_noise_rms
 from piezoid.operators.filters import later
 from piezoid.records.constant_drive import is_mostly_driven
@@ -38,11 +34,12 @@ from piezoid.records.reversals import noise_of, reversals_of
 
 MAX_ROWS = 3000  # of all pieces together: enough for three parameters
 MAX_SAMPLES = 6000  # of one piece
-EVALUATIONS = 40  # per parameter beyond the first
+EVALUATIONS = 15  # of the residual and its derivatives, for each start
+FIRST_LAGS = (0.03, 0.3)  # over the longest lag
+MAX_DAMPING = 50.0  # of critical: almost a lag of first order
 # Residual of a lag over that without lag: seven lags have 0.01 to 0.08, loops 0.18 or more.
 MAX_LAG_RESIDUAL = 0.12
 POWERS = (1, 2, 3)
-NO_LAG = np.array([np.log(1e-6), 0.0, 0.0])  # logarithms of lag and damping, delay
 WIDE = 0.01  # of the displacement range: a narrower loop needs no explanation
 MAX_CROSSING = 0.15  # of the widest opening: how far a loop may open the wrong way
 BINS = 20  # of the drive, in each of which the branches are averaged
@@ -57,28 +54,73 @@ COMPARABLE = 1.1  # held-out error of the lag alone over that of the hysteresis 
 
 
 @dataclass(frozen=True, kw_only=True)
-class LagModel:
-    """A fitted second-order lag without hysteresis.
+class SecondOrderLag:
+    """A lag behind which the displacement is a cubic of the drive.
 
-    frequency_Hz   undamped
-    damping        of critical
-    held_out_rms   scaled units
-    is_monotone    whether its static curve rises over the whole range, as that of any stage does
+    frequency_Hz  undamped
+    damping       of critical
     """
 
     frequency_Hz: float
     damping: float
-    held_out_rms: float
-    is_monotone: bool
+    delay_s: float
+
+    @property
+    def time_s(self) -> float:
+        """Lag of slow drives."""
+        return self.damping / (np.pi * self.frequency_Hz) + self.delay_s
+
+    def powers(self, piece: Piece) -> Array:
+        """Return the powers of the lagged drive of a piece, (samples, powers)."""
+        from scipy.signal import cont2discrete, lfilter, lfilter_zi
+
+        w = 2.0 * np.pi * self.frequency_Hz
+        continuous = ([w**2], [1.0, 2.0 * self.damping * w, w**2])
+        b, a, _ = cont2discrete(continuous, 1.0 / piece.sampling_rate_Hz, method="foh")
+        numerator = np.ravel(b)
+        start = lfilter_zi(numerator, a) * piece.drive[0]
+        lagged, _ = lfilter(numerator, a, piece.drive, zi=start)
+        return powers_of(later(lagged, self.delay_s * piece.sampling_rate_Hz))
 
 
-def fit_lag(pieces: Sequence[Piece], longest_lag_s: float, *, parameters: int) -> LagModel:
-    """Fit a second-order lag without hysteresis to pieces.
+def powers_of(drive: Array) -> Array:
+    """Return the powers of a drive, (samples, powers)."""
+    return np.column_stack([drive**power for power in POWERS])
 
-    parameters  2: frequency and damping; 3: and a delay; 0: the cubic alone, without lag
-    """
+
+def fit_lag(pieces: Sequence[Piece], longest_lag_s: float) -> SecondOrderLag:
+    """Fit a lag without hysteresis; the coefficients of the cubic are eliminated."""
+
+    def lag_of(x: Array) -> SecondOrderLag:
+        lag_s, damping = float(np.exp(x[0])) * longest_lag_s, float(np.exp(x[1]))
+        frequency_Hz = damping / (np.pi * lag_s)
+        return SecondOrderLag(
+            frequency_Hz=frequency_Hz, damping=damping, delay_s=float(x[2]) * longest_lag_s
+        )
+
+    def residual(x: Array) -> Array:
+        lag = lag_of(x)
+        return _regression(pieces, [lag.powers(piece) for piece in pieces])[1]
+
+    lower = np.array([np.log(1e-3), np.log(0.05), 0.0])
+    upper = np.array([np.log(2.0), np.log(MAX_DAMPING), 1.0])
+    fits = [
+        least_squares(
+            residual,
+            np.array([np.log(share), np.log(0.8), 0.02]),
+            bounds=(lower, upper),
+            x_scale=np.array([0.7, 0.4, 0.1]),
+            max_nfev=EVALUATIONS,
+        )
+        for share in FIRST_LAGS
+    ]
+    return lag_of(min(fits, key=lambda fit: float(fit.cost)).x)
+
+
+def _thinned(pieces: Sequence[Piece]) -> list[Piece]:
+    """Return pieces of ``MAX_SAMPLES``: a lag that causes a visible loop spans many samples."""
     thinned = []
-    for piece in pieces:  # a lag that causes a visible loop spans many samples
+    for piece in pieces:
         stride = max(1, len(piece.drive) // MAX_SAMPLES)
         thinned.append(
             replace(
@@ -91,82 +133,11 @@ def fit_lag(pieces: Sequence[Piece], longest_lag_s: float, *, parameters: int) -
                 invalid=piece.invalid[piece.invalid % stride == 0] // stride,
             )
         )
-    squares, rows, x, is_monotone = 0.0, 0, NO_LAG, True
-    for fold in folds_of(thinned):
-        training = fold.training
-        if parameters:
-            x = _search_lag(training, longest_lag_s, parameters)
-        columns = [_columns(piece, x, longest_lag_s) for piece in training]
-        gain, _ = _regression(training, columns)
-        slope = np.polynomial.Polynomial([0.0, *gain.tolist()]).deriv()
-        is_monotone &= bool((slope(np.linspace(-1.0, 1.0, 41)) > 0.0).all())
-        for number, piece in enumerate(fold.testing):
-            held_out = fold.held_out_samples(number)
-            columns_of_piece = _columns(piece, x, longest_lag_s)
-            residual = piece.response[held_out] - columns_of_piece[held_out] @ gain
-            zero = float(residual.mean())
-            if number < fold.halved:
-                sample = training[number].fitted_samples()
-                model = columns[number][sample] @ gain
-                zero = float(np.mean(training[number].response[sample] - model))
-            squares += float(np.sum((residual - zero) ** 2))
-            rows += len(held_out)
-    frequency, damping, _ = _frequency_damping_delay(x, longest_lag_s)
-    return LagModel(
-        frequency_Hz=frequency,
-        damping=damping,
-        held_out_rms=float(np.sqrt(squares / max(rows, 1))),
-        is_monotone=is_monotone,
-    )
+    return thinned
 
 
-def _frequency_damping_delay(x: Array, longest_lag_s: float) -> tuple[float, float, float]:
-    """Return frequency (Hz), damping and delay (s).
-
-    x  logarithms of the lag 2 d / w and of the damping, delay; lag and delay over the longest lag
-    """
-    lag_s, damping = float(np.exp(x[0])) * longest_lag_s, float(np.exp(x[1]))
-    return damping / (np.pi * lag_s), damping, max(float(x[2]), 0.0) * longest_lag_s
-
-
-def _search_lag(pieces: Sequence[Piece], longest_lag_s: float, count: int) -> Array:
-    """Return logarithms of lag and damping, and the delay, of which ``count`` are fitted."""
-
-    def error(x: Array) -> float:
-        columns = [_columns(piece, np.pad(x, (0, 3 - count)), longest_lag_s) for piece in pieces]
-        return _regression(pieces, columns)[1]
-
-    lower = np.array([np.log(1e-3), np.log(0.05), 0.0][:count])
-    upper = np.array([np.log(2.0), np.log(5.0), 1.0][:count])
-    minima = [
-        direct_search(
-            error,
-            np.array([np.log(share), np.log(0.8), 0.02][:count]),
-            (lower, upper),
-            initial_step=np.array([0.7, 0.4, 0.1][:count]),
-            max_evaluations=EVALUATIONS * (count - 1),
-        )
-        for share in (0.03, 0.3)
-    ]
-    return np.pad(min(minima, key=lambda pair: pair[1])[0], (0, 3 - count))
-
-
-def _columns(piece: Piece, x: Array, longest_lag_s: float) -> Array:
-    """Return the powers of the lagged drive of a piece, (samples, powers)."""
-    from scipy.signal import cont2discrete, lfilter, lfilter_zi
-
-    frequency_Hz, damping, delay_s = _frequency_damping_delay(x, longest_lag_s)
-    w = 2.0 * np.pi * frequency_Hz
-    continuous = ([w**2], [1.0, 2.0 * damping * w, w**2])
-    b, a, _ = cont2discrete(continuous, 1.0 / piece.sampling_rate_Hz, method="foh")
-    numerator = np.ravel(b)
-    lagged, _ = lfilter(numerator, a, piece.drive, zi=lfilter_zi(numerator, a) * piece.drive[0])
-    lagged = later(lagged, delay_s * piece.sampling_rate_Hz)
-    return np.column_stack([lagged**power for power in POWERS])
-
-
-def _regression(pieces: Sequence[Piece], columns: Sequence[Array]) -> tuple[Array, float]:
-    """Return the coefficients of columns and the mean square error, each piece about its mean."""
+def _regression(pieces: Sequence[Piece], columns: Sequence[Array]) -> tuple[Array, Array]:
+    """Return the coefficients of columns and the residual, each piece about its mean."""
     stride = max(1, sum(piece.rows for piece in pieces) // MAX_ROWS)
     designs, targets = [], []
     for piece, column in zip(pieces, columns, strict=True):
@@ -175,7 +146,33 @@ def _regression(pieces: Sequence[Piece], columns: Sequence[Array]) -> tuple[Arra
         targets.append(piece.response[rows] - piece.response[rows].mean())
     design, target = np.concatenate(designs), np.concatenate(targets)
     gain = np.linalg.lstsq(design, target, rcond=None)[0]
-    return gain, float(np.mean((target - design @ gain) ** 2))
+    return gain, target - design @ gain
+
+
+def _held_out_error(
+    pieces: Sequence[Piece], columns_of: Callable[[Sequence[Piece]], Callable[[Piece], Array]]
+) -> tuple[float, bool]:
+    """Return the held-out rms error of a cubic, and whether it rises over the whole range.
+
+    columns_of  training pieces -> piece -> columns
+    """
+    squares, rows, rises = 0.0, 0, True
+    for fold in folds_of(pieces):
+        training, columns = fold.training, columns_of(fold.training)
+        gain, _ = _regression(training, [columns(piece) for piece in training])
+        slope = np.polynomial.Polynomial([0.0, *gain.tolist()]).deriv()
+        rises &= bool((slope(np.linspace(-1.0, 1.0, 41)) > 0.0).all())
+        for number, piece in enumerate(fold.testing):
+            held_out = fold.held_out_samples(number)
+            error = (piece.response - columns(piece) @ gain)[held_out]
+            zero = float(error.mean())
+            if number < fold.halved:
+                sample = training[number].fitted_samples()
+                model = (columns(training[number]) @ gain)[sample]
+                zero = float(np.mean(training[number].response[sample] - model))
+            squares += float(np.sum((error - zero) ** 2))
+            rows += len(held_out)
+    return float(np.sqrt(squares / max(rows, 1))), rises
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -347,39 +344,6 @@ def widest_opening(pieces: Sequence[Piece]) -> float:
     return max((float(loop.opening.max()) for loop in loops), default=0.0)
 
 
-def reason_of_lag(
-    pieces: Sequence[Piece],
-    choice: Choice,
-    settings: Settings,
-    progress: Callable[[str], None] = lambda _: None,
-) -> str:
-    """Return a reason to reject hysteresis if a lag alone predicts a wide loop as well, or ''.
-
-    The lag must also explain most of the residual of a fit without lag: a wrong cable, two clocks,
-    a slip or the motion of another machine is followed by neither lag nor hysteresis.
-    """
-    widest = widest_opening(pieces)
-    height = response_range(pieces)
-    if widest < WIDE * height:
-        return ""
-    progress("a lag alone, without hysteresis")
-    zones = min(choice.best.shape.below, 2)
-    without_lag = fit_lag(pieces, settings.longest_lag_s, parameters=0).held_out_rms
-    max_rms = min(COMPARABLE * choice.best.held_out_rms, MAX_LAG_RESIDUAL * without_lag)
-    for lag in ("first_order", "delay"):
-        shape = Shape(plays=0, below=zones, above=zones, lag=lag)
-        trial = fit_trial(pieces, shape, replace(settings, lag_s=None), max_rms=max_rms)
-        if trial is not None:
-            return (
-                f"a {lag.replace('_', '-')} lag of {with_unit(trial.lag_s, 's')} without any "
-                f"hysteresis leaves {100 * trial.held_out_rms / height:.3g} % of the displacement "
-                "range on held-out data, the hysteresis model "
-                f"{100 * choice.best.held_out_rms / height:.3g} %: the loop "
-                f"({100 * widest / height:.1f} % wide) is phase lag, not hysteresis"
-            )
-    return ""
-
-
 def limits_of_lag(
     pieces: Sequence[Piece],
     choice: Choice,
@@ -388,40 +352,36 @@ def limits_of_lag(
 ) -> tuple[tuple[Limit, ...], str]:
     """Return limits of the scope, and a reason to reject hysteresis if a lag fits as well, or ''.
 
-    A second-order lag is tried only if the speed was not varied: at several speeds it cannot
-    imitate a loop. Its two parameters are compared with hysteresis without an envelope, because
-    the two dozen parameters of an envelope follow the corners of a lag at every reversal: on a
-    positioner with lag alone, 0.20 % of the range with an envelope, 0.57 % without, and 0.54 % for
-    the lag. On thirteen published laws the error of a lag is 1.2 (loops of five sizes, Coleman and
-    Hodgdon's) to 24 times that of hysteresis without an envelope, and 0.18 times that of a fit
-    without lag or more.
+    The lag must also explain most of the residual of a fit without lag: a wrong cable, two clocks,
+    a slip or the motion of another machine is followed by neither lag nor hysteresis. Its three
+    parameters are compared with hysteresis without an envelope, because the two dozen parameters
+    of an envelope follow the corners of a lag at every reversal: on a positioner with lag alone,
+    0.20 % of the range with an envelope, 0.57 % without, and 0.54 % for the lag. On thirteen
+    published laws the error of a lag is 1.2 (loops of five sizes, Coleman and Hodgdon's) to 24
+    times that of hysteresis without an envelope, and 0.18 times that of a fit without lag or more.
     """
-    scope = scope_of(pieces)
-    if not scope.has_one_speed or scope.branches < 2:
+    scope, height, widest = scope_of(pieces), response_range(pieces), widest_opening(pieces)
+    if widest <= WIDE * height:
         return scope.limits(), ""
-    progress("a lag of second order, without hysteresis")
-    height = response_range(pieces)
-    lag, delayed, without_lag = (
-        fit_lag(pieces, longest_lag_s, parameters=count) for count in (2, 3, 0)
-    )
-    lag_rms, plays = min(lag.held_out_rms, delayed.held_out_rms), choice.best.held_out_rms
+    progress("a lag alone, without hysteresis")
+    thinned = _thinned(pieces)
+    lag = fit_lag(thinned, longest_lag_s)
+    error = _regression(thinned, [lag.powers(piece) for piece in thinned])[1]
     straight = without_bends(choice).best.held_out_rms
-    envelope = ", an envelope" if choice.best.shape.bends else ""
+    rms, kind, is_explained = float(np.sqrt(np.mean(error**2))), "in sample", False
+    if rms <= COMPARABLE * straight:  # the held-out error is larger
+        without_lag, _ = _held_out_error(thinned, lambda _: lambda piece: powers_of(piece.drive))
+        rms, rises = _held_out_error(thinned, lambda some: fit_lag(some, longest_lag_s).powers)
+        max_rms = min(COMPARABLE * straight, MAX_LAG_RESIDUAL * without_lag)
+        kind, is_explained = "held out", rises and rms <= max_rms
     comparison = (
-        f"held-out error: plays{envelope} and a lag {100 * plays / height:.2g} % of the range; a "
-        f"second-order lag without hysteresis {100 * lag.held_out_rms / height:.2g} % "
-        f"({with_unit(lag.frequency_Hz, 'Hz')}, damping {lag.damping:.2g}); the same lag with a "
-        f"delay {100 * delayed.held_out_rms / height:.2g} %"
+        f"plays without an envelope leave {100 * straight / height:.2g} % of the range held out, "
+        f"a lag of {with_unit(lag.time_s, 's')} without hysteresis leaves "
+        f"{100 * rms / height:.2g} % {kind} (second order, {with_unit(lag.frequency_Hz, 'Hz')}, "
+        f"damping {lag.damping:.2g}, delay {with_unit(lag.delay_s, 's')})"
     )
-    reason = ""
-    is_wide = widest_opening(pieces) > WIDE * height
-    max_rms = MAX_LAG_RESIDUAL * without_lag.held_out_rms
-    is_explained = lag.is_monotone and lag_rms < max_rms
-    if is_wide and is_explained and lag_rms <= COMPARABLE * straight:
-        reason = f"the loop is phase lag, not hysteresis ({comparison})"
-        if straight > plays:
-            reason += f"; plays without an envelope {100 * straight / height:.2g} %"
-    return scope.limits(f" ({comparison})"), reason
+    reason = f"the loop ({100 * widest / height:.1f} % wide) is phase lag, not hysteresis"
+    return scope.limits(f": {comparison}"), f"{reason}: {comparison}" if is_explained else ""
 
 
 def reason_of_error(pieces: Sequence[Piece], choice: Choice) -> str:

@@ -10,7 +10,6 @@ from piezoid.identification.hysteresis.applicability import (
     limits_of_lag,
     reason_in_loops,
     reason_of_error,
-    reason_of_lag,
     reason_of_no_response,
 )
 from piezoid.identification.hysteresis.coordinates import Shape, to_si_units
@@ -111,18 +110,14 @@ def estimate_axis(
     # A lag or gain that changes from cycle to cycle dominates the residual and hides the
     # difference between plays and a lag.
     has_trend = bool(slides) or any(c.gain is not None for c in cycles)
-    lag_reason = ""
-    if not loop_reason and not has_trend:
-        lag_reason = reason_of_lag(pieces, choice, coarse, progress)
-    limits, second_order_reason = limits_of_lag(pieces, choice, coarse.longest_lag_s, progress)
+    limits, lag_reason = limits_of_lag(pieces, choice, coarse.longest_lag_s, progress)
     if has_trend:
-        second_order_reason = ""
-    if second_order_reason:
+        lag_reason = ""
+    if lag_reason:
         choice = without_bends(choice)
     rejection = (
         reason_of_no_response(pieces, choice, scales)
         or lag_reason
-        or second_order_reason
         or loop_reason
         or reason_of_error(pieces, choice)
     )

@@ -37,7 +37,6 @@ NO_BETTER = 2  # consecutive orders without improvement, after which the search 
 FOLDS = 3
 MAX_CROSSINGS = 12  # of the middle of the drive, in a recording of a single loop with its noise
 MAX_EXTRAPOLATION = 0.1  # of half the drive range
-ROUNDING = 1e-9  # of a sum of squares
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,11 +78,6 @@ class Trial:
         """Rms of the residual."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
-    @property
-    def lag_s(self) -> float:
-        """Fitted lag of the last fold."""
-        return self.operators[-1].lag_s
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Choice:
@@ -118,9 +112,7 @@ def choose_shape(
             f"{shape.plays} plays, {shape.below + shape.above} dead zones, {2 * shape.bends} "
             f"bends, {shape.lag.replace('_', ' ')}"
         )
-        trial = fit_trial(pieces, shape, settings, max_rms=np.inf)
-        assert trial is not None  # no error is above infinity
-        return trial
+        return fit_trial(pieces, shape, settings)
 
     shapes = [Shape(plays=plays, below=zones, above=zones) for plays, zones in orders]
     trials = _fit_growing(shapes, fit, in_sample)
@@ -186,20 +178,14 @@ def _is_as_good(smaller: Trial, best: Trial, in_sample: bool) -> bool:
     return smaller.held_out_rms <= close * best.held_out_rms
 
 
-def fit_trial(
-    pieces: Sequence[Piece], shape: Shape, settings: Settings, *, max_rms: float
-) -> Trial | None:
-    """Fit a shape to every fold; None if its held-out error is above ``max_rms``.
+def fit_trial(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Trial:
+    """Fit a shape to every fold.
 
-    Further folds are skipped once the error exceeds the limit whatever they contribute. Zero and
-    memory of whole held-out recordings are fitted. The second half of a recording keeps the memory
-    of the first; its zero is fitted unless it is the only recording.
+    Zero and memory of whole held-out recordings are fitted. The second half of a recording keeps
+    the memory of the first; its zero is fitted unless it is the only recording.
     """
-    folds = list(folds_of(pieces))
-    rows = sum(len(fold.held_out_samples(k)) for fold in folds for k in range(len(fold.testing)))
-    max_squares = max_rms**2 * rows * (1.0 + ROUNDING)
     residuals, operators = [], []
-    for fold in folds:
+    for fold in folds_of(pieces):
         fit = search(fold.training, shape, settings)
         operators.append(fit.operator)
         whole_pieces = fold.testing[fold.halved :]
@@ -215,11 +201,7 @@ def fit_trial(
             is_offset_free = number < fold.halved and not is_only_recording
             errors.append(error - error.mean() if is_offset_free else error)
         residuals.append(np.concatenate(errors))
-        max_squares -= float(residuals[-1] @ residuals[-1])
-        if max_squares < 0.0:
-            return None
-    trial = Trial(shape=shape, residual=np.concatenate(residuals), operators=tuple(operators))
-    return None if trial.held_out_rms > max_rms else trial
+    return Trial(shape=shape, residual=np.concatenate(residuals), operators=tuple(operators))
 
 
 def _count_recordings(pieces: Sequence[Piece]) -> int:

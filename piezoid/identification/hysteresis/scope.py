@@ -62,7 +62,7 @@ class Scope:
     def limits(self, lag: str = "") -> tuple[Limit, ...]:
         """Return what was not measured, most important first.
 
-        lag  comparison with lags without hysteresis, in parentheses
+        lag  comparison with a lag without hysteresis
         """
         rules = (
             (

@@ -1,13 +1,11 @@
-"""A trial ends early, and remarks state the weaknesses of a fit."""
+"""Remarks state the weaknesses of a fit."""
 
-import math
 from dataclasses import replace
 
 import pytest
 
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.estimate import remarks_on
-from piezoid.identification.hysteresis.order_selection import fit_trial
 from piezoid.identification.hysteresis.pieces import Piece, Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.identification.quality import OTHER_RECORDINGS
@@ -24,15 +22,6 @@ def pieces(count: int) -> tuple[Piece, ...]:
     drive = decaying(10, per_unit=10)
     recordings = [recording(drive, stage(drive, seed), f"{seed}.csv") for seed in range(count)]
     return pieces_of(recordings, "x", scales_of(recordings, "x"), Rig())
-
-
-@pytest.mark.parametrize("count", [1, 3])
-def test_a_trial_ends_above_its_limit_and_is_otherwise_unchanged(count):
-    unlimited = fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=math.inf)
-    limited = fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=unlimited.held_out_rms)
-    assert limited.residual.tobytes() == unlimited.residual.tobytes()
-    smaller_limit = math.nextafter(unlimited.held_out_rms, 0.0)
-    assert fit_trial(pieces(count), SHAPE, SETTINGS, max_rms=smaller_limit) is None
 
 
 @pytest.mark.parametrize(("iterations", "gap"), [(30, 0.0), (1, 1.0)])
