@@ -133,14 +133,14 @@ def _held_out_error(
     for knots in np.split(regression.members("zero"), np.cumsum(regression.knots)[:-1]):
         difference = np.diff(np.eye(len(knots)), axis=0)
         smoothing[np.ix_(knots, knots)] = difference.T @ difference
-    for number in range(FOLDS):
-        rows = (regression.fold == number) & regression.use
-        if rows.any():
-            training = total - folds[number]
+    for left_out in folds[:FOLDS]:
+        if left_out.count:
+            training = total - left_out
             training = replace(training, gram=training.gram + smoothing)
-            coefficient = regression.change @ ridge.mean(training)
-            error = regression.target[rows] - regression.design[rows] @ coefficient
-            squares, count = squares + float(error @ error), count + len(error)
+            w = ridge.mean(training)
+            explained = w @ left_out.gram @ w - 2.0 * w @ left_out.moment
+            squares += left_out.square + float(explained)
+            count += left_out.count
     return float(np.sqrt(squares / max(count, 1)))
 
 

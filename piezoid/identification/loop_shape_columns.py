@@ -243,34 +243,66 @@ def reference_columns(axis: AxisModel) -> tuple[Array, Array]:
     them where the recordings contain no information. Plays with dead zones have kinks that a
     smooth material does not have; the last column is this remainder.
     """
-    drive, family, x, scale, change = _reference()
+    reference = _reference()
+    x, z, change = reference.columns, reference.design, reference.change
     shape = zero_loop_shape(axis)
     memory_V = axis.memory_after(shape.turns_V(()))
-    drive_V = shape.centre_V + shape.reach_V * drive
+    drive_V = shape.centre_V + shape.reach_V * reference.drive
     plays = axis.invertible_m(drive_V, memory_V, 1.0) / (0.5 * axis.quality.range_m)
-    number = np.unique(family, return_inverse=True)[1]
-    z, families = np.column_stack([x / scale @ change, np.ones(len(x))]), int(number.max()) + 1
-    sums = Moments(gram=z.T @ z, moment=z.T @ plays, square=float(plays @ plays), count=len(z))
-    power = sums.square / sums.count
+    families = int(reference.family.max())
+    square = float(plays @ plays)
+    sums = Moments(gram=reference.gram, moment=z.T @ plays, square=square, count=len(z))
+    power = square / len(z)
     ridge = FamilyRidge(
-        family=np.append(number, families),
+        family=reference.family,
         variance=np.append(np.full(families, 0.1 * power), np.inf),
         noise=1e-4 * power,
     )
     _, coefficient, _ = ridge.maximised(sums, ceiling=np.full(families + 1, np.inf))
-    smooth = np.asarray(change @ coefficient[:-1] / scale)
+    smooth = np.asarray(change @ coefficient[:-1] / reference.scale)
     return np.column_stack([x, plays - x @ smooth]), np.append(smooth, 0.0)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Reference:
+    """A drive through the whole range, and the columns of the wide class along it.
+
+    drive    (samples,)  scaled
+    columns  (samples, columns)
+    scale    (columns,)  divisor of each column
+    change   (columns, columns)  from orthogonalised coefficients to those of scaled columns
+    design   (samples, columns + 1)  orthogonalised columns and a constant, with their gram
+    family   (columns + 1,)  index of the family of each column of the design
+    """
+
+    drive: Array
+    columns: Array
+    scale: Array
+    change: Array
+    design: Array
+    gram: Array
+    family: NDArray[np.intp]
+
+
 @cache
-def _reference() -> tuple[Array, NDArray[np.str_], Array, Array, Array]:
-    """Return the reference drive, and its columns with their families, scales and change."""
+def _reference() -> _Reference:
     turns = np.random.default_rng(0).uniform(-1.0, 1.0, TURNS)
     runs = [np.arange(a, b, np.copysign(STEP, b - a)) for a, b in pairwise(turns)]
     drive = np.concatenate(runs)
     x = class_columns(drive, HysteresisStates((float(drive[0]),)).follow(drive))
-    family = np.array(class_families())
-    return drive, family, x, *_orthogonalised([x], family)
+    names = np.array(class_families())
+    scale, change = _orthogonalised([x], names)
+    design = np.column_stack([x / scale @ change, np.ones(len(x))])
+    number = np.unique(names, return_inverse=True)[1]
+    return _Reference(
+        drive=drive,
+        columns=x,
+        scale=scale,
+        change=change,
+        design=design,
+        gram=design.T @ design,
+        family=np.append(number, number.max() + 1),
+    )
 
 
 def _at_sensor(axis: AxisModel, piece: PieceRows, static: Array) -> Array:
@@ -390,12 +422,15 @@ def _orthogonalised(drives: Sequence[Array], family: NDArray[np.str_]) -> tuple[
     triangles of three amplitudes of a Bouc-Wen stage, the model's error at a fourth amplitude was
     92 times the noise, and 5.6 times with the reference drive; for a Duhem stage 112 and 19 times.
     """
-    scale = np.sqrt(np.mean([(x**2).mean(axis=0) for x in drives], axis=0))
+    products = [x.T @ x / len(x) for x in drives]
+    scale = np.sqrt(np.mean([np.diag(product) for product in products], axis=0))
     for name in set(family):
         if name.startswith("density"):  # the prior fixes the relative size of its components
             scale[family == name] = scale[family == name].max()
     scale[scale < 1e-12] = 1.0
-    gram = np.mean([np.cov(x / scale, rowvar=False, bias=True) for x in drives], axis=0)
+    means = [x.mean(axis=0) for x in drives]
+    centred = [p - np.outer(m, m) for p, m in zip(products, means, strict=True)]
+    gram = np.mean(centred, axis=0) / np.outer(scale, scale)
     change, former = np.eye(len(family)), np.zeros(0, dtype=np.intp)
     for name in dict.fromkeys(family):
         members = np.flatnonzero(family == name)

@@ -321,7 +321,14 @@ def regression_of(
     step = numbers.step / size
     slope = np.concatenate(slopes)[:, None]
     blocks = (np.concatenate(class_tables), block_diag(*histories), block_diag(*zeros))
-    linear = np.hstack(blocks)
+    counts = [block.shape[1] for block in (*blocks, by_numbers)]
+    *starts, count = np.cumsum(counts).tolist()
+    design = np.empty((len(by_numbers), count), order="F")
+    for columns_of_block, block in zip(
+        np.split(design, starts, axis=1), (*blocks, by_numbers / size), strict=True
+    ):
+        columns_of_block[:] = block
+    linear = design[:, : starts[-1]]
     if (slope != 1.0).any():  # of a sensor without errors it is 1
         linear *= slope
     weights = () if is_first else estimate.weights
@@ -329,13 +336,11 @@ def regression_of(
     wide = estimate.wide * columns.scale if has_class else np.zeros(0)
     present = np.concatenate([wide, *weights, zero])
     error_m = np.concatenate(errors_m)
-    counts = (blocks[1].shape[1], blocks[2].shape[1], len(step))
-    names = np.repeat(["initial state", "zero", "number"], counts).tolist()
-    count = linear.shape[1] + len(step)
+    names = np.repeat(["initial state", "zero", "number"], counts[1:]).tolist()
     change = np.eye(count)
     change[: len(wide), : len(wide)] = columns.change[: len(wide), : len(wide)]
     return Regression(
-        design=np.hstack([linear, by_numbers / size]) if len(step) else linear,
+        design=design,
         target=error_m / scale_m + linear @ present,
         error_m=error_m,
         family=(*columns.family[: len(wide)], *names),

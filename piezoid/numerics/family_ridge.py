@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cho_solve, cholesky
+from scipy.linalg.lapack import dtrtri
 
 from piezoid.numerics.arrays import Array
 
@@ -104,7 +105,7 @@ class FamilyRidge:
     def _determined(self, moments: Moments) -> tuple[Array, Array]:
         """Return the coefficients, and g_f: the number determined by the data in each family."""
         w, factor, scale = self._posterior(moments)
-        inverse = solve_triangular(factor, np.eye(len(factor)), lower=True)
+        inverse, _ = dtrtri(factor, lower=1)
         spread = (inverse**2).sum(axis=0) * scale**2
         sizes = np.bincount(self.family, minlength=len(self.variance))
         undetermined = np.bincount(self.family, spread, len(self.variance)) / self.variance
