@@ -22,9 +22,9 @@ from piezoid.design.youla import optimise
 from piezoid.errors import DesignError, LabFileError
 from piezoid.formatting import with_unit
 from piezoid.identification.loop_model import DECLARED_SPREAD
+from piezoid.identification.tunnelling.closed_loop import LoopPlant
 from piezoid.identification.tunnelling.junction import TunnellingModel
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
-from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.loop_noise import CurrentChain
 from piezoid.numerics.polynomial import decibel
 from piezoid.operators.linear import cascade, first_order

@@ -27,7 +27,7 @@ from piezoid.design.junction_task import (
 )
 from piezoid.design.specification import Specification, converters_of
 from piezoid.errors import LabFileError
-from piezoid.identification.tunnelling.loop_model import LoopPlant
+from piezoid.identification.tunnelling.closed_loop import LoopPlant
 from piezoid.identification.tunnelling.loop_noise import CurrentChain
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab

@@ -13,8 +13,8 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
+from piezoid.identification.tunnelling.closed_loop import LoopPlant
 from piezoid.identification.tunnelling.junction import TunnellingModel
-from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.loop_noise import CurrentChain
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab

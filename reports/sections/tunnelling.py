@@ -6,11 +6,10 @@ import numpy as np
 
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
 from piezoid.identification.tunnelling.barrier_fit import GapLaw
-from piezoid.identification.tunnelling.closed_loop import LoopSummary
+from piezoid.identification.tunnelling.closed_loop import LoopPlant, LoopSummary
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.junction import JointBarrier, TunnellingModel, curves_of
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, read_loop
-from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.loop_noise import gap_motion, power_density
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over

@@ -20,10 +20,11 @@ from piezoid.identification.tunnelling.approach import (
 )
 from piezoid.identification.tunnelling.barrier_fit import GapLaw, fit_barrier
 from piezoid.identification.tunnelling.closed_loop import (
+    LoopPlant,
+    describe_loop_plant,
     identify_closed_loop,
 )
 from piezoid.identification.tunnelling.loop_files import is_loop, loops_of
-from piezoid.identification.tunnelling.loop_model import LoopPlant, describe_loop_plant
 from piezoid.identification.tunnelling.sweep_pairs import (
     DirectionShift,
     common_law,

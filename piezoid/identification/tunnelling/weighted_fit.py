@@ -197,22 +197,6 @@ def fit_sweeps(curves: Sequence[ApproachCurve]) -> WeightedFit:
     Raises ``ExcitationError`` for a current that increases with the height: the height is
     inverted.
     """
-    fit = _settle(_first_fit(curves))
-    for _ in range(MAX_JUMPS):
-        jumps = [jump for n in range(len(curves)) if (jump := _find_jump(fit, n)) is not None]
-        if not jumps:
-            break
-        largest = max(jumps, key=lambda jump: abs(jump.nepers))
-        # The part of the sweep beyond the jump becomes another piece.
-        is_beyond = fit.height_m + fit.lowest_m > largest.height_m
-        split = 2 * fit.piece + ((fit.sweep == largest.sweep) & is_beyond)
-        piece = np.unique(split, return_inverse=True)[1]
-        fit = _settle(replace(fit, piece=piece, jumps=(*fit.jumps, largest)).at_best_decay())
-    return fit
-
-
-def _first_fit(curves: Sequence[ApproachCurve]) -> WeightedFit:
-    """Fit all sweeps with a rough estimate of the noise, and determine the polarity."""
     sweep = np.repeat(np.arange(len(curves)), [c.points for c in curves])
     height_m = np.concatenate([c.height_m for c in curves])
     current_A = np.concatenate([c.current_A for c in curves])
@@ -251,6 +235,18 @@ def _first_fit(curves: Sequence[ApproachCurve]) -> WeightedFit:
             needed="a height that increases when the tip retracts, so that the current falls",
             remedy="Pass the height with the opposite sign.",
         )
+
+    fit = _settle(fit)
+    for _ in range(MAX_JUMPS):
+        jumps = [jump for n in range(len(curves)) if (jump := _find_jump(fit, n)) is not None]
+        if not jumps:
+            break
+        largest = max(jumps, key=lambda jump: abs(jump.nepers))
+        # The part of the sweep beyond the jump becomes another piece.
+        is_beyond = fit.height_m + fit.lowest_m > largest.height_m
+        split = 2 * fit.piece + ((fit.sweep == largest.sweep) & is_beyond)
+        piece = np.unique(split, return_inverse=True)[1]
+        fit = _settle(replace(fit, piece=piece, jumps=(*fit.jumps, largest)).at_best_decay())
     return fit
 
 

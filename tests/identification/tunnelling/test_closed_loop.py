@@ -8,12 +8,18 @@ import pytest
 from scipy.signal import tf2ss
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
+from piezoid.identification.tunnelling.closed_loop import (
+    identify_closed_loop,
+    mean_of,
+    spread_family,
+)
 from piezoid.identification.tunnelling.confidence import Confidence
-from piezoid.identification.tunnelling.instrument_fit import fit_with_instrument
+from piezoid.identification.tunnelling.instrument_fit import (
+    LoopSpectra,
+    fit_with_instrument,
+    spectra_of_dither,
+)
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
-from piezoid.identification.tunnelling.loop_model import mean_of, spread_family
-from piezoid.identification.tunnelling.loop_spectra import LoopSpectra, spectra_of_dither
 from piezoid.operators.linear import ContinuousSystem, sample
 from piezoid_datasets.virtual_lab.junction import Junction
 from tests.identification.tunnelling.loops import (

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
-from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
+from piezoid.identification.tunnelling.closed_loop import (
+    ClosedLoopFit,
+    describe_loop_plant,
+    spread_family,
+)
 from piezoid.identification.tunnelling.junction import TunnellingModel, fit_junction
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
-from piezoid.identification.tunnelling.loop_model import describe_loop_plant, spread_family
 from piezoid.record_json import from_json, to_json
 from piezoid.records.lab import read_lab
 from piezoid.records.recording import Channel, Quantity, Recording
