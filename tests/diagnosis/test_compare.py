@@ -9,7 +9,7 @@ from piezoid.diagnosis.compare import compare
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.identification.extensions import FirstOrderLag, GainChange, ThermalDrift
 from piezoid.identification.quality import Verdict
-from tests.identification.joint.stage import NOISE_m, known_model, recordings_of
+from tests.identification.extended_stage import NOISE_m, known_model, recordings_of
 
 
 def test_an_unchanged_stage_confirms_the_model():

@@ -19,7 +19,7 @@ from piezoid.identification.simulation import simulate_recording
 from piezoid.records.lab import Acquisition, Lab
 from piezoid.records.recording import Recording
 from tests.diagnosis.bench import view_of_recordings
-from tests.identification.joint.stage import NOISE_m, disturbed, known_model, recordings_of
+from tests.identification.extended_stage import NOISE_m, disturbed, known_model, recordings_of
 
 SCALES = Scales(voltage_V=5.0, voltage_offset_V=5.0, displacement_m=1.2e-5)
 CREEP = CreepLadder(time_s=tuple(np.geomspace(0.02, 200.0, 12).tolist()), share=(0.008,) * 12)

@@ -13,8 +13,8 @@ from piezoid.errors import ParameterFileError
 from piezoid.identification.model import SCHEMA
 from piezoid.identification.simulation import simulate_recording
 from piezoid.identification.store import read_model, write_model
+from tests.identification.extended_stage import known_model, recordings_of
 from tests.identification.extensions.samples import one_of_each
-from tests.identification.joint.stage import known_model, recordings_of
 from tests.reports.known_stage import axis_model, stage_model
 
 WRITTEN = json.loads(write_model(stage_model(axis_model())))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.identification.extended_fit import Structure, fit_extended, parts_of
 from piezoid.identification.extensions import (
     AmplifierLimits,
     CreepLadder,
@@ -21,11 +22,9 @@ from piezoid.identification.extensions import (
 )
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.hysteresis.pieces import PieceStart
-from piezoid.identification.joint.fit_extended import fit_extended
-from piezoid.identification.joint.vector import Structure, parts_of
 from piezoid.identification.quality import NEVER_OUT
 from piezoid.identification.simulation import simulate_recording
-from tests.identification.joint.stage import (
+from tests.identification.extended_stage import (
     MEMORY_V,
     NOISE_m,
     disturbed,
