@@ -5,7 +5,7 @@ import pytest
 
 import piezoid
 from piezoid.errors import IdentificationError, RecordingError
-from piezoid.identification.parameters import parameters_of
+from piezoid.identification.actuator_model import parameters_of
 from tests.api.stage import NOISE_m, RATE_Hz, fitted, recorded, truth, unseen_drive
 
 RANGE_m = 2.2e-5

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import piezoid
-from piezoid.identification.parameters import parameters_of
+from piezoid.identification.actuator_model import parameters_of
 from piezoid.identification.store import read_model
 from piezoid.raw_counts import in_counts
 from piezoid_cli.batch_stage import StageTask, calibrate_stage
