@@ -38,9 +38,8 @@ PRIOR = 0.06
 _RIDGE = 1e-2  # of the mean square of a column, for the slope of the residual
 _STEPS_PER_PLAY = 20  # slopes over drive steps shorter than reach / (20 plays) are rounding
 _TURNS, _SAMPLES, _RADIUS = 5, 5000, 0.7  # of the spiral on which a draw is scaled
-_MIN_SLOPE = (
-    0.5  # of the model's smallest slope: the response with d rises, as that of any ceramic
-)
+# Of the model's smallest slope: the response with d rises, as that of any ceramic.
+_MIN_SLOPE = 0.5
 
 
 def with_discrepancy(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
@@ -51,14 +50,14 @@ def with_discrepancy(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
     Without such recordings the discrepancy is None.
     """
     low_V, high_V = axis.voltage_V
-    reach_V = 0.5 * (high_V - low_V)
+    centre_V, reach_V = 0.5 * (low_V + high_V), 0.5 * (high_V - low_V)
     tables, residuals_m = [], []  # centred states and residual of every piece, thinned
     for recording in recordings:
         step = max(recording.samples // MAX_ROWS, 1)
         for piece in fitted_pieces(axis, recording):
             measured_m = recording.displacement_m(axis.axis)[piece.samples]
             error_m = axis.polarity * (measured_m - piece.simulate(axis))[::step]
-            states = _states(piece.voltage_V - 0.5 * sum(axis.voltage_V), reach_V)[::step]
+            states = _states(piece.voltage_V - centre_V, reach_V)[::step]
             tables.append(states - states.mean(axis=0))
             residuals_m.append(error_m - error_m.mean())
     if not tables:
@@ -69,14 +68,26 @@ def with_discrepancy(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
     gram = columns.T @ columns
     ridge = _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
     residual_weight_m = np.linalg.solve(gram + ridge, columns.T @ residual_m)
-    factor, max_slope_m_per_V = _slopes(axis, reach_V, mean_m + draw_m, residual_weight_m)
+    # Slopes of the response, d and the residual over the adversarial drives of the certificate.
+    drive_V = adversarial_drives(reach_V, SEED)
+    states, step_V = _states(drive_V, reach_V), np.diff(drive_V)
+    operator = axis.operator
+    response_m, _ = operator.run(centre_V + drive_V, operator.virgin_memory())
+    is_long = np.abs(step_V) > reach_V / (_STEPS_PER_PLAY * PLAYS)
+    slope, draw_slope, residual_slope = (
+        np.diff(path_m)[is_long] / step_V[is_long]
+        for path_m in (response_m, states @ (mean_m + draw_m), states @ residual_weight_m)
+    )
+    margin = np.maximum(slope - _MIN_SLOPE * slope.min(), 1e-300)
+    factor = 1.0 / float(np.max(-draw_slope / margin, initial=1.0))
+    max_slope_m_per_V = float(np.abs(residual_slope).max(initial=0.0))
     optimism = 1.0
     if axis.quality.rms_m > 0.0:  # the residual of readings without noise may be 0
         optimism = max(axis.quality.held_out_rms_m / axis.quality.rms_m, 1.0)
     return replace(
         axis,
         discrepancy=Discrepancy(
-            centre_V=0.5 * (low_V + high_V),
+            centre_V=centre_V,
             reach_V=reach_V,
             threshold_V=reach_V * THRESHOLDS,
             weight_m=factor * (mean_m + draw_m).reshape(POWERS, PLAYS),
@@ -142,25 +153,3 @@ def _draw(
     expected = float(np.mean((states @ vectors) ** 2 @ variance))
     size = np.sqrt(expected / max(float(np.mean(draw_path**2)), 1e-300))
     return mean_m, draw_m * size
-
-
-def _slopes(
-    axis: AxisModel, reach_V: float, weight_m: Array, residual_weight_m: Array
-) -> tuple[float, float]:
-    """Return the factor of d with which the response rises, and the largest slope of the residual.
-
-    Both are computed over the adversarial drives of the certificate.
-    """
-    drive_V = adversarial_drives(reach_V, SEED)
-    states, operator = _states(drive_V, reach_V), axis.operator
-    centre_V = 0.5 * sum(axis.voltage_V)
-    response_m, _ = operator.run(centre_V + drive_V, operator.virgin_memory())
-    step_V = np.diff(drive_V)
-    is_long = np.abs(step_V) > reach_V / (_STEPS_PER_PLAY * PLAYS)
-    slope, draw_slope, residual_slope = (
-        np.diff(path_m)[is_long] / step_V[is_long]
-        for path_m in (response_m, states @ weight_m, states @ residual_weight_m)
-    )
-    margin = np.maximum(slope - _MIN_SLOPE * slope.min(), 1e-300)
-    factor = 1.0 / float(np.max(-draw_slope / margin, initial=1.0))
-    return factor, float(np.abs(residual_slope).max(initial=0.0))

@@ -213,16 +213,44 @@ def predict(model: AxisModel, recording: Recording) -> Array:
     belong to recordings of the fit and are omitted for others. A constant error is not visible,
     because the zero is fitted.
     """
-    voltage_V = recording.voltage_V(model.axis)
+    drive_V = recording.voltage_V(model.axis)
     channel = recording.find(Quantity.DISPLACEMENT, model.axis)
+    plays_only = replace(model, loop_shape=None)
+    slopes = [np.full(len(model.hysteresis.gap), slope) for slope in START_SLOPES]
     predicted_m = np.empty(recording.samples)
     for piece in recording.pieces:
-        where = where_of(recording, model.axis, piece)
+        voltage_V, where = drive_V[piece], where_of(recording, model.axis, piece)
         if channel is None:
-            piece_m = model.simulate(voltage_V[piece], where.rate_Hz, None, where)
-        else:
-            piece_m = _predicted_piece(model, voltage_V[piece], channel.values[piece], where)
-        predicted_m[piece] = piece_m
+            predicted_m[piece] = model.simulate(voltage_V, where.rate_Hz, None, where)
+            continue
+        # First the memory of the plays, with the loop shape of a de-poled state.
+        measured_m = plays_m = channel.values[piece]
+        if model.loop_shape is not None:
+            depoled_V = model.virgin_memory_V
+            shape_m = model.motion_m(voltage_V, depoled_V, where)
+            plays_m = measured_m - (shape_m - plays_only.motion_m(voltage_V, depoled_V, where))
+        memory_V, zero_m = fit_start(plays_only, voltage_V, plays_m, where, slopes)
+        motion_m = model.motion_m(voltage_V, memory_V, where)
+        if model.loop_shape is not None:
+            driven_V = model.forward.driven_V(voltage_V, where.rate_Hz)
+            changes_m = model.history_changes_m(driven_V, memory_V, where.rate_Hz)
+            columns_m = model.polarity * model.forward.linear_response(changes_m, where)
+            residual_m = measured_m - model.forward.read(zero_m + motion_m, where)
+            # Then the weights of histories, which are of order one, by ridge regression:
+            # a minimises |residual - columns a|^2 / error^2 + |a|^2, without the mean.
+            error_m = max(model.quality.held_out_rms_m, np.finfo(float).tiny)
+            columns = (columns_m - columns_m.mean(axis=0)) / error_m
+            normal = columns.T @ columns + np.eye(columns.shape[1])
+            weight = np.asarray(np.linalg.solve(normal, columns.T @ residual_m / error_m))
+            motion_m = model.motion_m(voltage_V, memory_V, where, weight)
+            zero_m += float(np.mean(measured_m - model.forward.read(zero_m + motion_m, where)))
+        candidates = [model.forward.read(zero_m + motion_m, where)]
+        for start in starts_of(model, recording):
+            if start.last <= len(voltage_V):
+                fit = FittedPiece(samples=piece, voltage_V=voltage_V, where=where, start=start)
+                candidates.append(fit.simulate(model))
+        errors = [float(np.sum((candidate - measured_m) ** 2)) for candidate in candidates]
+        predicted_m[piece] = candidates[int(np.argmin(errors))]
     return predicted_m
 
 
@@ -238,42 +266,6 @@ def compare(model: AxisModel, recording: Recording) -> Comparison:
         predicted_m=predict(model, recording),
         counted=model.counted,
     )
-
-
-def _predicted_piece(model: AxisModel, voltage_V: Array, measured_m: Array, where: Where) -> Array:
-    """Predict a piece from the fitted or refitted start with the smallest residual.
-
-    The refit determines the memory of the plays first, with the loop shape of a de-poled state;
-    then the weights of histories, which are of order one, by ridge regression; and the zero.
-    """
-    plays_m, plays_only = measured_m, replace(model, loop_shape=None)
-    if model.loop_shape is not None:
-        depoled_V = model.virgin_memory_V
-        shape_m = model.motion_m(voltage_V, depoled_V, where)
-        plays_m = measured_m - (shape_m - plays_only.motion_m(voltage_V, depoled_V, where))
-    slopes = [np.full(len(model.hysteresis.gap), slope) for slope in START_SLOPES]
-    memory_V, zero_m = fit_start(plays_only, voltage_V, plays_m, where, slopes)
-    motion_m = model.motion_m(voltage_V, memory_V, where)
-    if model.loop_shape is not None:
-        driven_V = model.forward.driven_V(voltage_V, where.rate_Hz)
-        changes_m = model.history_changes_m(driven_V, memory_V, where.rate_Hz)
-        columns_m = model.polarity * model.forward.linear_response(changes_m, where)
-        residual_m = measured_m - model.forward.read(zero_m + motion_m, where)
-        # The weights a minimise |residual - columns a|^2 / error^2 + |a|^2, without the mean.
-        error_m = max(model.quality.held_out_rms_m, np.finfo(float).tiny)
-        columns = (columns_m - columns_m.mean(axis=0)) / error_m
-        normal = columns.T @ columns + np.eye(columns.shape[1])
-        weight = np.asarray(np.linalg.solve(normal, columns.T @ residual_m / error_m))
-        motion_m = model.motion_m(voltage_V, memory_V, where, weight)
-        zero_m += float(np.mean(measured_m - model.forward.read(zero_m + motion_m, where)))
-    candidates = [model.forward.read(zero_m + motion_m, where)]
-    samples = slice(where.first, where.first + where.samples)
-    candidates += [
-        FittedPiece(samples=samples, voltage_V=voltage_V, where=where, start=start).simulate(model)
-        for start in model.starts
-        if start.recording == where.recording and start.last <= len(voltage_V)
-    ]
-    return min(candidates, key=lambda candidate: float(np.sum((candidate - measured_m) ** 2)))
 
 
 def fit_start(

@@ -154,34 +154,14 @@ def refit_initial_state(fit: HysteresisFit, pieces: Sequence[Piece]) -> Hysteres
 
 
 def prune(fit: HysteresisFit, *, iterations: int) -> HysteresisFit:
-    """Remove superfluous plays and kinks from a fit, unless its error grows without them."""
+    """Remove superfluous plays and kinks from a fit, unless its error grows without them.
+
+    Plays and kinks of negligible size are dropped, and plays of nearly equal threshold merged.
+    """
     original, old = fit.operator, fit.task.coordinates
-    operator = _without_small_terms(original)
-    if len(operator.gap) == len(original.gap) and len(operator.knot) == len(original.knot):
-        return fit
-    coordinates = Coordinates(shape=operator.shape(fit.shape.lag), offsets=old.offsets)
-    task, theta = replace(fit.task, coordinates=coordinates), vector_of(operator, coordinates)
-    radius = np.concatenate([[0.0], original.threshold])
-    for index in range(len(old.offsets)):
-        theta[coordinates.offset_slice(index)] = fit.theta[old.offset_slice(index)]
-        # Memory slopes that preserve the states of the remaining plays.
-        slopes = fit.theta[old.memory_slice(index)]
-        curve = np.concatenate([[0.0], np.cumsum(original.gap * slopes)])
-        state = np.interp(operator.threshold, radius, curve)
-        slopes = np.clip(np.diff(state, prepend=0.0) / operator.gap, -1.0, 1.0)
-        theta[coordinates.memory_slice(index)] = slopes
-    pruned = minimise(theta, task, iterations=iterations)
-    if pruned.rms > MAX_RMS_RATIO * fit.rms:
-        return fit
-    return replace(pruned, kkt_gap=fit.kkt_gap)
-
-
-def _without_small_terms(operator: Scaled) -> Scaled:
-    """Drop plays and kinks of negligible size, and merge plays of nearly equal threshold."""
-    threshold = [0.0]
-    weight = [float(operator.weight[0])]
-    negligible = MIN_WEIGHT * float(operator.weight.sum())
-    for r, w in zip(operator.threshold, operator.weight[1:], strict=True):
+    threshold, weight = [0.0], [float(original.weight[0])]
+    negligible = MIN_WEIGHT * float(original.weight.sum())
+    for r, w in zip(original.threshold, original.weight[1:], strict=True):
         if w <= negligible:
             continue
         if r - threshold[-1] < MIN_DISTANCE and len(threshold) > 1:
@@ -191,19 +171,36 @@ def _without_small_terms(operator: Scaled) -> Scaled:
         else:
             threshold.append(float(r))
             weight.append(float(w))
-    thresholds = np.array(threshold[1:])
-    is_kink = np.abs(np.diff(operator.slope)) > MIN_KINK
-    is_kink[operator.zero] = True
+    is_kink = np.abs(np.diff(original.slope)) > MIN_KINK
+    is_kink[original.zero] = True
     kinks = np.flatnonzero(is_kink)
-    zero = int(np.searchsorted(kinks, operator.zero))
-    return replace(
-        operator,
-        gap=np.diff(thresholds, prepend=0.0),
-        threshold=thresholds,
+    if len(threshold) == len(original.weight) and len(kinks) == len(original.knot):
+        return fit
+    zero = int(np.searchsorted(kinks, original.zero))
+    operator = replace(
+        original,
+        gap=np.diff(threshold),
+        threshold=np.array(threshold[1:]),
         weight=np.array(weight),
-        knot=operator.knot[kinks],
+        knot=original.knot[kinks],
         slope=np.concatenate(
-            [operator.slope[kinks[: zero + 1]], operator.slope[kinks[zero:] + 1]]
+            [original.slope[kinks[: zero + 1]], original.slope[kinks[zero:] + 1]]
         ),
         zero=zero,
     )
+
+    coordinates = Coordinates(shape=operator.shape(fit.shape.lag), offsets=old.offsets)
+    theta = vector_of(operator, coordinates)
+    radius = np.concatenate([[0.0], original.threshold])
+    for index in range(len(old.offsets)):
+        theta[coordinates.offset_slice(index)] = fit.theta[old.offset_slice(index)]
+        # Memory slopes that preserve the states of the remaining plays.
+        slopes = fit.theta[old.memory_slice(index)]
+        curve = np.concatenate([[0.0], np.cumsum(original.gap * slopes)])
+        state = np.interp(operator.threshold, radius, curve)
+        slopes = np.clip(np.diff(state, prepend=0.0) / operator.gap, -1.0, 1.0)
+        theta[coordinates.memory_slice(index)] = slopes
+    pruned = minimise(theta, replace(fit.task, coordinates=coordinates), iterations=iterations)
+    if pruned.rms > MAX_RMS_RATIO * fit.rms:
+        return fit
+    return replace(pruned, kkt_gap=fit.kkt_gap)
