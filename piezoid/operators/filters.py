@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 from piezoid.numerics.arrays import Array
 from piezoid.operators.library import KERNELS, address, contiguous
 
-Coefficients = tuple[float, float, float]
 EVERY = slice(None)
 
 
@@ -47,20 +46,14 @@ class FirstOrder:
         return pole * self.rate_Hz, -mean_decay * self.rate_Hz, (mean_decay - pole) * self.rate_Hz
 
 
-def first_order(time_constant_s: float, sampling_rate_Hz: float) -> Coefficients:
-    """Return p, b0, b1 of the exact first-order lag of a piecewise linear signal."""
-    return FirstOrder(time_s=time_constant_s, rate_Hz=sampling_rate_Hz).coefficients
-
-
 def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
     """Filter a signal by a first-order lag, with linear interpolation between samples.
 
     signal  (samples,) or (samples, columns)
     """
-    lag = [first_order(time_s, rate_Hz)]
     result = np.empty(signal.shape, order="F")
     for output, column in zip(np.atleast_2d(result.T), np.atleast_2d(signal.T), strict=True):
-        output[:] = ladder(column, lag)
+        output[:] = ladder(column, [time_s], rate_Hz)
     return result
 
 
@@ -127,22 +120,21 @@ def activated(irreversible: Array, time_s: float, sampling_rate_Hz: float, strai
 
 
 def ladder(
-    signal: Array,
-    coefficients: Sequence[tuple[float, float, float]],
-    share: ArrayLike = 1.0,
+    signal: Array, times_s: Sequence[float], rate_Hz: float, share: ArrayLike = 1.0
 ) -> Array:
-    """Return the sum of parallel first-order filters of one signal, at rest before it starts.
+    """Return the sum of parallel first-order lags of one signal, at rest before it starts.
 
         y[k] = sum_i c_i y_i[k],    y_i[k] = p_i y_i[k-1] + b0_i x[k] + b1_i x[k-1]
 
-    signal        (samples,)
-    coefficients  (rungs,)    p, b0, b1 of each filter, of unit gain: (b0 + b1) / (1 - p) = 1
-    share         (rungs,)    c, or a common value
-    returned      (samples,)  unit of the signal; zero without rungs
+    signal    (samples,)
+    times_s   (rungs,)    time constants, as ``FirstOrder``
+    share     (rungs,)    c, or a common value
+    returned  (samples,)  unit of the signal; zero without rungs
     """
     source = contiguous(signal)
     output = np.empty_like(source)
-    pole, b0, b1 = np.array(coefficients, dtype=np.float64).reshape(-1, 3).T.copy()
+    rungs = [FirstOrder(time_s=time_s, rate_Hz=rate_Hz).coefficients for time_s in times_s]
+    pole, b0, b1 = np.array(rungs, dtype=np.float64).reshape(-1, 3).T.copy()
     weight = np.broadcast_to(np.asarray(share, dtype=np.float64), pole.shape)
     b0, b1 = b0 * weight, b1 * weight
     KERNELS.pk_ladder(

@@ -53,7 +53,9 @@ def test_a_ladder_is_the_sum_of_its_rungs(share):
     signal = 3.0 + np.cumsum(np.random.default_rng(1).normal(size=2_000))
     rungs = np.array([run_rung(signal, *rung) for rung in RUNGS])
     expected = np.broadcast_to(share, len(RUNGS)) @ rungs
-    np.testing.assert_allclose(ladder(signal, RUNGS, share), expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        ladder(signal, TIMES_s, RATE_Hz, share), expected, rtol=1e-12, atol=1e-12
+    )
 
 
 def test_a_lag_filters_every_column_as_a_rung():

@@ -9,7 +9,6 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.filters import (
     activated,
-    first_order,
     ladder,
     lagged,
     later,
@@ -60,7 +59,7 @@ OPERATORS: dict[str, Callable[[Array], Array]] = {
     "thermal activation": lambda u: activated(u, 0.5, 1.0, 1.0),
     "delay or lag": lambda u: lagged(u, "first_order", 2e-3, 1000.0),
     "recursive filter": lambda u: recursive_filter([0.5, 0.1], [1.0, -0.4], u),
-    "ladder": lambda u: ladder(u, [first_order(1e-2, 1000.0), first_order(0.1, 1000.0)], 0.1),
+    "ladder": lambda u: ladder(u, [1e-2, 0.1], 1000.0, 0.1),
     "mode": lambda u: MODE.run(u)[0],
     "low pass": lambda u: BESSEL.run(u)[0],
 }

@@ -43,7 +43,7 @@ from piezoid.diagnosis.signals import with_added, with_extension
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
-from piezoid.operators.filters import first_order, ladder
+from piezoid.operators.filters import ladder
 from piezoid.records.recording import Recording
 
 RUNGS = 8  # of a creep ladder in the model: as many as the runtime has
@@ -74,8 +74,7 @@ def _ladder(view: View, parameters: Parameters, *, backwards: bool = False) -> A
     order = slice(None, None, -1 if backwards else 1)
 
     def relax(k: int, track: Track) -> Array:
-        rungs = [first_order(time_s, track.rate_Hz) for time_s in times_s]
-        return ladder(view.static[k][order], rungs, share)[order]
+        return ladder(view.static[k][order], times_s, track.rate_Hz, share)[order]
 
     return view.column(relax)[:, None]
 
@@ -98,8 +97,7 @@ def _trials(view: View) -> list[Trial]:
 def _tangent(drive: DriveResponse, _: float) -> Array:
     first, stop = np.log10(PLANNED_s)
     times_s = np.logspace(first, stop, round((stop - first) * PER_DECADE))
-    rungs = [first_order(time_s, drive.rate_Hz) for time_s in times_s]
-    return ladder(drive.static_m, rungs, 1.0 / PER_DECADE)[:, None]
+    return ladder(drive.static_m, times_s.tolist(), drive.rate_Hz, 1.0 / PER_DECADE)[:, None]
 
 
 def _in_holds(recording: Recording) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ from piezoid.identification.extensions.extension import (
     within,
 )
 from piezoid.numerics.arrays import Array
-from piezoid.operators.filters import first_order, ladder
+from piezoid.operators.filters import ladder
 from piezoid.operators.linear import ContinuousSystem
 
 MAX_SHARE = 0.5
@@ -52,9 +52,10 @@ class CreepLadder(Extension):
 
     def response(self, displacement: Array, where: Where) -> Array:
         """Add creep to the displacement."""
-        rungs = [first_order(time_s, where.rate_Hz) for time_s in self.time_s]
         columns = np.atleast_2d(displacement.T)
-        creep = np.column_stack([ladder(column, rungs, self.share) for column in columns])
+        creep = np.column_stack(
+            [ladder(column, self.time_s, where.rate_Hz, self.share) for column in columns]
+        )
         return np.asarray(displacement + creep.reshape(displacement.shape))
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
