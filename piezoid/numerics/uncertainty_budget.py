@@ -95,23 +95,45 @@ def budget_of(
 
     positions  number of independent positions of the largest error; at least 2
     draws      of the propagation; 1e5 give two digits of a 95 % interval
+
+    The largest of n independent values lies at the probability U^(1/n), and the smallest of the
+    others at U^(1/n) (1 - V^(1/(n-1))), with U and V uniform, so that single positions need not be
+    drawn. Contributions that are not shared are replaced by one of the same total variance and of
+    the heaviest tail among them.
     """
     combined_variance = sum(contribution.standard**2 for contribution in contributions)
     combined = math.sqrt(combined_variance)
     loss = sum(contribution.standard**4 / contribution.freedom for contribution in contributions)
     freedom = combined_variance**2 / loss if loss > 0.0 else math.inf
     factor = float(student_quantile(0.5 + CONFIDENCE / 2, freedom))
+
     rng = np.random.default_rng(seed)
-    shared = sum(
-        (
-            _draw(contribution, draws, rng)
-            for contribution in contributions
-            if contribution.is_shared
-        ),
-        np.zeros(draws),
-    )
-    single, largest = _errors(shared, contributions, positions, rng)
-    tails = (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)
+    shared = np.zeros(draws)
+    for contribution in contributions:
+        if contribution.is_shared:
+            shared = shared + _draw(contribution, draws, rng)
+    single = largest = np.abs(shared)
+    local = [contribution for contribution in contributions if not contribution.is_shared]
+    if local:
+        single = np.abs(shared + sum(_draw(contribution, draws, rng) for contribution in local))
+        standard = math.sqrt(sum(contribution.standard**2 for contribution in local))
+        tails = [contribution.tail for contribution in local if contribution.shape == "heavy"]
+        tail = min(tails, default=math.inf)
+        top = rng.uniform(size=draws) ** (1.0 / positions)
+        low = top * -np.expm1(np.log(rng.uniform(size=draws)) / (positions - 1))
+        extremes = []
+        for probability in (top, low):
+            score = normal_quantile(np.clip(probability, 1e-15, 1.0 - 1e-15))
+            if math.isinf(tail):
+                extremes.append(np.abs(shared + standard * score))
+                continue
+            # Quantiles of t are a smooth function of the normal score.
+            knots = np.linspace(score.min(), score.max(), QUANTILE_KNOTS)
+            quantile = np.interp(score, knots, student_quantile(ndtr(knots), tail))
+            quantile = quantile * math.sqrt((tail - 2.0) / tail)
+            extremes.append(np.abs(shared + standard * quantile))
+        largest = np.maximum(*extremes)
+    ends = np.quantile(largest, (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2))
     return Budget(
         contributions=tuple(contributions),
         combined=combined,
@@ -120,7 +142,7 @@ def budget_of(
         expanded=factor * combined,
         propagated=float(np.quantile(single, CONFIDENCE)),
         positions=positions,
-        largest=(float(np.quantile(largest, tails[0])), float(np.quantile(largest, tails[1]))),
+        largest=(float(ends[0]), float(ends[1])),
     )
 
 
@@ -140,39 +162,6 @@ def tail_of(quantile_ratio: float, probability: float = 0.999) -> float:
     falling = int(np.argmax(reached))  # for smaller nu a few extreme draws dominate the variance
     first = np.searchsorted(-reached[falling:], -quantile_ratio)
     return float(nu[min(falling + int(first), len(nu) - 1)])
-
-
-def _errors(
-    shared: Array, contributions: Sequence[Contribution], positions: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Return the size of a single error and of the largest of many, (draws,) each.
-
-    The largest of n independent values lies at the probability U^(1/n), and the smallest of the
-    others at U^(1/n) (1 - V^(1/(n-1))), with U and V uniform, so that single positions need not be
-    drawn. Contributions that are not shared are replaced by one of the same total variance and of
-    the heaviest tail among them.
-    """
-    local = [contribution for contribution in contributions if not contribution.is_shared]
-    if not local:
-        return np.abs(shared), np.abs(shared)
-    single = np.abs(shared + sum(_draw(contribution, len(shared), rng) for contribution in local))
-    standard = math.sqrt(sum(contribution.standard**2 for contribution in local))
-    tails = [contribution.tail for contribution in local if contribution.shape == "heavy"]
-    tail = min(tails, default=math.inf)
-    top = rng.uniform(size=len(shared)) ** (1.0 / positions)
-    low = top * -np.expm1(np.log(rng.uniform(size=len(shared))) / (positions - 1))
-    extremes = []
-    for probability in (top, low):
-        score = normal_quantile(np.clip(probability, 1e-15, 1.0 - 1e-15))
-        if math.isinf(tail):
-            extremes.append(np.abs(shared + standard * score))
-            continue
-        # Quantiles of t are a smooth function of the normal score.
-        knots = np.linspace(score.min(), score.max(), QUANTILE_KNOTS)
-        quantile = np.interp(score, knots, student_quantile(ndtr(knots), tail))
-        quantile = quantile * math.sqrt((tail - 2.0) / tail)
-        extremes.append(np.abs(shared + standard * quantile))
-    return single, np.maximum(*extremes)
 
 
 def _draw(contribution: Contribution, draws: int, rng: np.random.Generator) -> Array:

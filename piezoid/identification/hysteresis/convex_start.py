@@ -66,9 +66,12 @@ def kuhnen_start(
     if threshold is None:
         low, high = widest_swing(pieces)
         threshold = 0.5 * (high - low) * np.arange(shape.plays + 1) / (shape.plays + 1)
+    # Thresholds of Psi': 0, and (j - 1/2) / l of each extreme displacement.
     highest = max(float(piece.response.max()) for piece in pieces)
     lowest = min(float(piece.response.min()) for piece in pieces)
-    zones = zone_thresholds(lowest, highest, shape)
+    above = (np.arange(1, shape.above + 1) - 0.5) / max(shape.above, 1) * highest
+    below = (np.arange(-shape.below, 0) + 0.5) / max(shape.below, 1) * -lowest
+    zones = np.concatenate([below, [0.0], above])
     optimum = optimum_of(triangle_of(pieces, threshold, zones, lag_s), threshold, zones)
     weight = np.maximum(optimum.x[: shape.plays + 1], 0.0)
     inverse = DeadZones(
@@ -80,8 +83,8 @@ def kuhnen_start(
     kinks = psi.threshold[psi.threshold != 0.0] - constant
     slope = np.delete(psi.slope, psi.zero)
     zero = int(np.searchsorted(kinks, 0.0))
-    below = -_spread(-kinks[:zero][::-1], 0.01)[::-1]
-    knot = np.concatenate([below, [0.0], _spread(kinks[zero:], 0.01)])
+    knots_below = -_spread(-kinks[:zero][::-1], 0.01)[::-1]
+    knot = np.concatenate([knots_below, [0.0], _spread(kinks[zero:], 0.01)])
     slope = np.concatenate([slope[: zero + 1], slope[zero:]])
     centre = slope[zero]
     operator = Scaled(
@@ -95,13 +98,6 @@ def kuhnen_start(
     )
     offset = float(psi.run(np.array([constant]))[0])
     return Start(operator=operator, offset=offset, kkt_gap=optimum.kkt_gap)
-
-
-def zone_thresholds(low: float, high: float, shape: Shape) -> Array:
-    """Return the thresholds of Psi', 0 and (j - 1/2) / l of each extreme displacement."""
-    above = (np.arange(1, shape.above + 1) - 0.5) / max(shape.above, 1) * high
-    below = (np.arange(-shape.below, 0) + 0.5) / max(shape.below, 1) * -low
-    return np.concatenate([below, [0.0], above])
 
 
 def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: float) -> Array:
@@ -127,25 +123,11 @@ def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: 
 
 
 def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Optimum:
-    """Solve the program, given the triangular factor of its rows with the offsets last."""
-    limits = constraints_of(threshold, zones, triangle.shape[1])
-    target = np.zeros(len(triangle))
-    x = bounded_optimum(triangle, threshold, zones)
-    if x[0] < MIN_SLOPE:
-        return constrained_least_squares(triangle, target, *limits)
-    constraint, lower, upper = limits
-    return Optimum(
-        x=x,
-        cost=float(np.sum((triangle @ x) ** 2)),
-        kkt_gap=stationarity(triangle, x, target, constraint, (lower, upper)),
-    )
+    """Solve the program, given the triangular factor of its rows with the offsets last.
 
-
-def bounded_optimum(triangle: Array, threshold: Array, zones: Array) -> Array:
-    """Return the optimum without the limit of w_0, by least squares within bounds.
-
-    The unknowns are slopes of Psi' instead of weights, so that their limits are bounds; w_0
-    follows from the normalisation: w_0 = 1 - sum_(i>0) (1 - r_i) w_i in scaled units, r_0 = 0.
+    The unknowns are first slopes of Psi' instead of weights, so that their limits are bounds; w_0
+    follows from the normalisation: w_0 = 1 - sum_(i>0) (1 - r_i) w_i in scaled units, r_0 = 0. The
+    general program is solved only if w_0 is then below its own limit.
     """
     plays, count = len(threshold), len(zones)
     zero = int(np.flatnonzero(zones == 0.0)[0])
@@ -161,7 +143,16 @@ def bounded_optimum(triangle: Array, threshold: Array, zones: Array) -> Array:
     )
     x = free[:, 1:] @ step
     x[0] += 1.0
-    return np.asarray(x)
+
+    constraint, low, high = constraints_of(threshold, zones, triangle.shape[1])
+    target = np.zeros(len(triangle))
+    if x[0] < MIN_SLOPE:
+        return constrained_least_squares(triangle, target, constraint, low, high)
+    return Optimum(
+        x=x,
+        cost=float(np.sum((triangle @ x) ** 2)),
+        kkt_gap=stationarity(triangle, x, target, constraint, (low, high)),
+    )
 
 
 def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, Array, Array]:
