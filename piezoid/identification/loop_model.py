@@ -93,12 +93,13 @@ def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
     """Return the linear model of an axis for a loop of this sampling rate.
 
     Identified dynamics replace lag, amplifier and fast extensions, which acted in the data of
-    their fit. Only modes at other frequencies than those of the dynamics are added.
+    their fit. They were measured with a small fast drive: their gain relative to the middle of the
+    slope sector is ``quick_gain``. Only modes at other frequencies than theirs are added.
     """
-    quick_gain = 1.0
+    front, quick_gain, dynamics = through(), 1.0, axis.dynamics
     effects = tuple(extension.loop_effect(rate_Hz) for extension in axis.extensions)
     slow_systems = [e.system for e in effects if e.system is not None and e.is_slow]
-    if axis.dynamics is None:
+    if dynamics is None:
         fast_systems = [e.system for e in effects if e.system is not None and not e.is_slow]
         front = _pole(axis.rig.amplifier_bandwidth_Hz, rate_Hz)
         behind, lag = cascade(through(), *fast_systems), axis.lag
@@ -107,8 +108,35 @@ def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
         delay_s = lag.time_s if lag.kind == "delay" else 0.0
         delay_s += sum(effect.dead_time_s for effect in effects)
     else:
-        front = through()
-        behind, delay_s, quick_gain = _scaled_dynamics(axis, axis.dynamics, rate_Hz)
+        # In a linear fit a lag far below the modes represents hysteresis, and often lies below the
+        # measured band: it is omitted.
+        middle_m_per_V = _middle_slope_m_per_V(axis)
+        is_slow = _is_slow_lag(dynamics, middle_m_per_V)
+        is_kept = np.ones(len(dynamics.shape_covariance), dtype=np.bool_)
+        is_kept[-1 - len(is_slow) : -1] = ~is_slow
+        fast = replace(
+            dynamics,
+            lag_frequency_Hz=dynamics.lag_frequency_Hz[~is_slow],
+            lag_gain_m_per_V=dynamics.lag_gain_m_per_V[~is_slow],
+            shape_covariance=dynamics.shape_covariance[np.ix_(is_kept, is_kept)],
+            declared=tuple(
+                filter_
+                for filter_ in dynamics.declared
+                if filter_.name != "sensor" and filter_.frequency_Hz <= INSTANTANEOUS * rate_Hz
+            ),
+        )
+        other_modes = [
+            mode
+            for extension in axis.extensions
+            if isinstance(extension, LinearMode)
+            and not (
+                np.abs(np.log(dynamics.mode_frequency_Hz / extension.frequency_Hz)) < SAME_MODE
+            ).any()
+            and (mode := extension.loop_effect(rate_Hz).system) is not None
+        ]
+        system, gain, delay_s = fast.realised(), fast.static_gain_m_per_V, fast.delay_s
+        scaled = replace(system, C=system.C / gain, D=system.D / gain, delay_s=0.0)
+        behind, quick_gain = cascade(scaled, *other_modes), abs(gain) / middle_m_per_V
     return LoopModel(
         front=front,
         behind=behind,
@@ -210,45 +238,6 @@ def _pole(frequency_Hz: float | None, rate_Hz: float) -> ContinuousSystem:
     if frequency_Hz is None or frequency_Hz > INSTANTANEOUS * rate_Hz:
         return through()
     return first_order(frequency_Hz)
-
-
-def _scaled_dynamics(
-    axis: AxisModel, dynamics: LinearDynamics, rate_Hz: float
-) -> tuple[ContinuousSystem, float, float]:
-    """Return identified dynamics with static gain 1, without the sensor; their delay and gain.
-
-    A lag far below a mode with most of the motion is omitted: in a linear fit it represents
-    hysteresis, and often lies below the measured band. The gain of the remaining dynamics, which
-    were measured with a small fast drive, is relative to the middle of the slope sector.
-    """
-    declared = tuple(
-        filter_
-        for filter_ in dynamics.declared
-        if filter_.name != "sensor" and filter_.frequency_Hz <= INSTANTANEOUS * rate_Hz
-    )
-    path = replace(dynamics, declared=declared)
-    middle_m_per_V = _middle_slope_m_per_V(axis)
-    is_slow = _is_slow_lag(path, middle_m_per_V)
-    is_kept = np.ones(len(path.shape_covariance), dtype=np.bool_)
-    is_kept[-1 - len(is_slow) : -1] = ~is_slow
-    fast_path = replace(
-        path,
-        lag_frequency_Hz=path.lag_frequency_Hz[~is_slow],
-        lag_gain_m_per_V=path.lag_gain_m_per_V[~is_slow],
-        shape_covariance=path.shape_covariance[np.ix_(is_kept, is_kept)],
-    )
-    system, gain = fast_path.realised(), fast_path.static_gain_m_per_V
-    scaled = replace(system, C=system.C / gain, D=system.D / gain, delay_s=0.0)
-    other_modes = [
-        mode
-        for extension in axis.extensions
-        if isinstance(extension, LinearMode)
-        and not (
-            np.abs(np.log(dynamics.mode_frequency_Hz / extension.frequency_Hz)) < SAME_MODE
-        ).any()
-        and (mode := extension.loop_effect(rate_Hz).system) is not None
-    ]
-    return cascade(scaled, *other_modes), system.delay_s, abs(gain) / middle_m_per_V
 
 
 def _middle_slope_m_per_V(axis: AxisModel) -> float:

@@ -15,8 +15,7 @@ from piezoid.errors import DesignError, LabFileError, ParameterFileError
 from piezoid.export.export_stage import export_stage
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.dynamics.bandwidth import unmeasured
-from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Filter
+from piezoid.identification.dynamics.modal import Filter, LinearDynamics
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.polynomial import response, roots_of

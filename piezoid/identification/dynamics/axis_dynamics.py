@@ -9,7 +9,6 @@ from piezoid.errors import ExcitationError, IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.bandwidth import (
     BandwidthVerdict,
-    UNKNOWN_DELAY_s,
     decide_bandwidth,
     unfitted,
     unmeasured,
@@ -26,8 +25,13 @@ from piezoid.identification.dynamics.fit_dynamics import (
 )
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.joint_fit import fit_jointly
-from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Hold, Structure
+from piezoid.identification.dynamics.modal import (
+    Declaration,
+    Filter,
+    Hold,
+    LinearDynamics,
+    Structure,
+)
 from piezoid.identification.dynamics.response_validation import validate_response
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
@@ -181,7 +185,10 @@ def _obstacle(dynamics: LinearDynamics) -> str:
 def _with_recorded_dynamics(
     axis: AxisModel, recordings: Sequence[Recording], stated_Hz: float | None
 ) -> AxisModel:
-    """Fit the dynamics to the recording of the highest frequency, and decide the bandwidth."""
+    """Fit the dynamics to the recording of the highest frequency, and decide the bandwidth.
+
+    They are fitted behind the hysteresis, then jointly with it unless that changes the modes.
+    """
     recording = most_exciting(recordings, axis.axis)
     if recording is None:
         verdict = unmeasured(stated_Hz, "no recording is fast enough")
@@ -192,53 +199,37 @@ def _with_recorded_dynamics(
     except ExcitationError as refusal:
         verdict = unmeasured(stated_Hz, f"{recording.name} contains {refusal.found}")
         return _with_bandwidth(_with_remarks(axis, f"no linear dynamics: {refusal}"), verdict)
-    axis, obstacle = _with_fit(axis, measured, recording, recordings)
-    verdict = decide_bandwidth(
-        measured,
-        Declaration(filters=_declared(axis.rig)),
-        delay_s=(
-            UNKNOWN_DELAY_s if axis.dynamics is None else axis.dynamics.delay_interval_s().tolist()
-        ),
-        stated_Hz=stated_Hz,
-    )
-    if obstacle:
-        verdict = unfitted(verdict, recording.name, obstacle, has_mode=axis.has_dynamics)
-        return _with_remarks(replace(axis, bandwidth=verdict), verdict.text)
-    return _with_bandwidth(axis, verdict)
 
-
-def _with_fit(
-    axis: AxisModel,
-    measured: FrequencyResponse,
-    recording: Recording,
-    recordings: Sequence[Recording],
-) -> tuple[AxisModel, str]:
-    """Fit the dynamics behind the hysteresis, then both together unless that changes the modes.
-
-    Returns:
-        The axis, and the reason why it has no dynamics ('' if it has).
-    """
+    declaration = Declaration(filters=_declared(axis.rig))
     try:
         dynamics = _best_fit(measured, axis.rig)
+        obstacle = _obstacle(dynamics)
     except (ExcitationError, IdentificationError) as refusal:
-        return axis, f"{refusal.found}, needed {refusal.needed}"
-    obstacle = _obstacle(dynamics)
+        obstacle = f"{refusal.found}, needed {refusal.needed}"
     if obstacle:
-        return axis, obstacle
+        verdict = decide_bandwidth(measured, declaration, stated_Hz=stated_Hz)
+        verdict = unfitted(verdict, recording.name, obstacle, has_mode=axis.has_dynamics)
+        return _with_remarks(replace(axis, bandwidth=verdict), verdict.text)
+
     low, high = (with_unit(edge_Hz, "Hz") for edge_Hz in dynamics.band_Hz)
     text = (
         f"{recording.name}: linear dynamics were fitted behind the hysteresis from {low} to {high}"
     )
     joint = fit_jointly(axis, dynamics, recording, recordings)
-    if joint is None:
-        return replace(_with_remarks(axis, text), dynamics=dynamics), ""
-    joint_dynamics, record = joint
-    change = np.abs(np.log(joint_dynamics.mode_frequency_Hz / dynamics.mode_frequency_Hz))
-    if (change >= SAME_MODE).any() or not np.isfinite(joint_dynamics.shape_covariance).all():
-        text += "; a joint fit of hysteresis and dynamics finds other modes and is not used"
-        return replace(_with_remarks(axis, text), dynamics=dynamics), ""
-    axis = _with_remarks(axis, f"{text}, then jointly with it")
-    return replace(axis, dynamics=joint_dynamics, joint=record), ""
+    record = None
+    if joint is not None:
+        joint_dynamics, joint_record = joint
+        change = np.abs(np.log(joint_dynamics.mode_frequency_Hz / dynamics.mode_frequency_Hz))
+        if (change >= SAME_MODE).any() or not np.isfinite(joint_dynamics.shape_covariance).all():
+            text += "; a joint fit of hysteresis and dynamics finds other modes and is not used"
+        else:
+            text += ", then jointly with it"
+            dynamics, record = joint_dynamics, joint_record
+    axis = replace(_with_remarks(axis, text), dynamics=dynamics, joint=record)
+    delay_s = dynamics.delay_interval_s().tolist()
+    return _with_bandwidth(
+        axis, decide_bandwidth(measured, declaration, delay_s=delay_s, stated_Hz=stated_Hz)
+    )
 
 
 def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:

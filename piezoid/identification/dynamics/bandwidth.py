@@ -8,7 +8,7 @@ import numpy as np
 
 from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
-from piezoid.identification.dynamics.modal_basis import Declaration
+from piezoid.identification.dynamics.modal import Declaration
 from piezoid.numerics.robust import NORMAL_95
 
 Kind = Literal["first_order", "resonance", "undecided"]

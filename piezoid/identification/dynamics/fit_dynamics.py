@@ -4,7 +4,8 @@
 2. The weighted output error is minimised over the shape, with the gains eliminated.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,17 +13,22 @@ from numpy.typing import NDArray
 
 from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
-from piezoid.identification.dynamics.modal import LinearDynamics, SlowPart
-from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
+from piezoid.identification.dynamics.modal import (
+    Declaration,
+    LinearDynamics,
+    SlowPart,
+    Structure,
+)
 from piezoid.identification.dynamics.vector_fitting import (
     stack_parts,
     start_poles,
     vector_fit,
     weighted_misfit,
 )
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, eliminate, minimise
 from piezoid.numerics.robust import sandwich_covariance
+from piezoid.operators.linear import sampled_fractions
 
 # Half of ``enough`` is the gain in log likelihood: a tenth of a standard deviation.
 RULE = Rule(tolerance=0.0, enough=1e-2, evaluations=40)
@@ -57,13 +63,49 @@ def fit_dynamics(
             needed="at least twice as many values as parameters",
             remedy="Measure more lines, or take fewer modes.",
         )
+    # Start: the best of several trial delays, by vector fitting on some lines, refined on all.
+    size, rate_Hz = len(measured.frequency_Hz), measured.sampling_rate_Hz
+    scale = 2 * np.pi * measured.frequency_Hz[-1]
+    s = 2j * np.pi * measured.frequency_Hz / scale
+    flat, w = measured.response.reshape(size, 1), measured.weights().reshape(size, 1)
+    declared = declaration.response(measured.frequency_Hz, rate_Hz)
+    longest_s = declaration.longest_delay_s
+    longest_s = 4.0 / rate_Hz if longest_s is None else longest_s
+    initial_poles = start_poles(s[0].imag, 1.0, structure.modes, structure.lags)
+    thinned = slice(None, None, -(-size // START_LINES))
+    trials = []
+    for delay_s in np.linspace(0.0, longest_s, min(round(longest_s * rate_Hz), 20) + 1):
+        chain = (declared * np.exp(-s * scale * delay_s))[:, None]
+        data = s[thinned], (flat / chain)[thinned], (w * np.abs(chain))[thinned]
+        poles = vector_fit(*data, initial_poles, rounds=START_ROUNDS)
+        trials.append((weighted_misfit(*data, poles), delay_s, poles))
+    _, delay_s, poles = min(trials, key=lambda trial: trial[0])
+    chain = (declared * np.exp(-s * scale * delay_s))[:, None]
+    poles = vector_fit(s, flat / chain, w * np.abs(chain), poles, rounds=FINAL_ROUNDS)
+    # Pairs of poles are modes; real poles are lags, and two of them a mode.
+    poles_Hz = poles * scale / (2 * np.pi)
+    pairs = list(poles_Hz[poles_Hz.imag > 0])
+    real = sorted(np.abs(poles_Hz[poles_Hz.imag == 0].real))
+    lags = [real.pop(0) for _ in range(min(structure.lags, len(real)))]
+    modes = [(abs(p), -p.real / abs(p)) for p in pairs]
+    modes += [
+        (np.sqrt(a * b), (a + b) / (2 * np.sqrt(a * b)))
+        for a, b in zip(real[::2], real[1::2], strict=False)
+    ]
+    while len(lags) < structure.lags:  # a strongly damped pair replaces two lags
+        frequency_Hz, _ = modes.pop(int(np.argmax([damping for _, damping in modes])))
+        lags += [0.7 * frequency_Hz, 1.4 * frequency_Hz][: structure.lags - len(lags)]
+    modes = sorted(modes)[: structure.modes]
+    damping = np.clip([z for _, z in modes], 1e-4, 10.0)
+    start = [*np.log(np.concatenate([[f for f, _ in modes], damping, lags])), delay_s]
+
     basis = ModalBasis(
         structure=structure,
         frequency_Hz=measured.frequency_Hz,
         sampling_rate_Hz=measured.sampling_rate_Hz,
         declaration=declaration,
     )
-    fit = _maximise_likelihood(measured, basis, _start_shape(measured, structure, declaration))
+    fit = _maximise_likelihood(measured, basis, np.array(start))
     return _linear_dynamics(measured, fit)[0]
 
 
@@ -122,44 +164,110 @@ def is_identifiable(dynamics: LinearDynamics) -> bool:
     return is_within and bool(resolved_modes(dynamics).all())
 
 
-def _start_shape(
-    measured: FrequencyResponse, structure: Structure, declaration: Declaration
-) -> Array:
-    """Return the best of several trial delays by vector fitting on some lines, refined on all."""
-    size, rate_Hz = len(measured.frequency_Hz), measured.sampling_rate_Hz
-    scale = 2 * np.pi * measured.frequency_Hz[-1]
-    s = 2j * np.pi * measured.frequency_Hz / scale
-    flat, w = measured.response.reshape(size, 1), measured.weights().reshape(size, 1)
-    declared = declaration.response(measured.frequency_Hz, rate_Hz)
-    longest_s = declaration.longest_delay_s
-    longest_s = 4.0 / rate_Hz if longest_s is None else longest_s
-    initial_poles = start_poles(s[0].imag, 1.0, structure.modes, structure.lags)
-    thinned = slice(None, None, -(-size // START_LINES))
-    trials = []
-    for delay_s in np.linspace(0.0, longest_s, min(round(longest_s * rate_Hz), 20) + 1):
-        chain = (declared * np.exp(-s * scale * delay_s))[:, None]
-        data = s[thinned], (flat / chain)[thinned], (w * np.abs(chain))[thinned]
-        poles = vector_fit(*data, initial_poles, rounds=START_ROUNDS)
-        trials.append((weighted_misfit(*data, poles), delay_s, poles))
-    _, delay_s, poles = min(trials, key=lambda trial: trial[0])
-    chain = (declared * np.exp(-s * scale * delay_s))[:, None]
-    poles = vector_fit(s, flat / chain, w * np.abs(chain), poles, rounds=FINAL_ROUNDS)
-    # Pairs of poles are modes; real poles are lags, and two of them a mode.
-    poles_Hz = poles * scale / (2 * np.pi)
-    pairs = list(poles_Hz[poles_Hz.imag > 0])
-    real = sorted(np.abs(poles_Hz[poles_Hz.imag == 0].real))
-    lags = [real.pop(0) for _ in range(min(structure.lags, len(real)))]
-    modes = [(abs(p), -p.real / abs(p)) for p in pairs]
-    modes += [
-        (np.sqrt(a * b), (a + b) / (2 * np.sqrt(a * b)))
-        for a, b in zip(real[::2], real[1::2], strict=False)
-    ]
-    while len(lags) < structure.lags:  # a strongly damped pair replaces two lags
-        frequency_Hz, _ = modes.pop(int(np.argmax([damping for _, damping in modes])))
-        lags += [0.7 * frequency_Hz, 1.4 * frequency_Hz][: structure.lags - len(lags)]
-    modes = sorted(modes)[: structure.modes]
-    damping = np.clip([z for _, z in modes], 1e-4, 10.0)
-    return np.array([*np.log(np.concatenate([[f for f, _ in modes], damping, lags])), delay_s])
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModalBasis:
+    """Columns of the modal form at measured lines, which the gains multiply.
+
+    structure         of the model
+    frequency_Hz      (lines,)
+    sampling_rate_Hz  of converter and sensor
+    declaration       hold and declared filters between drive and sensor
+    creep_from_Hz     frequency at which the slow part (f / from)^power e^(j phase), a factor of
+                      all columns, has gain one; None: no slow part
+
+    A shape is log frequencies of modes, log dampings, log frequencies of lags, delay; then power
+    and phase of the slow part.
+    """
+
+    structure: Structure
+    frequency_Hz: Array
+    sampling_rate_Hz: float
+    declaration: Declaration
+    creep_from_Hz: float | None = None
+
+    @property
+    def shapes(self) -> int:
+        """Number of shape parameters, including the slow part."""
+        return self.structure.shapes + (0 if self.creep_from_Hz is None else 2)
+
+    def columns(self, shape: Array) -> ComplexArray:
+        """Return all columns, (lines, columns)."""
+        values = np.empty((len(self.frequency_Hz), self.structure.columns), dtype=np.complex128)
+        for column, parameters in enumerate(self._terms()):
+            values[:, column] = self._term(shape[None], parameters)[0]
+        return values * self._creep(shape)[:, None]
+
+    def derivatives(self, shape: Array, step: float) -> ComplexArray:
+        """Return derivatives by each shape parameter, (shapes, lines, columns).
+
+        Central differences of width ``step``; of power and phase exact.
+        """
+        n, delay = len(shape), self.structure.shapes - 1
+        derivatives = np.zeros(
+            (n, len(self.frequency_Hz), self.structure.columns), dtype=np.complex128
+        )
+        for column, parameters in enumerate(self._terms()):
+            indices = [*parameters, delay]
+            steps = np.zeros((len(indices), n))
+            steps[range(len(indices)), indices] = step
+            steps[-1, delay] /= self.sampling_rate_Hz
+            shapes = np.concatenate([shape + steps, shape - steps])
+            shapes[:, delay] = np.maximum(shapes[:, delay], 0.0)  # one-sided at delay zero
+            width = (shapes[: len(steps)] - shapes[len(steps) :]).sum(axis=1)
+            up, down = np.split(self._term(shapes, parameters), 2)
+            derivatives[indices, :, column] = (up - down) / width[:, None]
+        derivatives *= self._creep(shape)[:, None]
+        if self.creep_from_Hz is not None:
+            columns = self.columns(shape)
+            derivatives[-2] = np.log(self.frequency_Hz / self.creep_from_Hz)[:, None] * columns
+            derivatives[-1] = 1j * columns
+        return derivatives
+
+    def _creep(self, shape: Array) -> ComplexArray:
+        if self.creep_from_Hz is None:
+            return np.ones(len(self.frequency_Hz), dtype=np.complex128)
+        power, phase = shape[-2:]
+        gain = (self.frequency_Hz / self.creep_from_Hz) ** power
+        return np.asarray(gain * np.exp(1j * phase))
+
+    def _terms(self) -> list[list[int]]:
+        """Return the indices of the shape parameters of each column, without the delay."""
+        n, lags = self.structure.modes, self.structure.lags
+        modes = [[m, n + m] for m in range(n)]
+        return [*modes, *([2 * n + k] for k in range(lags)), *([[]] * self.structure.direct)]
+
+    def _term(self, shapes: Array, parameters: list[int]) -> ComplexArray:
+        """Return the column of one term for several shapes, (shapes, lines)."""
+        values, delay_s = np.exp(shapes[:, parameters]), shapes[:, self.structure.shapes - 1]
+        w = 2.0 * np.pi * values[:, 0] if parameters else np.ones(len(shapes))
+        numerator, pole = np.ones(len(shapes)), np.zeros((len(shapes), 0), dtype=complex)
+        if len(parameters) == 2:
+            damping = values[:, 1]
+            root = np.sqrt(damping**2 - 1.0 + 0j)
+            numerator, pole = w**2, (w * np.array([-damping + root, -damping - root])).T
+        elif parameters:
+            numerator, pole = w, -w[:, None].astype(complex)
+        if self.declaration.hold == "zero_order":
+            poles = self._declared_poles
+            numerator = numerator * np.prod(-poles).real
+            pole = np.hstack([pole, np.broadcast_to(poles, (len(shapes), len(poles)))])
+            return sampled_fractions(
+                numerator, pole, delay_s, self.sampling_rate_Hz, self.frequency_Hz
+            )
+        s = 2j * np.pi * self.frequency_Hz
+        factor = self._declared_response * np.exp(-s * delay_s[:, None])
+        for pole_of_shape in pole.T:
+            factor /= s - pole_of_shape[:, None]
+        return np.asarray(numerator[:, None] * factor)
+
+    @cached_property
+    def _declared_poles(self) -> ComplexArray:
+        poles = [np.linalg.eigvals(f.system().A).astype(complex) for f in self.declaration.filters]
+        return np.concatenate([np.zeros(0, dtype=complex), *poles])
+
+    @cached_property
+    def _declared_response(self) -> ComplexArray:
+        return self.declaration.response(self.frequency_Hz, self.sampling_rate_Hz)
 
 
 class _Point:

@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from piezoid.identification.dynamics.fit_dynamics import STEP, sorted_terms
-from piezoid.identification.dynamics.modal import JointFit, LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Declaration, ModalBasis, Structure
+from piezoid.identification.dynamics.fit_dynamics import STEP, ModalBasis, sorted_terms
+from piezoid.identification.dynamics.modal import Declaration, JointFit, LinearDynamics, Structure
 from piezoid.identification.hysteresis.pieces import behind_pole
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import fitted_pieces

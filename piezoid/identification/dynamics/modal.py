@@ -1,23 +1,99 @@
-"""Linear dynamics of an axis with their uncertainty, and the records of their fits."""
+"""Modal form of the linear dynamics of an axis: structure, fitted values, records of fits."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from piezoid.identification.dynamics.modal_basis import Filter, Hold
 from piezoid.numerics.arrays import Array, ComplexArray, expect_shapes, freeze
 from piezoid.numerics.robust import NORMAL_95
 from piezoid.operators.linear import (
     ContinuousSystem,
     DiscreteSystem,
+    butterworth,
     cascade,
     first_order,
     resonance,
     sample,
 )
+
+Hold = Literal["band_limited", "zero_order"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Structure:
+    """Numbers of terms of the modal form.
+
+        G(s) = e^(-s tau) F(s) [ sum_m g_m w_m^2 / (s^2 + 2 zeta_m w_m s + w_m^2)
+                                 + sum_l g_l w_l / (s + w_l) + D ]
+
+    modes   resonances (f, zeta); zeta > 1 is allowed
+    lags    first-order poles
+    direct  whether there is a term D for dynamics above the band
+    """
+
+    modes: int
+    lags: int = 0
+    direct: bool = False
+
+    def __post_init__(self) -> None:
+        if self.modes < 0 or self.lags < 0 or self.modes + self.lags == 0:
+            raise ValueError(f"a structure needs at least one mode or lag, found {self}")
+
+    @property
+    def columns(self) -> int:
+        """Number of gains: modes, lags, direct term."""
+        return self.modes + self.lags + self.direct
+
+    @property
+    def shapes(self) -> int:
+        """Number of other parameters: frequencies, dampings, lags, delay."""
+        return 2 * self.modes + self.lags + 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filter:
+    """Declared filter of the signal chain: a Butterworth low-pass of unit gain at rest.
+
+    name          ``amplifier``, ``sensor``, ...
+    frequency_Hz  > 0, at which the gain has fallen by 3 dB
+    order         1 for a single pole
+    """
+
+    name: str
+    frequency_Hz: float
+    order: int = 1
+
+    def system(self) -> ContinuousSystem:
+        """Return the filter as a linear system."""
+        return butterworth(self.order, self.frequency_Hz)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Declaration:
+    """Declared hold and filters of the chain, which are not fitted.
+
+    hold              ``zero_order`` if the drive column contains the values sent to the converter,
+                      ``band_limited`` if it was measured through a filter
+    filters           amplifier, sensor, anti-alias filter
+    longest_delay_s   longest delay tried as a start; None: four samples
+    """
+
+    hold: Hold = "zero_order"
+    filters: tuple[Filter, ...] = ()
+    longest_delay_s: float | None = None
+
+    def response(self, frequency_Hz: Array, sampling_rate_Hz: float) -> ComplexArray:
+        """Return the response of the declared chain, (lines,); a hold averages over its sample."""
+        chain = np.ones(len(frequency_Hz), dtype=np.complex128)
+        if self.hold == "zero_order":
+            turn = frequency_Hz / sampling_rate_Hz
+            chain *= np.sinc(turn) * np.exp(-1j * np.pi * turn)
+        for low_pass in self.filters:
+            chain *= low_pass.system().response(frequency_Hz)[:, 0, 0]
+        return chain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -29,12 +29,14 @@ from piezoid.identification.dynamics.fit_dynamics import (
 )
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smooth_lines
 from piezoid.identification.dynamics.modal import (
+    Declaration,
+    Filter,
     LinearDynamics,
     MAX_LAG_deg,
     MAX_SLOPE_dB,
     SlowPart,
+    Structure,
 )
-from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.records.frequency_response import (
     MIN_COHERENCE,

@@ -13,8 +13,7 @@ from piezoid.errors import ExcitationError, IdentificationError
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
-from piezoid.identification.dynamics.modal import LinearDynamics, ResponseFit
-from piezoid.identification.dynamics.modal_basis import Filter
+from piezoid.identification.dynamics.modal import Filter, LinearDynamics, ResponseFit
 from piezoid.identification.dynamics.response_fit import FittedResponse, fit_response
 from piezoid.identification.model import AxisModel
 from piezoid.records.frequency_response import FrequencyResponseRecord

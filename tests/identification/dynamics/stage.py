@@ -8,8 +8,7 @@ from piezoid.identification.dynamics.frequency_response import (
     PeriodicData,
     estimate_response,
 )
-from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
+from piezoid.identification.dynamics.modal import Declaration, Filter, LinearDynamics, Structure
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.operators.play import play_columns
 

@@ -7,8 +7,7 @@ import pytest
 
 from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.fit_dynamics import fit_dynamics, resolved_modes
-from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Declaration, Filter, Structure
+from piezoid.identification.dynamics.modal import Declaration, Filter, LinearDynamics, Structure
 from tests.identification.dynamics.stage import (
     DAMPING,
     DECLARATION,

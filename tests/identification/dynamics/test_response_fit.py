@@ -7,7 +7,7 @@ import pytest
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics.axis_dynamics import with_dynamics
-from piezoid.identification.dynamics.modal_basis import Filter
+from piezoid.identification.dynamics.modal import Filter
 from piezoid.identification.dynamics.response_fit import fit_response
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
