@@ -232,7 +232,7 @@ def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
     nominal = loop_model(axis, rate_Hz)
     if not has_pole(nominal, rate_Hz):
         raise _no_pole(axis, rate_Hz)
-    gain = axis.polarity * 0.5 * sum(axis.operator.slope_sector_m_per_V)
+    gain = axis.polarity * axis.operator.middle_slope_m_per_V
     low, high = _gain_interval(axis, nominal)
     # label, ``slower`` and ``sharper`` of each corner, and its number of gains
     corners = [("slow", 1.0, 0.0, 2), ("fast", -1.0, 0.0, 2)]

@@ -94,10 +94,10 @@ class FitInputs:
 def prepare_fit(
     recordings: Sequence[Recording],
     lab: Lab,
-    sweeps: Sequence[RawTable] = (),
-    responses: Sequence[FrequencyResponseRecord] = (),
+    sweeps: Sequence[RawTable],
+    responses: Sequence[FrequencyResponseRecord],
     *,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None],
 ) -> FitInputs:
     """Identify the coupling if lab.toml names coupled axes, and separate the data of single axes.
 
@@ -291,7 +291,7 @@ def complete_extended(
     axis: AxisModel,
     recordings: Sequence[Recording],
     lab: Lab,
-    response: FrequencyResponseRecord | None = None,
+    response: FrequencyResponseRecord | None,
 ) -> AxisModel:
     """Fit dynamics, minor loops, discrepancy and loop shape of an axis that a diagnosis extended.
 

@@ -110,7 +110,7 @@ def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
     else:
         # In a linear fit a lag far below the modes represents hysteresis, and often lies below the
         # measured band: it is omitted.
-        middle_m_per_V = _middle_slope_m_per_V(axis)
+        middle_m_per_V = axis.operator.middle_slope_m_per_V
         is_slow = _is_slow_lag(dynamics, middle_m_per_V)
         is_kept = np.ones(len(dynamics.shape_covariance), dtype=np.bool_)
         is_kept[-1 - len(is_slow) : -1] = ~is_slow
@@ -174,7 +174,7 @@ def at_corner(axis: AxisModel, slower: float, sharper: float) -> AxisModel:
             high = dynamics.lag_frequency_interval_Hz()[:, 1] / lag_Hz
             corner_Hz = lag_Hz / np.maximum(high, 1.0 + DECLARED_SPREAD) ** slower
             # Of a slow lag, which ``loop_model`` omits, the interval may contain the modes.
-            is_slow = _is_slow_lag(dynamics, _middle_slope_m_per_V(axis))
+            is_slow = _is_slow_lag(dynamics, axis.operator.middle_slope_m_per_V)
             lag_Hz = np.where(is_slow, lag_Hz, corner_Hz)
         low_s, high_s = dynamics.delay_interval_s()
         half_s = max(float(high_s - low_s) / 2.0, DECLARED_SPREAD * dynamics.delay_s)
@@ -240,11 +240,6 @@ def _pole(frequency_Hz: float | None, rate_Hz: float) -> ContinuousSystem:
     return first_order(frequency_Hz)
 
 
-def _middle_slope_m_per_V(axis: AxisModel) -> float:
-    """Return the middle of the slope sector of the hysteresis."""
-    return 0.5 * sum(axis.operator.slope_sector_m_per_V)
-
-
 def _is_slow_lag(path: LinearDynamics, middle_m_per_V: float) -> NDArray[np.bool_]:
     """Return for each lag whether it is far below the modes, if these have most of the motion.
 
@@ -275,7 +270,7 @@ def linear_part(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSy
     m and M are the bounds of the slope of the hysteresis; their mean replaces the hysteresis.
     """
     loop = loop_model(axis, sampling_rate_Hz or _CONTINUOUS_RATE_Hz)
-    gain = axis.polarity * _middle_slope_m_per_V(axis) * loop.gain
+    gain = axis.polarity * axis.operator.middle_slope_m_per_V * loop.gain
     chain = cascade(loop.front, loop.behind, loop.slow, loop.sensor)
     return ContinuousSystem(
         A=chain.A, B=chain.B, C=gain * chain.C, D=gain * chain.D, delay_s=loop.delay_s

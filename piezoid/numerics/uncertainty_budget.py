@@ -20,6 +20,7 @@ from piezoid.numerics.robust import normal_quantile, student_quantile
 
 CONFIDENCE = 0.95
 DRAWS = 200_000
+SEED = 1
 QUANTILE_KNOTS = 4000  # linear interpolation between so many quantiles has an error of 1e-5
 
 
@@ -89,7 +90,6 @@ def budget_of(
     *,
     positions: int = 1000,
     draws: int = DRAWS,
-    seed: int = 1,
 ) -> Budget:
     """Return the budget of independent contributions.
 
@@ -107,7 +107,7 @@ def budget_of(
     freedom = combined_variance**2 / loss if loss > 0.0 else math.inf
     factor = float(student_quantile(0.5 + CONFIDENCE / 2, freedom))
 
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     shared = np.zeros(draws)
     for contribution in contributions:
         if contribution.is_shared:

@@ -56,6 +56,11 @@ class ModifiedPrandtlIshlinskii:
         smallest, largest = np.prod([[s.min(), s.max()] for s in slopes], axis=0)
         return float(smallest), float(largest)
 
+    @property
+    def middle_slope_m_per_V(self) -> float:
+        """Middle of the slope sector, by which a linear model replaces the hysteresis."""
+        return 0.5 * sum(self.slope_sector_m_per_V)
+
     def virgin_memory(self) -> Array:
         """Return the de-poled state."""
         return self.plays.virgin_memory()

@@ -109,6 +109,11 @@ class PreisachPlays:
             largest = max(largest, float(slopes.max()))
         return float(self.rise_m[0].min() / width), largest
 
+    @property
+    def middle_slope_m_per_V(self) -> float:
+        """Middle of the slope sector, by which a linear model replaces the hysteresis."""
+        return 0.5 * sum(self.slope_sector_m_per_V)
+
     def virgin_memory(self) -> Array:
         """Return the memory of a de-poled stage, (plays,) of u - u_off."""
         return np.zeros(len(self.value_m))

@@ -60,12 +60,7 @@ def voltage_behind_hysteresis(axis: AxisModel, recording: Recording) -> Array:
     starts = [s for s in axis.starts if s.recording == recording.name]
     memory_V = starts[0].memory_V if starts else operator.virgin_memory()
     static_m, _ = operator.run(recording.voltage_V(axis.axis), memory_V)
-    return np.asarray((static_m - operator.displacement_offset_m) / middle_slope_m_per_V(axis))
-
-
-def middle_slope_m_per_V(axis: AxisModel) -> float:
-    """Return a, the middle of the slope sector of the hysteresis."""
-    return 0.5 * sum(axis.hysteresis.slope_sector_m_per_V)
+    return np.asarray((static_m - operator.displacement_offset_m) / operator.middle_slope_m_per_V)
 
 
 def estimate_response_by_coherence(

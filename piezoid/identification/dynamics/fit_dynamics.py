@@ -197,10 +197,10 @@ class ModalBasis:
             values[:, column] = self._term(shape[None], parameters)[0]
         return values * self._creep(shape)[:, None]
 
-    def derivatives(self, shape: Array, step: float) -> ComplexArray:
+    def derivatives(self, shape: Array) -> ComplexArray:
         """Return derivatives by each shape parameter, (shapes, lines, columns).
 
-        Central differences of width ``step``; of power and phase exact.
+        Central differences of width ``STEP``; of power and phase exact.
         """
         n, delay = len(shape), self.structure.shapes - 1
         derivatives = np.zeros(
@@ -209,7 +209,7 @@ class ModalBasis:
         for column, parameters in enumerate(self._terms()):
             indices = [*parameters, delay]
             steps = np.zeros((len(indices), n))
-            steps[range(len(indices)), indices] = step
+            steps[range(len(indices)), indices] = STEP
             steps[-1, delay] /= self.sampling_rate_Hz
             shapes = np.concatenate([shape + steps, shape - steps])
             shapes[:, delay] = np.maximum(shapes[:, delay], 0.0)  # one-sided at delay zero
@@ -295,7 +295,7 @@ class _Point:
 
         The sum of the scores is the negative slope of half the cost, with the gains eliminated.
         """
-        derivatives = self.basis.derivatives(self.shape, STEP)
+        derivatives = self.basis.derivatives(self.shape)
         weighted = stack_parts((derivatives @ self.path.coefficients).T * self.weight[:, None])
         tangent, gain_slope = self.path.across(weighted)
         scores = (tangent * self.path.residual[:, None]).reshape(2, len(self.weight), -1)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from piezoid.identification.dynamics.fit_dynamics import STEP, ModalBasis, sorted_terms
+from piezoid.identification.dynamics.fit_dynamics import ModalBasis, sorted_terms
 from piezoid.identification.dynamics.modal import Declaration, JointFit, LinearDynamics, Structure
 from piezoid.identification.hysteresis.pieces import behind_pole
 from piezoid.identification.model import AxisModel
@@ -307,7 +307,7 @@ class Layout:
         response = segment.sensor * (fractions @ shares)
         outer = np.delete(zones.columns(inner).T, zones.zero, axis=0)
         static = [*(slope * states for states in segment.states_V), *outer]
-        by_shape = segment.basis.derivatives(shape, STEP) @ shares
+        by_shape = segment.basis.derivatives(shape) @ shares
         changes = [*by_shape, *(fractions[:, :-1] - fractions[:, -1:]).T]
         spectrum = segment.sensor * segment.spectrum(static_m)
         signals = [segment.signal(response * segment.spectrum(signal)) for signal in static]

@@ -11,7 +11,6 @@ import numpy as np
 
 from piezoid.errors import ExcitationError, IdentificationError
 from piezoid.formatting import significant, with_unit
-from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import Filter, LinearDynamics, ResponseFit
 from piezoid.identification.dynamics.response_fit import FittedResponse, fit_response
@@ -60,7 +59,7 @@ def validate_response(
         used=int((~fit.measured.is_rejected).sum()),
         left_out_Hz=tuple(response.frequency_Hz[outliers].tolist()),
         gain_m_per_V=abs(gain),
-        gain_ratio=abs(gain) / middle_slope_m_per_V(axis),
+        gain_ratio=abs(gain) / axis.hysteresis.middle_slope_m_per_V,
         factor=float(sign),
         noise_relative=fit.noise,
         left_relative=fit.residual,
@@ -110,14 +109,14 @@ def _contradiction(
             "frequency or damping of a mode is not determined. Measure more finely about each "
             "peak, or up to a lower frequency"
         )
-    gain = abs(fit.dynamics.static_gain_m_per_V)
+    gain, middle = abs(fit.dynamics.static_gain_m_per_V), axis.hysteresis.middle_slope_m_per_V
     flattest, greatest = axis.hysteresis.slope_sector_m_per_V
     if not flattest / MAX_GAIN_RATIO <= gain <= MAX_GAIN_RATIO * greatest:
         return (
             f"its gain is {with_unit(gain, 'm')}/V, the hysteresis' slopes are "
             f"{with_unit(flattest, 'm')}/V to {with_unit(greatest, 'm')}/V: "
-            f"{significant(gain / middle_slope_m_per_V(axis))} times their middle. Another unit, "
-            "another axis, or volts at the amplifier's input: name them in lab.toml, a factor as "
+            f"{significant(gain / middle)} times their middle. Another unit, another axis, "
+            "or volts at the amplifier's input: name them in lab.toml, a factor as "
             "scale = { response = ... }"
         )
     if recorded is None:

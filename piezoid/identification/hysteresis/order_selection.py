@@ -97,8 +97,8 @@ def choose_shape(
     pieces: Sequence[Piece],
     settings: Settings,
     *,
-    orders: Sequence[tuple[int, int]] = ORDERS,
-    progress: Callable[[str], None] = lambda _: None,
+    orders: Sequence[tuple[int, int]],
+    progress: Callable[[str], None],
 ) -> Choice:
     """Fit orders, then envelopes and lags, and choose the smallest that predicts as well.
 

@@ -47,7 +47,15 @@ def sensor_noise(piece: Piece, residual: Array) -> tuple[float, bool]:
     step = step_size(np.round(response, DIGITS))
     is_invalid = np.isin(np.arange(piece.first, piece.last), piece.invalid)
     valid = np.where(is_invalid, np.nan, response)
-    period = _period_samples(drive)
+    repetition = find_repetition(drive) if np.ptp(drive) > 0.0 else None
+    period = None if repetition is None else repetition.period_samples
+    if period is None:
+        for periods in (2, 3):  # too few for find_repetition, if the record ends with a period
+            length = len(drive) // periods
+            repeats = np.abs(drive[length:] - drive[:-length]) <= TOLERANCE * np.ptp(drive)
+            if length >= MINIMUM_SAMPLES and repeats.mean() > MIN_REPEATED:
+                period = length
+                break
     if period is not None:
         change = valid[period:] - valid[:-period]
         change = change[np.abs(drive[period:] - drive[:-period]) <= TOLERANCE * np.ptp(drive)]
@@ -79,16 +87,3 @@ def noise_rms(signals: Sequence[Array]) -> float:
             break
         octave += 1
     return float(levels[: octave + 1].max())
-
-
-def _period_samples(drive: Array) -> int | None:
-    """Return the period of a drive that contains at least two, in samples, or None."""
-    repetition = find_repetition(drive) if np.ptp(drive) > 0.0 else None
-    if repetition is not None:
-        return repetition.period_samples
-    for periods in (2, 3):  # too few for find_repetition, if the record ends with a period
-        period = len(drive) // periods
-        repeats = np.abs(drive[period:] - drive[:-period]) <= TOLERANCE * np.ptp(drive)
-        if period >= MINIMUM_SAMPLES and repeats.mean() > MIN_REPEATED:
-            return period
-    return None

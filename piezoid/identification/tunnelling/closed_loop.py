@@ -209,7 +209,7 @@ def _reject_falling_current(spectra: LoopSpectra, record: LoopRecord) -> None:
 
 
 def pole_interval(
-    low: float, high: float, sampling_rate_Hz: float, declared_Hz: float | None = None
+    low: float, high: float, sampling_rate_Hz: float, declared_Hz: float | None
 ) -> Interval:
     """Return the ends of the interval of a pole from those of its logarithm, Hz.
 

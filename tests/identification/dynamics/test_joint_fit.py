@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
 from piezoid.identification.dynamics.joint_fit import fit_jointly
 from piezoid.identification.dynamics.modal import JointFit, LinearDynamics
 from piezoid.identification.hysteresis.pieces import PieceStart
@@ -40,7 +39,7 @@ def rough_dynamics(axis_model: AxisModel) -> LinearDynamics:
         truth(),
         mode_frequency_Hz=np.array([1.01 * MODE_Hz]),
         mode_damping=np.array([1.2 * DAMPING]),
-        mode_gain_m_per_V=np.array([middle_slope_m_per_V(axis_model)]),
+        mode_gain_m_per_V=np.array([axis_model.hysteresis.middle_slope_m_per_V]),
         delay_s=50e-6,
         declared=(),
         shape_covariance=np.eye(3),
