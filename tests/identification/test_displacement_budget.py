@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.identification.displacement_budget import displacement_budget
+from piezoid.identification.displacement_budget import Contribution, displacement_budget
 from piezoid.identification.model import AxisModel, Lag
-from piezoid.numerics.uncertainty_budget import Contribution
 from piezoid.records.lab import Acquisition, Certificates, Lab, Sensor
 from tests.reports.known_stage import axis_model
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from piezoid.numerics.uncertainty_budget import (
+from piezoid.identification.displacement_budget import (
     Contribution,
     budget_of,
     half_width,
