@@ -150,23 +150,6 @@ class Forward:
             rate_Hz=rate_Hz,
         )
 
-    def filtered_chain(self, memory_slope: Array, rate_Hz: float) -> tuple[Chain, int]:
-        """Return ``chain`` with lag and sensor, and the whole samples of the delay.
-
-        Run chunk by chunk, it equals ``static`` and ``filtered`` with the derivatives by all of
-        their parameters. A delay of whole samples is left to the caller.
-        """
-        whole_samples = int(np.floor(self.lag_s * rate_Hz)) if self.lag == "delay" else 0
-        share = self.lag_s * rate_Hz - whole_samples if self.lag == "delay" else None
-        lag_s = self.lag_s if self.lag == "first_order" else None
-        pole_s = None if self.sensor_Hz is None else 1.0 / (2 * np.pi * self.sensor_Hz)
-        lag, sensor = (
-            None if time_s is None else FirstOrder(time_s=time_s, rate_Hz=rate_Hz)
-            for time_s in (lag_s, pole_s)
-        )
-        chain = self.chain(memory_slope, rate_Hz)
-        return replace(chain, share=share, lag=lag, sensor=sensor), whole_samples
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
@@ -249,10 +232,9 @@ class Run:
         zeros   number of columns of the zero
         """
         forward, rate_Hz = self.forward, self.where.rate_Hz
-        chain, delay = forward.filtered_chain(self.memory_slope, rate_Hz)
         if forward.extensions:
             columns = self.by_hysteresis(sample)
-            of_memory, of_operator = np.split(columns, [chain.plays], axis=1)
+            of_memory, of_operator = np.split(columns, [len(self.memory_slope)], axis=1)
             tables = [of_memory, np.zeros((len(sample), zeros)), of_operator]
             if forward.lag != "none":
                 tables.append(self.by_lag(sample)[:, None])
@@ -260,8 +242,24 @@ class Run:
             tables.append(self.reading[sample, None])
             yield sample, np.asfortranarray(np.hstack(tables))
             return
+        # Run chunk by chunk, the chain equals ``static`` and ``filtered``, with the derivatives by
+        # all of their parameters; only whole samples of a delay are not part of it.
+        delay, share = 0, None
+        if forward.lag == "delay":
+            delay = int(np.floor(forward.lag_s * rate_Hz))
+            share = forward.lag_s * rate_Hz - delay
+        lag_s = forward.lag_s if forward.lag == "first_order" else None
+        pole_s = None if forward.sensor_Hz is None else 1.0 / (2 * np.pi * forward.sensor_Hz)
+        lag, sensor = (
+            None if time_s is None else FirstOrder(time_s=time_s, rate_Hz=rate_Hz)
+            for time_s in (lag_s, pole_s)
+        )
+        chain = replace(
+            forward.chain(self.memory_slope, rate_Hz), share=share, lag=lag, sensor=sensor
+        )
+        source = np.maximum(sample - delay, 0)
         tangents = Following(chain, float(self.command[0]))
-        drive, source = self.command, np.maximum(sample - delay, 0)
+        drive = self.command
         if chain.lag is None and chain.sensor is None and SPARSE * len(sample) < len(drive):
             drive, source = thinned_drive(drive, source, with_previous=True, turns=self.turns)
         constant = (self.zero_m - self.centre_m) / forward.scales.displacement_m
