@@ -157,8 +157,8 @@ def _final_fit(pieces: Sequence[Piece], choice: Choice, settings: Settings) -> H
     all_rows = replace(fit.task, samples=[piece.fitted_samples() for piece in pieces])
     if all_rows.rows == fit.task.rows:
         return fit
-    polished = minimise(fit.theta, all_rows, iterations=POLISHING_ITERATIONS)
-    return replace(polished, task=fit.task, kkt_gap=fit.kkt_gap)
+    polished = minimise(fit.theta, all_rows, iterations=POLISHING_ITERATIONS, kkt_gap=fit.kkt_gap)
+    return replace(polished, task=fit.task)
 
 
 def _axis_model(

@@ -140,7 +140,7 @@ class HysteresisFit:
     rms: float
     gradient: float
     converged: bool
-    kkt_gap: float = 0.0
+    kkt_gap: float
 
     @property
     def operator(self) -> Scaled:
@@ -176,7 +176,12 @@ class HysteresisFit:
 
 
 def minimise(
-    theta: Array, task: Task, *, iterations: int, rule: Rule = QUASI_STATIC
+    theta: Array,
+    task: Task,
+    *,
+    iterations: int,
+    rule: Rule = QUASI_STATIC,
+    kkt_gap: float = 0.0,
 ) -> HysteresisFit:
     """Minimise the forward output error within the bounds, starting from ``theta``."""
     lower, upper = task.bounds(theta)
@@ -194,6 +199,7 @@ def minimise(
         rms=minimum.point.rms,
         gradient=minimum.gradient,
         converged=minimum.converged,
+        kkt_gap=kkt_gap,
     )
 
 

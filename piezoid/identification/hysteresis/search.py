@@ -81,7 +81,10 @@ def search(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Hystere
     # With few plays the better of two starts may lie farther from the minimum.
     candidates = fits if shape.plays <= MANY_PLAYS else fits[:1]
     return min(
-        (_fit_all(fit, settings) for fit in candidates),
+        (
+            minimise(fit.theta, fit.task, iterations=settings.iterations, kkt_gap=fit.kkt_gap)
+            for fit in candidates
+        ),
         key=lambda fit: fit.rms,
     )
 
@@ -90,12 +93,8 @@ def search_from(
     pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Settings
 ) -> HysteresisFit:
     """Fit the shape of an operator from its values: zeros and memory first, then the rest."""
-    return _fit_all(_fit_with_fixed(pieces, operator, lag, settings, fixed=SHARED), settings)
-
-
-def _fit_all(start: HysteresisFit, settings: Settings) -> HysteresisFit:
-    fit = minimise(start.theta, start.task, iterations=settings.iterations)
-    return replace(fit, kkt_gap=start.kkt_gap)
+    start = _fit_with_fixed(pieces, operator, lag, settings, fixed=SHARED)
+    return minimise(start.theta, start.task, iterations=settings.iterations)
 
 
 def _fit_with_fixed(
@@ -119,8 +118,8 @@ def _fit_with_fixed(
         theta[task.coordinates.offset_slice(index)] = offset
     slices = tuple(task.coordinates.slices[name] for name in fixed)
     fixed_task = replace(task, fixed=slices, swing=None)
-    fit = minimise(theta, fixed_task, iterations=settings.iterations // 3)
-    return replace(fit, task=task, kkt_gap=kkt_gap)
+    fit = minimise(theta, fixed_task, iterations=settings.iterations // 3, kkt_gap=kkt_gap)
+    return replace(fit, task=task)
 
 
 def task_for(pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Settings) -> Task:
@@ -200,7 +199,6 @@ def prune(fit: HysteresisFit, *, iterations: int) -> HysteresisFit:
         state = np.interp(operator.threshold, radius, curve)
         slopes = np.clip(np.diff(state, prepend=0.0) / operator.gap, -1.0, 1.0)
         theta[coordinates.memory_slice(index)] = slopes
-    pruned = minimise(theta, replace(fit.task, coordinates=coordinates), iterations=iterations)
-    if pruned.rms > MAX_RMS_RATIO * fit.rms:
-        return fit
-    return replace(pruned, kkt_gap=fit.kkt_gap)
+    task = replace(fit.task, coordinates=coordinates)
+    pruned = minimise(theta, task, iterations=iterations, kkt_gap=fit.kkt_gap)
+    return fit if pruned.rms > MAX_RMS_RATIO * fit.rms else pruned
