@@ -78,6 +78,10 @@ class FrequencyResponse:
         """Return the response at some of its lines, given by their increasing indices."""
         return replace(self, **{name: getattr(self, name)[lines] for name in _BY_LINE})
 
+    def without_rejected(self) -> "FrequencyResponse":
+        """Return the response at its lines that are not rejected."""
+        return self.at_lines(np.flatnonzero(~self.is_rejected))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PeriodicData:

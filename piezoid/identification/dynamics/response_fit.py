@@ -17,7 +17,6 @@ that a smooth residual, because a mode is missing, does not count as noise.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from piezoid.errors import ExcitationError, IdentificationError
@@ -138,9 +137,21 @@ def fit_response(
     fast = response if slow is None else response / slow.response(f)
     is_outlier = np.zeros(len(f), dtype=np.bool_)
     variance = (FIRST_NOISE * np.abs(fast)) ** 2
+    lines = FrequencyResponse(
+        axis=axis,
+        sampling_rate_Hz=2.0 * float(f[-1]),
+        frequency_Hz=f,
+        response=fast,
+        variance=variance,
+        coherence=np.ones(len(f)) if path.coherence is None else path.coherence,
+        is_interference=is_outlier,
+        is_rejected=~is_coherent,
+        least_coherence=MIN_COHERENCE,
+        variance_freedom=float(len(f)),
+        drive_rms_V=0.0,  # files do not state the level of the drive
+    )
     for _ in range(NOISE_ROUNDS):
         is_used = is_coherent & ~is_outlier
-        lines = _lines(record, axis, fast, variance, is_outlier)
         residual = fast - _best_fit(lines, declared).response(f)
         coherence = None if path.coherence is None else path.coherence[is_used]
         variance[is_used] = _variance(fast[is_used], residual[is_used], coherence)
@@ -151,13 +162,16 @@ def fit_response(
             padded = np.pad(size, 1, mode="reflect")
             is_alone = (padded[:-2] < NEIGHBOUR) & (padded[2:] < NEIGHBOUR)
             is_outlier[is_coherent] = (size > OUTLIER) & is_alone
-    lines = _lines(record, axis, fast, variance, is_outlier)
+        is_rejected = ~is_coherent | is_outlier
+        lines = replace(
+            lines, variance=variance, is_interference=is_outlier, is_rejected=is_rejected
+        )
     dynamics = _best_fit(lines, declared)
     if slow is not None and slow.is_taken:
-        measured = _usable_lines(_lines(record, axis, response, variance, is_outlier))
+        measured = replace(lines, response=response).without_rejected()
         dynamics, slow = fit_with_slow_part(measured, dynamics, slow)
-        lines = _lines(record, axis, response / slow.response(f), variance, is_outlier)
-    used_lines = _usable_lines(lines)
+        lines = replace(lines, response=response / slow.response(f))
+    used_lines = lines.without_rejected()
     f, values = used_lines.frequency_Hz, used_lines.response
     static_gain = abs(dynamics.static_gain_m_per_V)
     relative = np.abs(values - dynamics.response(f))
@@ -186,41 +200,12 @@ def _path(record: FrequencyResponseRecord, axis: str) -> ResponsePath:
     return path
 
 
-def _lines(
-    record: FrequencyResponseRecord,
-    axis: str,
-    response: ComplexArray,
-    variance: Array,
-    is_outlier: NDArray[np.bool_],
-) -> FrequencyResponse:
-    """Return the response as input of the modal fit; files do not state the level of the drive."""
-    path = _path(record, axis)
-    coherence = np.ones(len(response)) if path.coherence is None else path.coherence
-    return FrequencyResponse(
-        axis=axis,
-        sampling_rate_Hz=2.0 * float(record.frequency_Hz[-1]),
-        frequency_Hz=record.frequency_Hz,
-        response=response,
-        variance=variance,
-        coherence=coherence,
-        is_interference=is_outlier,
-        is_rejected=~path.is_coherent | is_outlier,
-        least_coherence=MIN_COHERENCE,
-        variance_freedom=float(len(response)),
-        drive_rms_V=0.0,
-    )
-
-
-def _usable_lines(lines: FrequencyResponse) -> FrequencyResponse:
-    return lines.at_lines(np.flatnonzero(~lines.is_rejected))
-
-
 def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearDynamics:
     """Return the smallest structure whose residual is noise, or whose cost is near the lowest.
 
     Structures with unresolved modes are used only if there are no others.
     """
-    usable = _usable_lines(lines)
+    usable = lines.without_rejected()
     declaration = Declaration(
         hold="band_limited",
         filters=declared,
