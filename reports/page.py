@@ -12,7 +12,7 @@ from piezoid.diagnosis.compare import ModelComparison
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
-from piezoid.identification.simulation import simulate_fitted_rows, starts_of
+from piezoid.identification.simulation import simulate_fitted_rows
 from piezoid.numerics.arrays import Array
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
@@ -74,7 +74,7 @@ def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[T
 
     Recordings over less than half of the widest drive range come last: they show no full loop.
     """
-    fitted = [r for r in recordings if starts_of(axis_model, r)]
+    fitted = [r for r in recordings if axis_model.starts_of(r)]
     modelled = [simulate_fitted_rows(axis_model, recording) for recording in fitted]
     axis = axis_model.axis
     modelled_pairs = [

@@ -15,10 +15,11 @@ import numpy as np
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.errors import RecordingError
 from piezoid.formatting import significant, with_unit
-from piezoid.identification.extended_fit import Extended, Structure, fit_extended
+from piezoid.identification.extended_fit import Extended, fit_extended
 from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.identification.extensions.mains_lines import MainsLines
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
+from piezoid.identification.hysteresis.coordinates import Structure
 from piezoid.identification.hysteresis.excluded_rows import outlying_samples
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording

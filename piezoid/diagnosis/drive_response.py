@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from piezoid.identification.model import AxisModel
-from piezoid.identification.simulation import starts_of
 from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Chain, Following
 from piezoid.operators.dead_zone import LINEAR
@@ -176,7 +175,7 @@ def rows_of(samples: int, count: int) -> NDArray[np.int_]:
 
 def driven_recording(axis: AxisModel, recording: Recording) -> DriveResponse:
     """Return the response to the drive of a recording, with its fitted initial memory."""
-    starts = starts_of(axis, recording)
+    starts = axis.starts_of(recording)
     other_drives = {
         channel.axis: channel.values
         for channel in recording.channels

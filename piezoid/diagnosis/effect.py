@@ -15,8 +15,8 @@ from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Places, Track
-from piezoid.identification.extended_fit import Structure
 from piezoid.identification.extensions.extension import Extension, Where
+from piezoid.identification.hysteresis.coordinates import Structure
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording

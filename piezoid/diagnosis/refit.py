@@ -21,13 +21,14 @@ from piezoid.diagnosis.residual_structure import SearchResult, add_structure
 from piezoid.diagnosis.segments import Track
 from piezoid.formatting import words
 from piezoid.identification.dynamics.fit_dynamics import resolved_modes
-from piezoid.identification.extended_fit import Extended, Structure, fit_extended, parts_of
+from piezoid.identification.extended_fit import Extended, fit_extended, parts_of
 from piezoid.identification.extensions import in_order
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.identification.extensions.lags import ConverterHold, Delay, FirstOrderLag
 from piezoid.identification.extensions.linear_mode import LinearMode
+from piezoid.identification.hysteresis.coordinates import Structure
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales, drifting_zeros
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.arrays import Samples

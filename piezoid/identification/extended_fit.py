@@ -18,6 +18,7 @@ from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.linear_mode import rows_after_steps
 from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
+    Structure,
     envelope_stretch,
     to_scaled_units,
     to_si_units,
@@ -47,25 +48,6 @@ MAX_STEPS = 10
 RULE = Rule(tolerance=1e-4, tries=8, damping=1e-4)
 # Of a fit without a fold: with two or three, held-out errors differ by 0.4 to 3.4 %.
 FOLD_STEPS = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Structure:
-    """Components of the hysteresis that a joint fit uses.
-
-    operator  True: weights, thresholds, lag and previous extensions are fitted; False: only
-              memory, zero and new extensions
-    lag       whether the model has a lag, which is then fitted
-    memory    True: the memory of every piece is fitted; False: it is that after a full cycle
-    bends     kinks of the envelope on each side of its middle; None: as in the model
-    """
-
-    operator: bool = True
-    lag: bool = True
-    memory: bool = True
-    bends: int | None = None
-
-
 FULL_STRUCTURE = Structure()
 
 

@@ -25,6 +25,7 @@ from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
 from piezoid.operators.preisach_plays import PreisachPlays
+from piezoid.records.recording import Recording
 from piezoid.summary import Summarised, Summary
 
 SCHEMA = "piezoid.model/1"
@@ -227,6 +228,14 @@ class AxisModel(Summarised):
             certificate=plays_fit.certificate,
             starts=plays_fit.starts,
         )
+
+    def starts_of(self, recording: Recording) -> tuple[PieceStart, ...]:
+        """Return the starts of a recording's pieces, in their order; empty if it was not fitted.
+
+        >>> len(model["x"].starts_of(recordings["check.csv"]))
+        1
+        """
+        return tuple(start for start in self.starts if start.recording == recording.name)
 
     @property
     def virgin_memory_V(self) -> Array:

@@ -29,11 +29,6 @@ START_SLOPES = (0.0, 1.0, -1.0)
 MAX_EVALUATIONS = 40
 
 
-def starts_of(axis_model: AxisModel, recording: Recording) -> tuple[PieceStart, ...]:
-    """Return the starts of a recording's pieces, in their order; empty if it was not fitted."""
-    return tuple(start for start in axis_model.starts if start.recording == recording.name)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FittedPiece:
     """One uninterrupted piece of a recording of the fit.
@@ -58,7 +53,7 @@ class FittedPiece:
 
 def fitted_pieces(axis_model: AxisModel, recording: Recording) -> tuple[FittedPiece, ...]:
     """Return the pieces of a recording with their starts; empty if it was not fitted."""
-    starts, pieces = starts_of(axis_model, recording), _long_pieces(recording)
+    starts, pieces = axis_model.starts_of(recording), _long_pieces(recording)
     if not starts or len(starts) != len(pieces):
         return ()
     voltage_V = recording.voltage_V(axis_model.axis)
@@ -91,7 +86,7 @@ def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
     """
     pieces = fitted_pieces(axis_model, recording)
     if not pieces:
-        count, starts = len(_long_pieces(recording)), len(starts_of(axis_model, recording))
+        count, starts = len(_long_pieces(recording)), len(axis_model.starts_of(recording))
         raise IdentificationError(
             f"{recording.name}: {count} uninterrupted pieces of at least {MINIMUM_SAMPLES} "
             f"samples; the model of axis {axis_model.axis} contains the starts of {starts}",
@@ -245,7 +240,7 @@ def predict(model: AxisModel, recording: Recording) -> Array:
             motion_m = model.motion_m(voltage_V, memory_V, where, weight)
             zero_m += float(np.mean(measured_m - model.forward.read(zero_m + motion_m, where)))
         candidates = [model.forward.read(zero_m + motion_m, where)]
-        for start in starts_of(model, recording):
+        for start in model.starts_of(recording):
             if start.last <= len(voltage_V):
                 fit = FittedPiece(samples=piece, voltage_V=voltage_V, where=where, start=start)
                 candidates.append(fit.simulate(model))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.identification.extended_fit import Structure, fit_extended, parts_of
+from piezoid.identification.extended_fit import fit_extended, parts_of
 from piezoid.identification.extensions import (
     AmplifierLimits,
     CreepLadder,
@@ -21,6 +21,7 @@ from piezoid.identification.extensions import (
     ThermalDrift,
 )
 from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.hysteresis.coordinates import Structure
 from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.quality import NEVER_OUT
 from piezoid.identification.simulation import simulate_recording

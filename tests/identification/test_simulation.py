@@ -11,7 +11,6 @@ from piezoid.identification.hysteresis.pieces import Rig, where_of
 from piezoid.identification.simulation import (
     simulate_fitted_rows,
     simulate_recording,
-    starts_of,
     zero_of,
 )
 from piezoid.records.recording import Quantity
@@ -59,7 +58,7 @@ def test_the_zero_is_constant_outside_the_fitted_rows():
 def test_a_recording_unknown_to_the_model_is_refused_by_name():
     with pytest.raises(IdentificationError, match=r"other\.csv: 2 uninterrupted pieces"):
         simulate_recording(axis_model(), recording("other.csv"))
-    assert starts_of(axis_model(), recording("other.csv")) == ()
+    assert axis_model().starts_of(recording("other.csv")) == ()
 
 
 def test_a_simulated_fitted_recording_has_the_residual_of_the_fit():

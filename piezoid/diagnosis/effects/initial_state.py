@@ -30,7 +30,6 @@ from piezoid.diagnosis.residual_view import View, with_free_memory
 from piezoid.diagnosis.signals import with_added
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
 from piezoid.identification.model import AxisModel
-from piezoid.identification.simulation import starts_of
 from piezoid.records.recording import Recording
 
 MIN_CHANGE = 1e-6  # of half the stroke: initial states that differ by less are equal
@@ -57,7 +56,7 @@ def _cycled(axis: AxisModel, recording: Recording) -> AxisModel:
     voltage_V, (low_V, high_V) = recording.voltage_V(axis.axis), axis.voltage_V
     first_samples = (p.start for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES)
     starts = [start for start in axis.starts if start.recording != recording.name]
-    for start, first in zip(starts_of(axis, recording), first_samples, strict=True):
+    for start, first in zip(axis.starts_of(recording), first_samples, strict=True):
         history_V = np.array([low_V, high_V, voltage_V[first]])
         _, memory_V = axis.hysteresis.run(history_V, axis.virgin_memory_V)
         starts.append(replace(start, memory_V=memory_V))

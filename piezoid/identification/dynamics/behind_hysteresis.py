@@ -57,7 +57,7 @@ def measure_response(drive_V: Array, recording: Recording, axis: str) -> Frequen
 def voltage_behind_hysteresis(axis: AxisModel, recording: Recording) -> Array:
     """Return v, (samples,) V, from the fitted initial memory, or that of a virgin ceramic."""
     operator = axis.hysteresis
-    starts = [s for s in axis.starts if s.recording == recording.name]
+    starts = axis.starts_of(recording)
     memory_V = starts[0].memory_V if starts else operator.virgin_memory()
     static_m, _ = operator.run(recording.voltage_V(axis.axis), memory_V)
     return np.asarray((static_m - operator.displacement_offset_m) / operator.middle_slope_m_per_V)

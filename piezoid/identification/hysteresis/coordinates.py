@@ -62,6 +62,23 @@ class Shape:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Structure:
+    """Components of the hysteresis that a joint fit uses.
+
+    operator  True: weights, thresholds, lag and previous extensions are fitted; False: only
+              memory, zero and new extensions
+    lag       whether the model has a lag, which is then fitted
+    memory    True: the memory of every piece is fitted; False: it is that after a full cycle
+    bends     kinks of the envelope on each side of its middle; None: as in the model
+    """
+
+    operator: bool = True
+    lag: bool = True
+    memory: bool = True
+    bends: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Coordinates:
     """Layout of the parameter vector for a shape and a number of pieces.
 
