@@ -17,11 +17,7 @@ from piezoid.digests import digest_of_json
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.coupled.coupled_stage import LEVEL_TOLERANCE, CoupledStage
 from piezoid.identification.coupled.fit_coupled import fit_coupled
-from piezoid.identification.dynamics.frequency_response import (
-    PeriodicData,
-    cut_periods,
-    estimate_response,
-)
+from piezoid.identification.dynamics.frequency_response import PeriodicData, estimate_response
 from piezoid.numerics.repetition import (
     FEWEST,
     STILL,
@@ -211,8 +207,23 @@ def _levels_of(
             needed="one rate and one period for all levels and realisations",
             remedy="Leave out the recordings with another period.",
         )
-
-    data = cut_periods(periodic, axes, periods)
+    voltage_V, displacement_m = (
+        np.transpose(
+            [
+                [repetition.last_periods(signal_of(recording, axis), periods) for axis in axes]
+                for recording, repetition in periodic
+            ],
+            (2, 1, 0, 3),
+        )
+        for signal_of in (Recording.voltage_V, Recording.displacement_m)
+    )
+    data = PeriodicData(
+        sampling_rate_Hz=periodic[0][0].sampling_rate_Hz,
+        inputs=axes,
+        outputs=axes,
+        voltage_V=voltage_V,
+        displacement_m=displacement_m,
+    )
     sizes = data.voltage_V.std(axis=(0, 1, 3))
     order = np.argsort(sizes, kind="stable")
     steps = [k for k, (a, b) in enumerate(pairwise(sizes[order]), 1) if b > LEVEL_TOLERANCE * a]

@@ -16,8 +16,6 @@ from piezoid.numerics.arrays import (
     same_length,
     strictly_increasing,
 )
-from piezoid.numerics.repetition import Repetition
-from piezoid.records.recording import Recording
 
 _BY_LINE = (
     "frequency_Hz", "response", "variance", "coherence", "is_interference", "is_rejected",
@@ -158,28 +156,6 @@ class PeriodicData:
         [1.953125, 3.90625]
         """
         return np.asarray(lines * self.sampling_rate_Hz / len(self.voltage_V))
-
-
-def cut_periods(
-    group: Sequence[tuple[Recording, Repetition]], axes: Sequence[str], periods: int
-) -> PeriodicData:
-    """Return the last periods of periodic recordings, one realisation for each recording."""
-    drives_V: list[Array] = []
-    displacements_m: list[Array] = []
-    for recording, repetition in group:
-        for signals, signal_of in (
-            (drives_V, recording.voltage_V),
-            (displacements_m, recording.displacement_m),
-        ):
-            cuts = [repetition.last_periods(signal_of(axis), periods) for axis in axes]
-            signals.append(np.stack(cuts, axis=1))
-    return PeriodicData(
-        sampling_rate_Hz=group[0][0].sampling_rate_Hz,
-        inputs=tuple(axes),
-        outputs=tuple(axes),
-        voltage_V=np.stack(drives_V, axis=2),
-        displacement_m=np.stack(displacements_m, axis=2),
-    )
 
 
 def estimate_response(data: PeriodicData) -> tuple[FrequencyResponse, ...]:
