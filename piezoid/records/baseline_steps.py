@@ -71,7 +71,7 @@ def find_baseline_steps(recording: Recording) -> tuple[tuple[int, ...], list[Sta
     breaks, statements = set(recording.breaks), []
     for axis in recording.complete_axes:
         drive, reading = recording.voltage_V(axis), recording.displacement_m(axis)
-        is_constant = is_at_rest(recording, axis)
+        is_constant = is_at_rest(drive, reading)
         steps = [
             BaselineStep(first=part.start + s.first, last=part.start + s.last, size=s.size)
             for part in recording.pieces

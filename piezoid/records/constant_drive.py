@@ -6,7 +6,6 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import white_noise_rms
-from piezoid.records.recording import Recording
 
 NOISE_RANGE = 10.0  # standard deviations: a range that Gaussian noise does not reach
 # A white drive has the differences of noise, but the sensor follows it. Behind a lag of ten
@@ -21,14 +20,13 @@ MIN_SPREAD, MIN_AT_ONCE, MAX_WHITE = 0.03, 0.3, -0.4
 LAGS = 64  # samples: largest delay of the response
 
 
-def is_at_rest(recording: Recording, axis: str) -> bool:
-    """Return whether the drive of an axis is constant within the noise of its reading."""
-    voltage_V = recording.voltage_V(axis)
-    if not np.ptp(voltage_V) > 0.0:
+def is_at_rest(drive: Array, response: Array) -> bool:
+    """Return whether a drive is constant within the noise of its reading."""
+    if not np.ptp(drive) > 0.0:
         return True
-    if np.ptp(voltage_V) > NOISE_RANGE * white_noise_rms(voltage_V):
+    if np.ptp(drive) > NOISE_RANGE * white_noise_rms(drive):
         return False
-    return not has_response(voltage_V, recording.displacement_m(axis))
+    return not has_response(drive, response)
 
 
 def has_response(drive: Array, response: Array) -> bool:

@@ -163,9 +163,10 @@ def scales_of(recordings: Sequence[Recording], axis: str) -> Scales:
     Raises ``ExcitationError`` if the drive or the displacement does not move.
     """
     drives = [recording.voltage_V(axis) for recording in recordings]
-    is_constant = all(is_at_rest(recording, axis) for recording in recordings)
+    responses = [recording.displacement_m(axis) for recording in recordings]
+    is_constant = all(map(is_at_rest, drives, responses))
     low, high = min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)
-    spans = [float(np.ptp(recording.displacement_m(axis))) for recording in recordings]
+    spans = [float(np.ptp(response)) for response in responses]
     names = ", ".join(recording.name for recording in recordings)
     noise = " but for the noise of its reading" if high > low else ""
     for finding, applies in (
@@ -181,7 +182,7 @@ def scales_of(recordings: Sequence[Recording], axis: str) -> Scales:
             )
     covariance = sum(
         float(np.sum((u - u.mean()) * (y - y.mean())))
-        for u, y in zip(drives, (r.displacement_m(axis) for r in recordings), strict=True)
+        for u, y in zip(drives, responses, strict=True)
     )
     return Scales(
         voltage_V=(high - low) / 2,
