@@ -20,6 +20,7 @@ from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
     Structure,
     envelope_stretch,
+    shape_of,
     to_scaled_units,
     to_si_units,
     vector_of,
@@ -242,7 +243,7 @@ def task_of(
     ordered = in_order(extensions)
     frees = [extension.free() for extension in ordered]
     coordinates = Coordinates(
-        shape=operator.shape(model.lag.kind if structure.lag else "none"),
+        shape=shape_of(operator, model.lag.kind if structure.lag else "none"),
         offsets=(1,) * len(parts),
         numbers=tuple(len(free.value) for free in frees),
     )

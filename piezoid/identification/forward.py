@@ -15,21 +15,56 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.identification.extensions.extension import Extension, Where
-from piezoid.identification.hysteresis.coordinates import Scaled
 from piezoid.identification.hysteresis.pieces import Scales, behind_pole
 from piezoid.numerics.arrays import Array, Samples
 from piezoid.numerics.executor import Once
 from piezoid.operators.chain import Chain, Following
-from piezoid.operators.dead_zone import LINEAR
+from piezoid.operators.dead_zone import LINEAR, DeadZones, from_slopes
 from piezoid.operators.filters import FirstOrder, lagged
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import thinned_drive
+from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 CHUNK = 1024  # rows written together: about the size of the L2 cache
 SPARSE = 3  # samples per row, above which computing from row to row is faster
 MAX_DELAY_ERROR = 0.004  # of the motion, of a delay instead of the filters
 MAX_ENTRIES = 16_000_000  # of one array of columns
 LAG_STEP = 1e-3  # samples
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scaled:
+    """Operator of a parameter vector of the fit, in scaled units.
+
+    gap, threshold  (plays,)      d and r of the moving plays
+    weight          (plays + 1,)  w_0 first
+    knot            (zones,)      kinks of Psi with 0 among them, increasing
+    slope           (zones + 1,)  slopes below, between and above the kinks
+    zero            index of the kink at 0
+    lag_s           lag behind the operator
+    envelope        gamma, in front of the plays
+    """
+
+    gap: Array
+    threshold: Array
+    weight: Array
+    knot: Array
+    slope: Array
+    zero: int
+    lag_s: float
+    envelope: DeadZones = LINEAR
+
+    @Once
+    def plays(self) -> PrandtlIshlinskii:
+        """All plays, beginning with the play of threshold 0."""
+        return PrandtlIshlinskii(
+            threshold=np.concatenate([[0.0], self.threshold]), weight=self.weight
+        )
+
+    @Once
+    def dead_zones(self) -> DeadZones:
+        """Psi, the memoryless map behind the plays."""
+        return from_slopes(self.knot, self.slope)
 
 
 Operator = Scaled | ModifiedPrandtlIshlinskii

@@ -17,8 +17,7 @@ from piezoid.identification.extensions import (
     RateDependence,
 )
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.forward import Forward, Run
-from piezoid.identification.hysteresis.coordinates import Scaled
+from piezoid.identification.forward import Forward, Run, Scaled
 from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes

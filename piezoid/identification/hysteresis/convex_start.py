@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezoid.identification.forward import Scaled
 from piezoid.identification.hysteresis.coordinates import (
     MIN_GAP,
     MIN_SLOPE,
-    Scaled,
     Shape,
 )
 from piezoid.identification.hysteresis.pieces import Piece, widest_swing

@@ -20,9 +20,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from piezoid.identification.forward import Scaled
 from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.numerics.arrays import Array, Samples
-from piezoid.numerics.executor import Once
 from piezoid.operators.dead_zone import LINEAR, DeadZones, from_slopes
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
@@ -177,49 +177,15 @@ class Coordinates:
         return narrowed
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Scaled:
-    """Operator of a parameter vector, in scaled units.
-
-    gap, threshold  (plays,)      d and r of the moving plays
-    weight          (plays + 1,)  w_0 first
-    knot            (zones,)      kinks of Psi with 0 among them, increasing
-    slope           (zones + 1,)  slopes below, between and above the kinks
-    zero            index of the kink at 0
-    lag_s           lag behind the operator
-    envelope        gamma, in front of the plays
-    """
-
-    gap: Array
-    threshold: Array
-    weight: Array
-    knot: Array
-    slope: Array
-    zero: int
-    lag_s: float
-    envelope: DeadZones = LINEAR
-
-    @Once
-    def plays(self) -> PrandtlIshlinskii:
-        """All plays, beginning with the play of threshold 0."""
-        return PrandtlIshlinskii(
-            threshold=np.concatenate([[0.0], self.threshold]), weight=self.weight
-        )
-
-    @Once
-    def dead_zones(self) -> DeadZones:
-        """Psi, the memoryless map behind the plays."""
-        return from_slopes(self.knot, self.slope)
-
-    def shape(self, lag: str) -> Shape:
-        """Return the shape of this operator with a lag of the given type."""
-        return Shape(
-            plays=len(self.gap),
-            below=self.zero,
-            above=len(self.knot) - self.zero - 1,
-            lag=lag,
-            bends=self.envelope.zero,
-        )
+def shape_of(operator: Scaled, lag: str) -> Shape:
+    """Return the shape of an operator with a lag of the given type."""
+    return Shape(
+        plays=len(operator.gap),
+        below=operator.zero,
+        above=len(operator.knot) - operator.zero - 1,
+        lag=lag,
+        bends=operator.envelope.zero,
+    )
 
 
 def operator_of(theta: Array, coordinates: Coordinates) -> Scaled:

@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.forward import UNSCALED, Forward, Run
+from piezoid.identification.forward import UNSCALED, Forward, Run, Scaled
 from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
-    Scaled,
     Shape,
     envelope_stretch,
     operator_of,

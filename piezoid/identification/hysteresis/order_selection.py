@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.identification.hysteresis.coordinates import Scaled, Shape
+from piezoid.identification.forward import Scaled
+from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.hysteresis.search import (

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezoid.identification.forward import Scaled
 from piezoid.identification.hysteresis.convex_start import (
     clustered_thresholds,
     find_lag,
@@ -13,8 +14,8 @@ from piezoid.identification.hysteresis.convex_start import (
 )
 from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
-    Scaled,
     Shape,
+    shape_of,
     vector_of,
     with_flat_envelope,
 )
@@ -132,7 +133,7 @@ def task_for(pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Sett
     stride = max(1, sum(piece.rows for piece in pieces) // settings.rows)
     return Task(
         pieces=tuple(pieces),
-        coordinates=Coordinates(shape=operator.shape(lag), offsets=tuple(offsets)),
+        coordinates=Coordinates(shape=shape_of(operator, lag), offsets=tuple(offsets)),
         sensor_pole_Hz=settings.sensor_pole_Hz,
         samples=[piece.fitted_samples(stride) for piece in pieces],
         longest_lag_s=settings.longest_lag_s,
@@ -188,7 +189,7 @@ def prune(fit: HysteresisFit, *, iterations: int) -> HysteresisFit:
         zero=zero,
     )
 
-    coordinates = Coordinates(shape=operator.shape(fit.shape.lag), offsets=old.offsets)
+    coordinates = Coordinates(shape=shape_of(operator, fit.shape.lag), offsets=old.offsets)
     theta = vector_of(operator, coordinates)
     radius = np.concatenate([[0.0], original.threshold])
     for index in range(len(old.offsets)):
