@@ -25,6 +25,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from piezoid.diagnosis.candidate import QUANTISATION
 from piezoid.diagnosis.coordinate_descriptions import coordinate_words, next_experiment
 from piezoid.diagnosis.diagnosis import (
     NOISE_RATIO,
@@ -39,10 +40,8 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
-from piezoid.diagnosis.effects.quantisation import NAME as QUANTISATION
 from piezoid.diagnosis.null_distribution import ALPHA
 from piezoid.formatting import with_unit, words
-from piezoid.numerics.arrays import Array
 
 RESONANCE = "resonance"  # an unresolved mode widens loops as another loop shape does
 # Along one loop a wide class can follow all of these effects: for plays with a lag of 20 ms it
@@ -51,7 +50,6 @@ LIKE_ONE_LOOP = ("lag", "creep", "thermal_drift", "initial_state")
 ONE_LOOP_EXPERIMENT = (
     "Record three equal cycles, and the same ten times slower: loop shape repeats in all of them."
 )
-BLOCKS = 20  # of the residual, for the standard error of its mean square
 ONE_SIDED_95 = 1.645
 DOMINANT = 5.0  # ratio of the residual of one recording to the largest of all others
 
@@ -80,12 +78,6 @@ class RemainingErrors:
     is_compared: bool = True
     recordings_m: Mapping[str, float] = field(default_factory=dict)
     converter_m: float = 0.0
-
-
-def relative_scatter(residual_m: Array) -> float:
-    """Return the relative standard error of the mean square of a correlated residual."""
-    squares = np.array([np.mean(block**2) for block in np.array_split(residual_m, BLOCKS)])
-    return float(np.std(squares, ddof=1) / max(float(np.mean(squares)), 1e-300) / sqrt(BLOCKS))
 
 
 def with_budget(

@@ -13,6 +13,7 @@ from math import sqrt
 import numpy as np
 
 from piezoid.diagnosis.budget import RemainingErrors, with_budget
+from piezoid.diagnosis.candidate import Outcome
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
 from piezoid.diagnosis.constant_drive import diagnose_at_rest
 from piezoid.diagnosis.diagnosis import (
@@ -35,11 +36,15 @@ from piezoid.diagnosis.residual_structure import (
     SearchResult,
     add_structure,
     locate_residual,
-    search_all,
 )
 from piezoid.diagnosis.residual_view import View, view_of
 from piezoid.diagnosis.segments import tracks_of
-from piezoid.diagnosis.selection import Outcome, search_faults, with_ingest_faults, without_causes
+from piezoid.diagnosis.selection import (
+    search_all,
+    search_faults,
+    with_ingest_faults,
+    without_causes,
+)
 from piezoid.diagnosis.step_responses import step_response_view
 from piezoid.errors import IdentificationError
 from piezoid.formatting import words

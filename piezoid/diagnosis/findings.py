@@ -13,6 +13,7 @@ from piezoid.diagnosis.candidate import (
     MINIMUM_SHARE,
     MINIMUM_Z,
     Candidate,
+    Outcome,
     exceeds_structure,
     size_of,
 )
@@ -31,7 +32,6 @@ from piezoid.diagnosis.refit import ModelErrors
 from piezoid.diagnosis.residual_structure import MAX_P_VALUE, SearchResult
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import ScoreTest
-from piezoid.diagnosis.selection import Outcome
 from piezoid.diagnosis.structure_findings import noise_finding, noise_level, structure_finding
 from piezoid.formatting import with_unit, words
 from piezoid.identification.hysteresis.pieces import Scales

@@ -10,19 +10,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import Candidate, evaluate
-from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
+from piezoid.diagnosis.effect import BETWEEN, Effect, Fault, Parameters, Trial
 from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.effects.timestamp_fault import find_equal_slips, find_slips
-from piezoid.diagnosis.initial_state_search import (
+from piezoid.diagnosis.nuisance_search import (
     OTHER_INITIAL_STATES,
     InitialStates,
+    with_best_bouc_wen,
     with_individual_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.refinement import initial_guess, refine, refine_together, with_step
-from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
+from piezoid.diagnosis.refinement import (
+    SelectedEffect,
+    initial_guess,
+    refine,
+    refine_together,
+    with_effects,
+    with_step,
+)
 from piezoid.diagnosis.residual_view import (
     View,
     with_bouc_wen,
@@ -32,8 +38,9 @@ from piezoid.diagnosis.residual_view import (
 )
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.segments import Track
-from piezoid.diagnosis.step_responses import modes_after_steps, without_unresolved_ringing
+from piezoid.diagnosis.step_responses import step_response_view, without_unresolved_ringing
 from piezoid.formatting import words
+from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 
 FIRST_GAIN = 0.25  # gain over that of the best tangent from which an effect is refitted first
@@ -117,6 +124,53 @@ def select_forward(
             break
         state = next_state
     return state
+
+
+def modes_after_steps(view: View) -> tuple[SelectedEffect, ...]:
+    """Return the resonances that are significant in step responses, refined on these."""
+    step_responses, modes = step_response_view(view), []
+    if step_responses is None:
+        return ()
+    for mode in every_effect():
+        if not mode.may_be_absorbed or mode.untestable(step_responses):
+            continue
+        effect = with_any_phase(mode)
+        test = score_test(effect, step_responses)
+        if test is None or not test.physical:
+            continue
+        guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
+        refined, refined_view = refine(guess, step_responses, [])
+        if evaluate(refined, refined_view, step_responses, test=test).is_significant:
+            modes.append(replace(refined, from_jumps=True))
+    return tuple(modes)
+
+
+def with_any_phase(effect: Effect) -> Effect:
+    """Return the effect with its columns and the same columns delayed by one sample.
+
+    A jump lies between two samples, so its response is delayed by a fraction of a sample: a
+    weighted sum of both columns.
+    """
+    assert effect.trials is not None
+    assert effect.columns is not None
+    trials, columns = effect.trials, effect.columns
+
+    def two_phases(view: View, parameters: Parameters) -> Array:
+        tracks = [replace(track, rows=np.maximum(track.rows - 1, 0)) for track in view.tracks]
+        delayed = replace(with_tracks(view, tracks), static_override=view.static)
+        return np.hstack([columns(view, parameters), columns(delayed, parameters)])
+
+    def two_phase_trials(view: View) -> list[Trial]:
+        return [
+            replace(
+                trial,
+                columns=two_phases(view, trial.parameters),
+                coefficient_range=(-np.inf, np.inf),
+            )
+            for trial in trials(view)
+        ]
+
+    return replace(effect, trials=two_phase_trials, columns=two_phases)
 
 
 def _score_all(state: SelectionState, executor: Executor) -> dict[str, ScoreTest]:

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from piezoid.diagnosis.budget import relative_scatter
+from piezoid.diagnosis.blocked_regression import relative_scatter
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE
 from piezoid.diagnosis.effect import EffectEstimate, SearchScaling
 from piezoid.diagnosis.effects import effect_named

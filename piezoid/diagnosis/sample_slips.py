@@ -24,7 +24,6 @@ import numpy as np
 from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.segments import Places, Track
-from piezoid.diagnosis.signals import other_axis_columns
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import relaxed
 
@@ -83,10 +82,10 @@ def delay_change(static: Array, rows: Places, samples: int) -> Array:
     return np.asarray(static[np.clip(rows - samples, 0, len(static) - 1)] - static[rows])
 
 
-def delay_like_null(view: View, *, other_axes: bool = False) -> Null:
+def delay_like_null(view: View, *further_columns: Array) -> Null:
     """Return the null of a view, extended by columns that resemble a delay.
 
-    other_axes  whether to add responses to the drives of other axes
+    further_columns  (rows, columns) of other causes, with which to extend it as well
     """
     tracks = view.tracks
     speed = [
@@ -104,7 +103,7 @@ def delay_like_null(view: View, *, other_axes: bool = False) -> Null:
             for static, track in zip(view.static, tracks, strict=True)
         ]
         columns.append(view.rows(delayed))
-    columns += [other_axis_columns(view)] if other_axes else []
+    columns += further_columns
     return Null(
         columns=np.column_stack([view.null.all_columns, *(c for c in columns if np.any(c))]),
         response=view.response,

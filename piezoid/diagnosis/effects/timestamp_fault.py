@@ -47,7 +47,7 @@ from piezoid.diagnosis.sample_slips import (
     undo_slip,
 )
 from piezoid.diagnosis.segments import Track
-from piezoid.diagnosis.signals import with_displacement
+from piezoid.diagnosis.signals import other_axis_columns, with_displacement
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -332,7 +332,7 @@ def _next_slip(view: View, refit: Refit) -> SlipEvidence | None:
             continue
         if not has_other_axes:
             return evidence
-        wider_null = delay_like_null(view, other_axes=True)
+        wider_null = delay_like_null(view, other_axis_columns(view))
         beside_other_axes = slip_evidence(view, wider_null, evidence.slip)
         if beside_other_axes is not None and beside_other_axes.is_significant:
             return evidence
