@@ -22,7 +22,7 @@ from operator import itemgetter
 import numpy as np
 
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.residual_view import View, with_tracks
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import relaxed
@@ -163,21 +163,17 @@ class SlipScan:
         """Return gain and beta of slips of one length that start at some rows."""
         change = self.change(samples)
         product = _sums_from(self.residual * change, first)
-        square, orthogonal = self._squares(change, first)
+        square, orthogonal = self.squares(samples, first)
         is_orthogonal = orthogonal > MIN_ORTHOGONAL * square + 1e-300
         beta = np.where(is_orthogonal, product / np.where(is_orthogonal, orthogonal, 1.0), 0.0)
         power = float(self.residual @ self.residual) + 1e-300
         return np.asarray(beta * product / power), np.asarray(beta)
 
-    def orthogonal_share(self, samples: int, first: Places) -> Array:
-        """Return the share of the square of such slips that is orthogonal to the null."""
-        square, orthogonal = self._squares(self.change(samples), first)
-        return np.asarray(orthogonal / (square + 1e-300))
-
-    def _squares(self, change: Array, first: Places) -> tuple[Array, Array]:
-        """Return the sums of squares of a column from some rows on, and of its orthogonal part."""
+    def squares(self, samples: int, first: Places) -> tuple[Array, Array]:
+        """Return the squares of the columns of such slips, whole and orthogonal to the null."""
         from scipy.linalg import solve_triangular
 
+        change = self.change(samples)
         square = _sums_from(change * change, first)
         products = self.null.all_columns[self.rows] * change[:, None]
         shared = _sums_from(products, first) / self.null.scale
@@ -233,12 +229,12 @@ def refine_slip(
     view: View,
     slip: Slip,
     *,
-    refit: Callable[[Sequence[Track]], View] | None = None,
+    refit: Callable[[Sequence[Track]], View],
     has_length: bool = False,
 ) -> Slip:
     """Refine the instant of a slip to a sample and its length to an integer.
 
-    refit       refits repaired tracks with the effects of the view; None: the view has no effects
+    refit       refits repaired tracks with the effects of the view
     has_length  whether the length is fixed and only the instant is refined
 
     The static response is refitted with the slip undone, for every trial of the length: a response
@@ -249,8 +245,7 @@ def refine_slip(
     longest = max_slip(len(view.tracks[slip.track].drive))
 
     def repaired(trial: Slip) -> View:
-        undone = undo_slip(view, trial)
-        return undone if refit is None else refit(undone.tracks)
+        return refit(without_slips(view.tracks, trial))
 
     for _ in range(MAX_ROUNDS):
         refined = _best_instant(view, repaired(slip), slip)
@@ -295,24 +290,21 @@ def _best_instant(view: View, repaired: View, slip: Slip) -> Slip:
     )
 
 
-def undo_slip(view: View, slip: Slip) -> View:
-    """Return the view of tracks with one slip undone."""
-    tracks = list(view.tracks)
-    tracks[slip.track] = shift_readings(tracks[slip.track], slip)
-    return with_tracks(view, tracks)
-
-
-def shift_readings(track: Track, slip: Slip) -> Track:
-    """Shift the readings after a slip back, and drop rows without a reading."""
-    samples, count = int(slip.samples), len(track.response)
-    index = np.arange(count)
-    source = np.where(index >= slip.instant, np.clip(index + samples, 0, count - 1), index)
-    end = slip.instant + 2 + max(-samples, 0)
-    is_missing = (track.rows > slip.instant - 3) & (track.rows < end)
-    has_reading = ~is_missing & (track.rows + max(samples, 0) < count)
-    return replace(
-        track,
-        response=track.response[source],
-        rows=track.rows[has_reading],
-        block=track.block[has_reading],
-    )
+def without_slips(tracks: Sequence[Track], *slips: Slip) -> list[Track]:
+    """Undo slips one after the other: shift the readings after each back, and drop lost rows."""
+    repaired = list(tracks)
+    for slip in slips:
+        track = repaired[slip.track]
+        samples, count = int(slip.samples), len(track.response)
+        index = np.arange(count)
+        source = np.where(index >= slip.instant, np.clip(index + samples, 0, count - 1), index)
+        end = slip.instant + 2 + max(-samples, 0)
+        is_missing = (track.rows > slip.instant - 3) & (track.rows < end)
+        has_reading = ~is_missing & (track.rows + max(samples, 0) < count)
+        repaired[slip.track] = replace(
+            track,
+            response=track.response[source],
+            rows=track.rows[has_reading],
+            block=track.block[has_reading],
+        )
+    return repaired
