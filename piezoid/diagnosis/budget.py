@@ -237,7 +237,25 @@ def _remaining_part(
             "as they exceed the noise; no model removes them."
         )
     elif name == "extrapolation":
-        text = _extrapolation_text(diagnosis.final.rms_m, rms_m, errors.recordings_m)
+        # one recording causes the error if its error is far larger than that of all others
+        recordings_m = errors.recordings_m
+        *smaller, worst = sorted(recordings_m, key=lambda name: recordings_m[name]) or [""]
+        if smaller and recordings_m[worst] >= DOMINANT * recordings_m[smaller[-1]]:
+            rms, others_rms = (with_unit(recordings_m[name], "m") for name in (worst, smaller[-1]))
+            text = (
+                f"The error comes from {worst}: the model misses it by {rms} rms, the other "
+                f"recordings by at most {others_rms}. Leave it out, or record it again; a chirp "
+                "needs a smaller amplitude, at the rate of the controller or faster."
+            )
+        else:
+            held_out_m = diagnosis.final.rms_m
+            in_sample_m = sqrt(max(held_out_m**2 - rms_m**2, 0.0))
+            text = (
+                "The model predicts data that were left out of the fit worse "
+                f"({with_unit(held_out_m, 'm')} rms) than the data of the fit "
+                f"({with_unit(in_sample_m, 'm')} rms). Record every amplitude and speed at least "
+                "twice."
+            )
     elif name == SOMETHING_ELSE:
         text = (
             "Systematic residual that no effect explains; the model does not contain it "
@@ -253,33 +271,6 @@ def _remaining_part(
     return BudgetPart(part=name, rms_m=rms_m, is_explained=False, text=text)
 
 
-def _extrapolation_text(
-    held_out_m: float, difference_m: float, recordings_m: Mapping[str, float]
-) -> str:
-    """Name the recording that causes the error, if its error is far larger than all others.
-
-    Args:
-        held_out_m: error of the model on data that were left out.
-        difference_m: root of the difference of the mean squares held out and in sample.
-        recordings_m: error in sample by recording.
-    """
-    *smaller, worst = sorted(recordings_m, key=lambda name: recordings_m[name]) or [""]
-    if not smaller or recordings_m[worst] < DOMINANT * recordings_m[smaller[-1]]:
-        held_out = with_unit(held_out_m, "m")
-        in_sample = with_unit(sqrt(max(held_out_m**2 - difference_m**2, 0.0)), "m")
-        return (
-            f"The model predicts data that were left out of the fit worse ({held_out} rms) than "
-            f"the data of the fit ({in_sample} rms). Record every amplitude and speed at least "
-            "twice."
-        )
-    rms, others_rms = (with_unit(recordings_m[name], "m") for name in (worst, smaller[-1]))
-    return (
-        f"The error comes from {worst}: the model misses it by {rms} rms, the other recordings by "
-        f"at most {others_rms}. Leave it out, or record it again; a chirp needs a smaller "
-        "amplitude, at the rate of the controller or faster."
-    )
-
-
 def _with_loop_shape(
     diagnosis: Diagnosis, errors: RemainingErrors, power: float, *, is_largest: bool
 ) -> Diagnosis:
@@ -291,6 +282,7 @@ def _with_loop_shape(
 
     power  that the widest class of hysteresis explains and the model does not
     """
+    effect, experiment = effect_named(LOOP_SHAPE), effect_named(LOOP_SHAPE).experiment
     noise_m, after_m = diagnosis.noise_floor_rms_m, diagnosis.final.rms_m
     in_model = errors.before_m is not None
     if errors.before_m is None:
@@ -302,8 +294,17 @@ def _with_loop_shape(
         power = max(before_m**2 - after_m**2, 0.0)
         power_std = max(errors.scatter, 1e-6) * before_m**2
     if before_m <= NOISE_RATIO * noise_m or power <= 0.0 or not is_named:
-        return _without_loop_shape(diagnosis, sqrt(max(power, 0.0) + ONE_SIDED_95 * power_std))
-    effect, experiment = effect_named(LOOP_SHAPE), effect_named(LOOP_SHAPE).experiment
+        bound_m = sqrt(max(power, 0.0) + ONE_SIDED_95 * power_std)
+        bounded = NotDetected(
+            effect=LOOP_SHAPE,
+            upper_bound_m=bound_m,
+            detection_limit_m=bound_m,
+            reason="the widest class of hysteresis takes at most "
+            f"{with_unit(bound_m, 'm')} rms off the error of the model",
+            next_experiment=experiment,
+        )
+        absences = [absence for absence in diagnosis.not_detected if absence.effect != LOOP_SHAPE]
+        return replace(diagnosis, not_detected=(*absences, bounded))
     confounded = [
         f.effect for f in diagnosis.findings if f.effect == RESONANCE and not f.held_out_gain
     ]
@@ -331,17 +332,3 @@ def _with_loop_shape(
         parameters={},
     )
     return with_finding(diagnosis, finding)
-
-
-def _without_loop_shape(diagnosis: Diagnosis, bound_m: float) -> Diagnosis:
-    effect = effect_named(LOOP_SHAPE)
-    bounded = NotDetected(
-        effect=LOOP_SHAPE,
-        upper_bound_m=bound_m,
-        detection_limit_m=bound_m,
-        reason="the widest class of hysteresis takes at most "
-        f"{with_unit(bound_m, 'm')} rms off the error of the model",
-        next_experiment=effect.experiment,
-    )
-    absences = [absence for absence in diagnosis.not_detected if absence.effect != LOOP_SHAPE]
-    return replace(diagnosis, not_detected=(*absences, bounded))

@@ -191,16 +191,6 @@ def exceeds_structure(share: float, rms: float, noise: float) -> bool:
     return 2.0 * share > MIN_STRUCTURE_RATIO * sqrt(max(rms**2 - noise**2, 0.0))
 
 
-def explained_share(gain: float, rms: float, noise: float) -> float:
-    """Return the share of the power above the noise that an effect explains.
-
-    gain  1 - rms / rms without the effect
-    rms   error with the effect
-    """
-    baseline_power = (rms / (1.0 - gain)) ** 2
-    return (baseline_power - rms**2) / max(baseline_power - noise**2, NOISE_UNCERTAINTY * noise**2)
-
-
 def evaluate(selected: SelectedEffect, view: View, without: View, *, test: ScoreTest) -> Candidate:
     """Evaluate an effect beside the other selected effects.
 

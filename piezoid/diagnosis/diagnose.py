@@ -25,7 +25,11 @@ from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.findings import findings_of, held_out, not_detected
 from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.identified_modes import split_by_mode, with_modes
-from piezoid.diagnosis.null_distribution import is_weak_evidence, smallest_structure_p_value
+from piezoid.diagnosis.null_distribution import (
+    ALPHA,
+    evidence_p_value,
+    smallest_structure_p_value,
+)
 from piezoid.diagnosis.refit import (
     CLEARLY_WORSE,
     ModelErrors,
@@ -187,6 +191,9 @@ def _select_effects(
     (``is_rejected``), or if the error with all selected effects is too large: an effect would
     compensate for the missing class. A model that was fitted here may not apply because of an
     effect, so it is not rejected at first.
+
+    Clock slips are detected against the nuisance class, and its error may look like a slip. A slip
+    is dropped if its repair does not reduce the held-out error of the model.
     """
     executor.report("fitting the widest class of hysteresis")
     searched, mode_recordings = split_by_mode(driven_recordings(recordings, axis), model, lab)
@@ -209,9 +216,15 @@ def _select_effects(
     if rejection is not None:
         result = locate_residual(view, search_faults(view, rejection, executor))
         errors = attribute(result)
+    # on new stages of the zoo undoing two wrong slips increased the held-out error, and undoing
+    # ten right slips reduced it
+    faults = result.outcome.faults
+    if SLIP in faults and errors.without_m.get(SLIP, np.inf) <= errors.final_m:
+        remaining_faults = {name: fault for name, fault in faults.items() if name != SLIP}
+        result = replace(result, outcome=replace(result.outcome, faults=remaining_faults))
     return _Selection(
         axis=axis,
-        result=_drop_useless_slips(result, errors),
+        result=result,
         errors=errors,
         attribute=attribute,
         recordings=searched,
@@ -243,7 +256,7 @@ def _drop_doubtful_causes(
     final, outcome, errors = complete(selection), selection.result.outcome, selection.errors
     quality, model = final.quality, final.without_loop_shape()
     causes = [cause for cause in outcome.causes if cause.effect.structural is None]
-    doubtful = [cause for cause in causes if is_weak_evidence(cause.strength)]
+    doubtful = [cause for cause in causes if evidence_p_value(cause.strength) > ALPHA]
     driven = driven_recordings(selection.repaired(recordings), model.axis)
     held_out_m, explained_m = quality.held_out_rms_m, quality.explained_rms_m
     tested = [c for c in causes if c not in doubtful and c.strength < MAX_TESTED_STRENGTH]
@@ -307,20 +320,6 @@ def _prefer_named_effects(
         if named_errors.final_m <= errors.final_m:
             return without_structure, named_errors
     return result, errors
-
-
-def _drop_useless_slips(result: SearchResult, errors: ModelErrors) -> SearchResult:
-    """Drop clock slips whose repair does not reduce the held-out error of the model.
-
-    Slips are detected against the nuisance class, and its error may look like a slip: on new
-    stages of the zoo undoing two wrong slips increased the held-out error, and undoing ten right
-    slips reduced it.
-    """
-    faults = result.outcome.faults
-    if SLIP not in faults or errors.without_m.get(SLIP, np.inf) > errors.final_m:
-        return result
-    remaining_faults = {name: fault for name, fault in faults.items() if name != SLIP}
-    return replace(result, outcome=replace(result.outcome, faults=remaining_faults))
 
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:

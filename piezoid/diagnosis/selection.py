@@ -24,12 +24,12 @@ from math import hypot, sqrt
 
 from piezoid.diagnosis.blocked_regression import paired_z
 from piezoid.diagnosis.candidate import (
+    NOISE_UNCERTAINTY,
     QUANTISATION,
     Candidate,
     Confounded,
     Outcome,
     evaluate,
-    explained_share,
     structural_candidate,
 )
 from piezoid.diagnosis.effect import Effect, Fault
@@ -110,7 +110,7 @@ def search(view: View, executor: Executor = SERIAL) -> Outcome:
     return _with_structure(outcome, executor)
 
 
-def search_faults(view: View, rejection: str, executor: Executor = SERIAL) -> Outcome:
+def search_faults(view: View, rejection: str, executor: Executor) -> Outcome:
     """Search for faults of the data only, because the model class does not apply.
 
     rejection  why the class does not apply
@@ -173,7 +173,11 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
         if result is None:
             continue
         test, candidate = result
-        is_clear = explained_share(candidate.cv.gain, final.rms, final.noise) > CLEAR_SHARE
+        baseline_power = (final.rms / (1.0 - candidate.cv.gain)) ** 2
+        explained_power = baseline_power - final.rms**2
+        noise_power = final.noise**2
+        above_noise = max(baseline_power - noise_power, NOISE_UNCERTAINTY * noise_power)
+        is_clear = explained_power / above_noise > CLEAR_SHARE
         fits_well = final.rms < structural.largest_noise_ratio * final.noise
         if candidate.may_be_named and (is_clear or fits_well):
             outcome = replace(outcome, causes=(*outcome.causes, candidate))

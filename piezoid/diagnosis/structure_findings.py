@@ -136,17 +136,37 @@ def structure_finding(
 ) -> Finding:
     """Return the finding of structure that the search subtracted from the readings.
 
+    Its size is the rms of the curve, with an interval over blocks. A periodic curve counts in
+    full, although hysteresis can follow a part of it. Along another coordinate the curve and
+    hysteresis cannot be separated: only the part that no hysteresis follows counts.
+
     without_curve  held-out error of the model without the curve
     with_curve     held-out error of the model with the curve
     scale_m        displacement of 1 in scaled units
     middle_m       displacement of 0 in scaled units
     """
     score, view, end, law = structure.score, structure.view, structure.range_end, ""
-    low_m, rms_m, high_m = (view.half_stroke_m * rms for rms in _rms_with_interval(structure))
+    power, mean = structure.block_power, structure.mean_power
+    margin = 1.96 * float(np.std(power, ddof=1)) * sqrt(len(power)) / len(score.fitted)
+    ratio = 1.0
+    if score.basis.per_unit > 0.0:
+        curve = view.rows(structure.curve)
+        ratio = float(np.std(curve)) / max(sqrt(float(np.mean(score.fitted**2))), 1e-300)
+    low_m, rms_m, high_m = (
+        view.half_stroke_m * (ratio * sqrt(max(mean + change, 0.0)))
+        for change in (-margin, 0.0, margin)
+    )
     sign = float(np.sign(scale_m))
     profile = _profile(
         score, view, sign * structure.residual, sign * score.fitted, scale_m, middle_m
     )
+    parameters, location = _period(structure)
+    if not parameters:  # the range of the coordinate with most of the structure
+        height = np.abs(profile.fitted_m)
+        high = np.flatnonzero(height > HALF_HEIGHT * float(height.max()))
+        start, stop = (with_unit(profile.place[int(high[k])], profile.unit) for k in (0, -1))
+        recording = f" of {profile.recording}" if profile.recording else ""
+        location = f", most of it from {start} to {stop}{recording}"
     share = f"{100 * structure.share:.0f} % of the residual power above the noise"
     if end is not None:  # applies to other recordings
         limit = "min" if end.side * scale_m > 0.0 else "max"
@@ -162,9 +182,9 @@ def structure_finding(
         not_separable_from=(),
         explanation="Residual that no effect of the catalogue explains: "
         f"{with_unit(rms_m, 'm')} rms along {coordinate_words(score.coordinate)}"
-        f"{_location(structure, profile)}; {share}.",
+        f"{location}; {share}.",
         next_experiment=next_experiment(score.coordinate),
-        parameters=_parameters(structure),
+        parameters=parameters,
         coordinate=score.coordinate,
         law=law,
         seen=profile,
@@ -212,49 +232,17 @@ def _size(low_m: float, rms_m: float, high_m: float) -> Size:
     return Size(value=1e9 * rms_m, unit="nm, rms", ci95=(1e9 * low_m, 1e9 * high_m))
 
 
-def _rms_with_interval(structure: ResidualStructure) -> tuple[float, float, float]:
-    """Return lower limit, value and upper limit (95 %) of the rms of the curve, over blocks.
-
-    A periodic curve counts in full, although hysteresis can follow a part of it. Along another
-    coordinate the curve and hysteresis cannot be separated: only the part that no hysteresis
-    follows counts.
-    """
-    fitted, power, mean = structure.score.fitted, structure.block_power, structure.mean_power
-    rows, count = len(fitted), len(power)
-    margin = 1.96 * float(np.std(power, ddof=1)) * sqrt(count) / rows
-    ratio = 1.0
-    if structure.score.basis.per_unit > 0.0:
-        curve = structure.view.rows(structure.curve)
-        ratio = float(np.std(curve)) / max(sqrt(float(np.mean(fitted**2))), 1e-300)
-    return ratio * sqrt(max(mean - margin, 0.0)), ratio * sqrt(mean), ratio * sqrt(mean + margin)
-
-
-def _parameters(structure: ResidualStructure) -> dict[str, float]:
-    score = structure.score
-    per_unit = score.basis.per_unit
+def _period(structure: ResidualStructure) -> tuple[dict[str, float], str]:
+    """Return the period of the curve as a parameter and in words; empty if it is not periodic."""
+    coordinate, per_unit = structure.score.coordinate, structure.score.basis.per_unit
     if not per_unit:
-        return {}
-    if score.coordinate in ("distance_travelled", "reading"):
-        return {"period_m": structure.view.half_stroke_m / per_unit}
-    if score.coordinate == "sample_index":
-        return {"period_samples": 1.0 / per_unit}
-    return {"frequency_Hz": per_unit}
-
-
-def _location(structure: ResidualStructure, profile: CoordinateProfile) -> str:
-    """State the range of the coordinate with most of the structure, or its period."""
-    parameters = _parameters(structure)
-    if "frequency_Hz" in parameters:
-        return f", at {parameters['frequency_Hz']:.5g} Hz"
-    if "period_m" in parameters:
-        return f", every {with_unit(parameters['period_m'], 'm')}"
-    if "period_samples" in parameters:
-        return f", every {parameters['period_samples']:.0f} samples"
-    height = np.abs(profile.fitted_m)
-    high = np.flatnonzero(height > HALF_HEIGHT * float(height.max()))
-    start, stop = (with_unit(profile.place[int(high[k])], profile.unit) for k in (0, -1))
-    recording = f" of {profile.recording}" if profile.recording else ""
-    return f", most of it from {start} to {stop}{recording}"
+        return {}, ""
+    if coordinate in ("distance_travelled", "reading"):
+        period_m = structure.view.half_stroke_m / per_unit
+        return {"period_m": period_m}, f", every {with_unit(period_m, 'm')}"
+    if coordinate == "sample_index":
+        return {"period_samples": 1.0 / per_unit}, f", every {1.0 / per_unit:.0f} samples"
+    return {"frequency_Hz": per_unit}, f", at {per_unit:.5g} Hz"
 
 
 def _profile(
