@@ -100,7 +100,7 @@ def select_forward(
     clean: View,
     faults: Mapping[str, Fault],
     executor: Executor,
-    initial: InitialStates | None = None,
+    initial: InitialStates | None,
 ) -> SelectionState:
     """Select effects one after another until none is significant.
 
@@ -265,7 +265,10 @@ def best_candidate(candidates: Iterable[Candidate]) -> Candidate | None:
 def _refit_effects(
     tests: Sequence[ScoreTest], state: SelectionState, executor: Executor
 ) -> list[Candidate]:
-    """Refit each effect beside the selected ones, unless its start values have a large error."""
+    """Refit each effect beside the selected ones, unless its start values have a large error.
+
+    A candidate is refined together with the selected effects that resemble it.
+    """
     clean, selected = state.clean, state.selected
     starts = executor.map(lambda test: _start_values(test, state), tests)
     errors = executor.map(lambda start: with_effects(clean, [*selected, start]).rms, starts)
@@ -275,7 +278,21 @@ def _refit_effects(
         start, test = pair
         executor.report(f"refitting with {words(start.effect.name)}")
         refined, view = refine(start, clean, selected)
-        return _refit_with_resembling(evaluate(refined, view, state.view, test=test), state, test)
+        candidate = evaluate(refined, view, state.view, test=test)
+        # beside a limit that absorbs a part of it, a delay differs from recording to recording:
+        # refined together with the limit, it may become physical
+        resembling = [
+            effect
+            for effect in selected
+            if effect.free and not effect.from_jumps and effect.effect.resembles(start.effect)
+        ]
+        # several free parameters are expensive to refine
+        is_affordable = len(refined.free) == 1 or (refined.free and candidate.physical)
+        if not resembling or not is_affordable:
+            return candidate
+        unrelated = [effect for effect in selected if effect not in resembling]
+        refined_together, view = refine_together([*resembling, refined], clean, unrelated)
+        return evaluate(refined_together[-1], view, state.view, test=test)
 
     return executor.map(
         refit,
@@ -305,28 +322,6 @@ def _start_values(test: ScoreTest, state: SelectionState) -> SelectedEffect:
     best = min((guess, *(initial_guess(test.effect, trial, 1.0) for trial in trials)), key=error)
     neighbours = [with_step(best, name, step) for name in best.free for step in NEIGHBOURS]
     return min((best, *neighbours), key=error)
-
-
-def _refit_with_resembling(
-    candidate: Candidate, state: SelectionState, test: ScoreTest
-) -> Candidate:
-    """Refine a candidate together with the selected effects that resemble it.
-
-    A delay may become physical that way: beside a limit that absorbs a part of it, it differs from
-    recording to recording. A candidate with several free parameters is expensive to refine, so it
-    must be physical already.
-    """
-    free = len(candidate.selected.free)
-    resembling = [
-        effect
-        for effect in state.selected
-        if effect.free and not effect.from_jumps and effect.effect.resembles(candidate.effect)
-    ]
-    if not resembling or not (free == 1 or (free and candidate.physical)):
-        return candidate
-    unrelated = [effect for effect in state.selected if effect not in resembling]
-    refined, view = refine_together([*resembling, candidate.selected], state.clean, unrelated)
-    return evaluate(refined[-1], view, candidate.without, test=test)
 
 
 def exchange_filter_side(

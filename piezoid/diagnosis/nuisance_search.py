@@ -220,11 +220,8 @@ def with_bouc_wen_of(view: View, null_of: Callable[[View], Null]) -> View:
 
     null_of  (view) -> null of the smaller class
     """
-
-    def class_rms(law: Law) -> float:
-        return null_of(with_bouc_wen(view, _law_of(law))).rms
-
-    return with_bouc_wen(view, _best(class_rms, BENDS))
+    best = _best(lambda law: null_of(with_bouc_wen(view, _law_of(law))).rms, BENDS)
+    return with_bouc_wen(view, best)
 
 
 def _best(criterion: Criterion, bends: Sequence[float] = (0.0,)) -> BoucWenLaw:

@@ -218,7 +218,9 @@ def refine(
     finer  number of coarse steps to skip, for parameters near the minimum
     start  a view with similar effects, to start the rounds of ``with_effects``
     """
-    best = effect, _settled_view(clean, [*selected, effect], start)
+    # further rounds from the start, so that steps can be compared with this view
+    effects = [*selected, effect]
+    best = effect, with_effects(clean, effects, start or with_effects(clean, effects))
     for fraction in STEP_FRACTIONS[finer:]:
         for name in effect.free:
             best = _line_search(best, clean, selected, name, fraction)
@@ -236,8 +238,8 @@ def refine_together(
 
     Source: Hooke & Jeeves, J. ACM 8 (1961), the pattern move.
     """
-    refined, start = list(effects), _settled_view(clean, [*selected, *effects], None)
-    view = start
+    refined, all_effects = list(effects), [*selected, *effects]
+    view = start = with_effects(clean, all_effects, with_effects(clean, all_effects))
     for k, effect in enumerate(effects):
         remaining = [*selected, *refined[:k], *refined[k + 1 :]]
         refined[k], view = refine(effect, clean, remaining, finer=1, start=view)
@@ -282,14 +284,6 @@ def _limited(effect: SelectedEffect, name: str, value: float) -> float:
     return min(max(value, low), high)
 
 
-def _settled_view(clean: View, effects: Sequence[SelectedEffect], start: View | None) -> View:
-    """Return the view after further rounds from a start, so that steps can be compared with it.
-
-    Without a start the rounds begin at the settled view of the same effects.
-    """
-    return with_effects(clean, effects, start or with_effects(clean, effects))
-
-
 def _line_search(
     best: Refined, clean: View, selected: Sequence[SelectedEffect], name: str, fraction: float
 ) -> Refined:
@@ -303,11 +297,11 @@ def _line_search(
     for step in (fraction, -fraction):
         result = trial(best, step)
         errors.append(result[1].rms)
-        if not _is_better(result, best):
+        if result[1].rms >= best[1].rms * (1.0 - MIN_GAIN):
             continue
         for _ in range(MAX_STEPS):
             next_result = trial(result, step)
-            if not _is_better(next_result, result):
+            if next_result[1].rms >= result[1].rms * (1.0 - MIN_GAIN):
                 break
             result = next_result
         return result
@@ -317,7 +311,3 @@ def _line_search(
     if abs(vertex) <= MIN_VERTEX * fraction:
         return best
     return min(best, trial(best, vertex), key=lambda result: result[1].rms)
-
-
-def _is_better(result: Refined, reference: Refined) -> bool:
-    return result[1].rms < reference[1].rms * (1.0 - MIN_GAIN)

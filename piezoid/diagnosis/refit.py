@@ -70,7 +70,7 @@ def attribute_errors(
     model: AxisModel,
     lab: Lab,
     scales: Scales,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None],
 ) -> ModelErrors:
     """Compute the errors of the baseline, of the full model, and without each detected effect.
 
@@ -274,9 +274,17 @@ def _fit_with_modes(
 ) -> tuple[Extended, tuple[Extension, ...], Extended | None]:
     """Fit all extensions, and the modes of the dynamics unless the error is clearly larger.
 
+    The search underestimates the participation of a mode, because small fast motion on large slow
+    motion is smaller than its static response predicts: one fit from there ended with 0.18 instead
+    of 1. A participation of 1 is therefore a second start value.
+
     Returns the fit, its extensions in model order, and the fit without modes if it has them.
     """
-    fits = [fit(model, extensions=start) for start in _with_full_participation(extensions)]
+    full = tuple(
+        replace(e, participation=1.0) if isinstance(e, LinearMode) else e for e in extensions
+    )
+    starts = [extensions] if full == extensions else [extensions, full]
+    fits = [fit(model, extensions=start) for start in starts]
     final = min(fits, key=lambda result: result.held_out_rms_m)
     if modes:
         with_modes = in_order([*extensions, *modes])
@@ -284,18 +292,6 @@ def _fit_with_modes(
         if ringing_fit.held_out_rms_m < CLEARLY_WORSE * final.held_out_rms_m:
             return ringing_fit, with_modes, final
     return final, extensions, None
-
-
-def _with_full_participation(extensions: tuple[Extension, ...]) -> list[tuple[Extension, ...]]:
-    """Return start values: the extensions as they are, and with participation 1 of every mode.
-
-    The search underestimates the participation, because small fast motion on large slow motion is
-    smaller than its static response predicts: one fit from there ended with 0.18 instead of 1.
-    """
-    full = tuple(
-        replace(e, participation=1.0) if isinstance(e, LinearMode) else e for e in extensions
-    )
-    return [extensions] if full == extensions else [extensions, full]
 
 
 def _structure_of(
