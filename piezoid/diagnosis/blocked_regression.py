@@ -12,7 +12,7 @@ Econometrica 57 (1989) on sums of squares of blocks.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import erfc, log, sqrt
+from math import log, sqrt
 
 import numpy as np
 
@@ -24,7 +24,6 @@ FOLDS = 5
 TIME_BLOCKS = 40  # of one recording at constant drive or in a hold
 SCATTER_BLOCKS = 20  # of a residual, for the standard error of its mean square
 SAME_ERROR = 1.02  # ratio of rms errors up to which two trends are equivalent
-TESTS = 3  # of the mean, of signs, of the likelihood ratio
 RIDGE = 1e-9
 INFORMATIVE_POWER = 0.95  # share of the explained power in informative blocks
 MIN_BLOCKS = 6  # informative ones, at least
@@ -48,11 +47,6 @@ class CrossValidated:
     spread: Array
     loss: Array
     rms: float
-
-    @property
-    def p_value(self) -> float:
-        """One-sided p-value of the gain: the smallest of three tests."""
-        return min(1.0, TESTS * 0.5 * erfc(self.z / sqrt(2.0)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

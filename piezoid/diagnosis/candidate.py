@@ -10,6 +10,8 @@ k the relative error of the size by the law of the effect.
 A size as a share of the stroke is the root of the explained power, and its relative error half of
 that of the power.
 
+``Outcome`` is the result of a search: the candidates that are causes, and the faults of the data.
+
 Source: the delta method; Liang & Zeger, Biometrika 73 (1986) for the covariance.
 """
 

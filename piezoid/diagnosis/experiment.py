@@ -176,7 +176,6 @@ def simulate_candidates(
             continue
         others_V = {name: drive.voltage_V[:, k + 1] for k, name in enumerate(drive.axes[1:])}
         response = DriveResponse(
-            name=drive.name,
             model=axis,
             rate_Hz=drive.sampling_rate_Hz,
             voltage_V=drive.voltage_V[:, 0],
@@ -204,11 +203,7 @@ def usual_drives(axis: AxisModel, bench: Bench) -> tuple[DriveResponse, ...]:
         rate_Hz = min(bench.clock_Hz, CYCLE_ROWS * frequency_Hz)
         voltage_V = equal_cycles(limits, rate_Hz, frequency_Hz=frequency_Hz, cycles=5)
         rows = rows_of(len(voltage_V), ROWS)
-        drives.append(
-            DriveResponse(
-                name="full cycles", model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V, rows=rows
-            )
-        )
+        drives.append(DriveResponse(model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V, rows=rows))
     return tuple(drives)
 
 

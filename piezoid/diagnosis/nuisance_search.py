@@ -17,7 +17,7 @@ Source: Krejci (1996) on forgetting; Mayergoyz (1991) on wiping out.
 from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import product
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 
 import numpy as np
 
@@ -68,7 +68,7 @@ STEP_FRACTIONS = (1.0, 0.5, 0.25, 0.1)
 BETA_FACTOR, EXPONENT_FACTOR = 1.4, 1.35  # of a full step
 RATIO_STEP, BEND_STEP = 0.25, 0.25
 RCOND = 1e-9  # relative length of linearly dependent columns
-LIMITS = ((0.2, 20.0), (-0.4, 0.9), (1.0, 4.0), (-0.6, 0.6))
+LAW_LIMITS = ((0.2, 20.0), (-0.4, 0.9), (1.0, 4.0), (-0.6, 0.6))
 
 InitialStates = tuple[View, View]
 """Views with the best shared hypothesis and with the best initial state of each track; neither
@@ -76,7 +76,6 @@ depends on the initial states that were assumed before."""
 Sketch = tuple[tuple[Reversals, ...], Callable[[Reversals], float]]
 """Hypotheses of a track, and (hypothesis) -> standard deviation of the residual under it."""
 Law = tuple[float, float, float, float]  # beta, gamma / beta, exponent, bend
-Criterion = Callable[[Law], float]
 
 
 def with_shared_initial_state(view: View, executor: Executor = SERIAL) -> View:
@@ -204,15 +203,15 @@ def with_best_bouc_wen(view: View) -> View:
     """Return the view with the Bouc-Wen state that has the smallest residual."""
     without_state = with_bouc_wen(view, None)
 
-    def residual_energy(law: Law) -> float:
+    def residual_energy(law: BoucWenLaw) -> float:
         # the columns of the view are projected out of the trial columns
         orthogonal = without_state.null.project_out(
-            with_bouc_wen(without_state, _law_of(law)).nuisance.bouc_wen_rows
+            with_bouc_wen(without_state, law).nuisance.bouc_wen_rows
         )
         coefficients = np.linalg.lstsq(orthogonal, without_state.null.residual, rcond=RCOND)[0]
         return float(np.sum((without_state.null.residual - orthogonal @ coefficients) ** 2))
 
-    return with_bouc_wen(view, _best(residual_energy))
+    return with_bouc_wen(view, _best_law(residual_energy))
 
 
 def with_bouc_wen_of(view: View, null_of: Callable[[View], Null]) -> View:
@@ -220,15 +219,18 @@ def with_bouc_wen_of(view: View, null_of: Callable[[View], Null]) -> View:
 
     null_of  (view) -> null of the smaller class
     """
-    best = _best(lambda law: null_of(with_bouc_wen(view, _law_of(law))).rms, BENDS)
-    return with_bouc_wen(view, best)
+    best_law = _best_law(lambda law: null_of(with_bouc_wen(view, law)).rms, BENDS)
+    return with_bouc_wen(view, best_law)
 
 
-def _best(criterion: Criterion, bends: Sequence[float] = (0.0,)) -> BoucWenLaw:
+def _best_law(
+    criterion: Callable[[BoucWenLaw], float], bends: Sequence[float] = (0.0,)
+) -> BoucWenLaw:
     """Minimise the criterion over a grid, then by coordinate search with shrinking steps."""
     laws: list[Law] = [*product(BETAS, RATIOS, EXPONENTS, bends)]
-    smallest, best = min(((criterion(law), law) for law in laws), key=lambda pair: pair[0])
-    for fraction, parameter in product(STEP_FRACTIONS, range(len(LIMITS))):
+    errors = [criterion(_law_of(law)) for law in laws]
+    smallest, best = min(zip(errors, laws, strict=True), key=itemgetter(0))
+    for fraction, parameter in product(STEP_FRACTIONS, range(len(LAW_LIMITS))):
         for step in (fraction, -fraction):
             beta, ratio, exponent, bend = best
             stepped = (
@@ -237,11 +239,11 @@ def _best(criterion: Criterion, bends: Sequence[float] = (0.0,)) -> BoucWenLaw:
                 exponent * EXPONENT_FACTOR**step,
                 bend + BEND_STEP * step,
             )
-            low, high = LIMITS[parameter]
+            low, high = LAW_LIMITS[parameter]
             values = [*best]
             values[parameter] = min(max(stepped[parameter], low), high)
             candidate = (values[0], values[1], values[2], values[3])
-            error = criterion(candidate)
+            error = criterion(_law_of(candidate))
             if error < smallest:
                 smallest, best = error, candidate
                 break
