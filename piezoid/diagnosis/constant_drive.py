@@ -124,8 +124,8 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
     diagnosis = Diagnosis(
         axis=axis,
         stroke_m=span_m,
-        baseline=HeldOut(rms_m=before_m, rms_percent=100.0 * before_m / span_m),
-        final=HeldOut(rms_m=after_m, rms_percent=100.0 * after_m / span_m),
+        baseline=HeldOut.of(before_m, span_m),
+        final=HeldOut.of(after_m, span_m),
         envelope_rms_m=after_m,
         noise_floor_rms_m=noise_m,
         explained_fraction=fraction_explained(before_m, after_m, noise_m),

@@ -19,10 +19,11 @@ from piezoid.diagnosis.constant_drive import diagnose_at_rest
 from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     Diagnosis,
+    HeldOut,
     fraction_explained,
 )
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.findings import findings_of, held_out, not_detected
+from piezoid.diagnosis.findings import findings_of, not_detected
 from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.identified_modes import split_by_mode, with_modes
 from piezoid.diagnosis.null_distribution import (
@@ -346,6 +347,7 @@ def _assembled(
     """Assemble findings, detection limits and the error budget."""
     axis, errors, scales = selection.axis, selection.errors, selection.scales
     half_stroke_m = selection.result.raw.half_stroke_m
+    stroke_m = 2.0 * half_stroke_m
     outcome = with_ingest_faults(selection.result.outcome, selection.recordings, half_stroke_m)
     result = replace(selection.result, outcome=outcome)
     searched = findings_of(result, errors, selection.recordings, axis, scales)
@@ -353,9 +355,9 @@ def _assembled(
     quality = final.quality
     diagnosis = Diagnosis(
         axis=axis,
-        stroke_m=2.0 * half_stroke_m,
-        baseline=held_out(errors.baseline_m, half_stroke_m),
-        final=held_out(quality.held_out_rms_m, half_stroke_m),
+        stroke_m=stroke_m,
+        baseline=HeldOut.of(errors.baseline_m, stroke_m),
+        final=HeldOut.of(quality.held_out_rms_m, stroke_m),
         envelope_rms_m=outcome.final.rms * half_stroke_m,
         noise_floor_rms_m=quality.noise_rms_m,
         explained_fraction=fraction_explained(

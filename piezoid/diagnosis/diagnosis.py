@@ -141,6 +141,11 @@ class HeldOut:
     rms_percent: float
     explained_rms_m: float | None = None
 
+    @classmethod
+    def of(cls, rms_m: float, stroke_m: float) -> "HeldOut":
+        """Return an error of a stage with this stroke."""
+        return cls(rms_m=rms_m, rms_percent=100.0 * rms_m / stroke_m)
+
 
 @dataclass(frozen=True, kw_only=True)
 class BudgetPart:

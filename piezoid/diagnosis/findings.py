@@ -20,7 +20,6 @@ from piezoid.diagnosis.candidate import (
 from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     Finding,
-    HeldOut,
     NotDetected,
     Size,
     held_out_gain,
@@ -29,7 +28,7 @@ from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
 from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.null_distribution import evidence_p_value
 from piezoid.diagnosis.refit import ModelErrors
-from piezoid.diagnosis.residual_structure import MAX_P_VALUE, SearchResult
+from piezoid.diagnosis.residual_structure import SearchResult
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import ScoreTest
 from piezoid.diagnosis.structure_findings import noise_finding, noise_level, structure_finding
@@ -70,25 +69,30 @@ def findings_of(
         ),
         *(effect_finding(cause, outcome, errors) for cause in outcome.causes),
     ]
-    final, structure = held_out(errors.final_m, half_stroke_m), result.structure
+    structure = result.structure
     has_effects = any(cause.effect.structural is None for cause in outcome.causes)
     if structure is not None:
         findings.append(
             structure_finding(
                 structure,
-                without_curve=held_out(errors.without_m[SOMETHING_ELSE], half_stroke_m),
-                with_curve=final,
+                before_m=errors.without_m[SOMETHING_ELSE],
+                after_m=errors.final_m,
                 scale_m=scales.displacement_m,
                 middle_m=_middle_m(structure.view, recordings, axis, scales),
             )
         )
     elif not (outcome.rejection or outcome.faults or has_effects):
         # other effects than hysteresis could pass for noise
-        noise = noise_level(outcome.final, MAX_P_VALUE)
+        noise = noise_level(outcome.final)
         if noise is not None:
             middle_m = _middle_m(outcome.final, recordings, axis, scales)
             findings.append(
-                noise_finding(noise, error=final, scale_m=scales.displacement_m, middle_m=middle_m)
+                noise_finding(
+                    noise,
+                    error_m=errors.final_m,
+                    scale_m=scales.displacement_m,
+                    middle_m=middle_m,
+                )
             )
     return tuple(sorted(findings, key=lambda finding: finding.held_out_gain, reverse=True))
 
@@ -98,11 +102,6 @@ def _middle_m(view: View, recordings: Sequence[Recording], axis: str, scales: Sc
     displacement_m = recordings[0].displacement_m(axis)[: len(view.tracks[0].drive)]
     static_m = scales.displacement_m * view.static[0][: len(displacement_m)]
     return float(np.median(displacement_m - static_m))
-
-
-def held_out(rms_m: float, half_stroke_m: float) -> HeldOut:
-    """Return a held-out error in metres and in percent of the stroke."""
-    return HeldOut(rms_m=rms_m, rms_percent=50.0 * rms_m / half_stroke_m)
 
 
 def fault_finding(name: str, fault: Fault, errors: ModelErrors, half_stroke_m: float) -> Finding:

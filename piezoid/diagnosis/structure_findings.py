@@ -31,11 +31,10 @@ from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     CoordinateProfile,
     Finding,
-    HeldOut,
     Size,
     held_out_gain,
 )
-from piezoid.diagnosis.residual_structure import ResidualStructure
+from piezoid.diagnosis.residual_structure import MAX_P_VALUE, ResidualStructure
 from piezoid.diagnosis.residual_view import View
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
@@ -79,18 +78,30 @@ class NoiseLevel:
         return float(low), float(high)
 
 
-def noise_level(view: View, max_p_value: float) -> NoiseLevel | None:
+def noise_level(view: View) -> NoiseLevel | None:
     """Return the noise level along the coordinate on which it depends; None if uniform.
-
-    max_p_value  of the coordinate
 
     Noise below the resolution of the converter cannot be measured. Noise that is a minor part of
     the residual cannot be separated from other structure. Time is not tested: the distribution of
     the logarithms is skew, so that random signs are no null distribution.
+
+    Rows at which the noise cannot be measured have the typical level: next to samples that were
+    not recorded, and where the second difference of the static response exceeds the noise.
     """
     if any(step_size(track.response) > view.noise for track in view.tracks):
         return None
-    local = np.concatenate([_local_noise(view, k) for k in range(len(view.tracks))])
+    magnitudes = []
+    for track, static in zip(view.tracks, view.static, strict=True):
+        noise = np.full(len(static), np.nan)  # where it cannot be measured
+        noise[1:-1] = np.abs(np.diff(track.response - static, 2)) / sqrt(6.0)
+        noise[1:-1][np.abs(np.diff(static, 2)) > sqrt(6.0) * view.noise] = np.nan
+        for missing in track.bridged.tolist():
+            noise[max(missing - 1, 0) : missing + 2] = np.nan
+        rows = noise[track.rows]
+        measured = rows[np.isfinite(rows) & (rows > 0.0)]
+        typical = float(np.exp(np.mean(np.log(measured)))) if len(measured) else view.noise
+        magnitudes.append(np.where(np.isfinite(rows), rows, typical))
+    local = np.concatenate(magnitudes)
     if float(np.mean(local**2)) < MIN_SHARE * view.rms**2:
         return None
     values = np.log(np.maximum(local, MIN_NOISE * view.noise) ** 2)
@@ -103,34 +114,16 @@ def noise_level(view: View, max_p_value: float) -> NoiseLevel | None:
     best = max(scores, key=lambda score: score.gain)
     mean = values - residual.values + best.fitted - MEAN_LOG
     ratio = np.exp(0.5 * np.diff(np.quantile(best.fitted, RANGE)))
-    if best.gain <= 0.0 or best.p_value > max_p_value or ratio < MIN_RATIO:
+    if best.gain <= 0.0 or best.p_value > MAX_P_VALUE or ratio < MIN_RATIO:
         return None
     return NoiseLevel(score=best, local=local, level=np.exp(0.5 * mean), view=view)
-
-
-def _local_noise(view: View, k: int) -> Array:
-    """Return the magnitude of the noise at the rows of a track.
-
-    Rows at which it cannot be measured have the typical level: next to samples that were not
-    recorded, and where the second difference of the static response exceeds the noise.
-    """
-    track, static = view.tracks[k], view.static[k]
-    noise = np.full(len(static), np.nan)
-    noise[1:-1] = np.abs(np.diff(track.response - static, 2)) / sqrt(6.0)
-    noise[1:-1][np.abs(np.diff(static, 2)) > sqrt(6.0) * view.noise] = np.nan
-    for missing in track.bridged.tolist():
-        noise[max(missing - 1, 0) : missing + 2] = np.nan
-    rows = noise[track.rows]
-    measured = rows[np.isfinite(rows) & (rows > 0.0)]
-    typical = float(np.exp(np.mean(np.log(measured)))) if len(measured) else view.noise
-    return np.where(np.isfinite(rows), rows, typical)
 
 
 def structure_finding(
     structure: ResidualStructure,
     *,
-    without_curve: HeldOut,
-    with_curve: HeldOut,
+    before_m: float,
+    after_m: float,
     scale_m: float,
     middle_m: float,
 ) -> Finding:
@@ -140,10 +133,10 @@ def structure_finding(
     full, although hysteresis can follow a part of it. Along another coordinate the curve and
     hysteresis cannot be separated: only the part that no hysteresis follows counts.
 
-    without_curve  held-out error of the model without the curve
-    with_curve     held-out error of the model with the curve
-    scale_m        displacement of 1 in scaled units
-    middle_m       displacement of 0 in scaled units
+    before_m  held-out error of the model without the curve
+    after_m   held-out error of the model with the curve
+    scale_m   displacement of 1 in scaled units
+    middle_m  displacement of 0 in scaled units
     """
     score, view, end, law = structure.score, structure.view, structure.range_end, ""
     power, mean = structure.block_power, structure.mean_power
@@ -173,9 +166,9 @@ def structure_finding(
         law = f"reading = {limit}(displacement, {with_unit(middle_m + scale_m * end.level, 'm')})"
     return Finding(
         effect=SOMETHING_ELSE,
-        held_out_gain=held_out_gain(without_curve.rms_m, with_curve.rms_m),
-        held_out_rms_before_m=without_curve.rms_m,
-        held_out_rms_after_m=with_curve.rms_m,
+        held_out_gain=held_out_gain(before_m, after_m),
+        held_out_rms_before_m=before_m,
+        held_out_rms_after_m=after_m,
         p_value=structure.healthy_p_value,
         rms_percent=50.0 * rms_m / view.half_stroke_m,
         size=_size(low_m, rms_m, high_m),
@@ -192,13 +185,13 @@ def structure_finding(
 
 
 def noise_finding(
-    noise: NoiseLevel, *, error: HeldOut, scale_m: float, middle_m: float
+    noise: NoiseLevel, *, error_m: float, scale_m: float, middle_m: float
 ) -> Finding:
     """Return the finding of noise that depends on a coordinate.
 
     Its size is the rms of the noise beyond its lowest level, with an interval over blocks.
 
-    error  held-out error of the model, which includes this noise
+    error_m  held-out error of the model, which includes this noise
     """
     score, view, quietest = noise.score, noise.view, noise.range[0]
     power, rows = np.add.reduceat(noise.local**2, view.null.edges), len(noise.local)
@@ -212,8 +205,8 @@ def noise_finding(
     return Finding(
         effect=SOMETHING_ELSE,
         held_out_gain=0.0,
-        held_out_rms_before_m=error.rms_m,
-        held_out_rms_after_m=error.rms_m,
+        held_out_rms_before_m=error_m,
+        held_out_rms_after_m=error_m,
         p_value=score.p_value,
         rms_percent=50.0 * rms_m / view.half_stroke_m,
         size=_size(low_m, rms_m, high_m),

@@ -51,7 +51,9 @@ DECAY_s = 30.0  # of creep from before a track; slower creep is part of its zero
 SLOWEST = 10.0  # slowest time constant over the longest track
 REFERENCE_s = 10.0  # time at which the spectrum has the size of the effect
 # Spectra: the relative change per decade, and the share of the fastest rung that is present.
-SPECTRA = [{"tilt": tilt, "begins": share} for tilt in (0.0, -0.15, 0.15) for share in (1.0, 0.5)]
+SPECTRA = tuple(
+    {"tilt": tilt, "begins": share} for tilt in (0.0, -0.15, 0.15) for share in (1.0, 0.5)
+)
 SHARES = (0.0, 0.1)  # physically possible shares of a step per decade
 MIN_DURATION_s = 2.0  # a shorter recording shows no slow motion
 PLANNED_s = (0.03, 3000.0)  # time constants in a plan

@@ -42,6 +42,13 @@ from piezoid.records.recording import Quantity, Recording
 NAME = "cross_coupling"
 
 
+def _other_drive(recording: Recording) -> tuple[Array, Array]:
+    for channel in recording.channels:
+        if channel.quantity is Quantity.VOLTAGE and channel.axis != recording.axis:
+            return unsigned(channel.values)
+    return unsigned(np.full(recording.samples, np.nan))
+
+
 def _at_rest(data: ConstantDriveData) -> Array | str:
     other_drives = [
         channel.values[data.rows]
@@ -103,16 +110,7 @@ EFFECT = Effect(
         label="drive of the other axis",
         unit="V",
         kind="classes",
-        along=lambda recording: unsigned(
-            next(
-                (
-                    channel.values
-                    for channel in recording.channels
-                    if channel.quantity is Quantity.VOLTAGE and channel.axis != recording.axis
-                ),
-                np.full(recording.samples, np.nan),
-            )
-        ),
+        along=_other_drive,
         reading="Coupling: a line or a loop over the drive of the other axis.",
     ),
     tangent=Tangent(

@@ -142,6 +142,12 @@ def _trials_between(view: View) -> list[Trial]:
     return [*trials, *placebos]
 
 
+def _about_middle(recording: Recording) -> tuple[Array, Array]:
+    voltage_V = recording.voltage_V()
+    middle = voltage_V - 0.5 * (voltage_V.max() + voltage_V.min())
+    return recording.time_s, np.asarray(np.sign(middle))
+
+
 def inject(recording: Recording, share: float) -> Recording:
     """Let the gain rise in the middle, by twice its share at the end of the stroke."""
     middle_s, ratio = 0.5 * recording.duration_s, 1.0 + 4.0 * share
@@ -178,10 +184,7 @@ WITHIN = Effect(
         label="time",
         unit="s",
         kind="time",
-        along=lambda recording: (
-            recording.time_s,
-            np.sign((drive_V := recording.voltage_V()) - 0.5 * (drive_V.max() + drive_V.min())),
-        ),
+        along=_about_middle,
         reading="Multiplied by the side of the range. A gain change: a permanent step, or a "
         "slope from end to end.",
     ),
