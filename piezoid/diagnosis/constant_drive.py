@@ -259,11 +259,7 @@ def _finding(name: str, readings: RestColumns, selected: Sequence[str]) -> Findi
         held_out_rms_after_m=float(np.sqrt(np.mean(residual**2))),
         p_value=min(1.0, max(0.5 * erfc(z / sqrt(2.0)), 1e-12) * len(readings.columns)),
         rms_percent=100.0 * value_m / max(float(np.ptp(readings.y_m)), 1e-30),
-        size=Size(
-            value=1e9 * value_m,
-            unit="nm, rms",
-            ci95=(1e9 * max(value_m - margin_m, 0.0), 1e9 * (value_m + margin_m)),
-        ),
+        size=Size.of_rms(value_m, max(value_m - margin_m, 0.0), value_m + margin_m),
         not_separable_from=(),
         explanation="",
         next_experiment="",

@@ -128,7 +128,18 @@ class CandidateTable:
     def choice(self, question: Question) -> Choice:
         """Return the best drive for a question, or a shorter one that is nearly as good."""
         recorded = self._estimate(question) if self.recorded else None
-        evaluated = [self._evaluated(candidate, question) for candidate in self.candidates]
+        evaluated = []
+        for candidate in self.candidates:
+            if candidate.response is None:
+                evaluated.append(candidate)
+                continue
+            estimate = self._estimate(question, candidate.response)
+            if question.kind == "separate":
+                certainty = 1.0 / max(estimate.worst, 1e-30)
+                score = estimate.separability * min(certainty / ENOUGH, 1.0)
+            else:
+                score = 1.0 / max(estimate.errors[0], 1e-30)
+            evaluated.append(replace(candidate, estimate=estimate, score=score))
         ranked = tuple(sorted(evaluated, key=lambda alternative: -alternative.score))
         best = ranked[0]
         nearly = [a for a in ranked if a.score >= NEARLY * best.score > 0.0]
@@ -136,17 +147,6 @@ class CandidateTable:
         choice = Choice(question=question, alternatives=ranked, best=best, recorded=recorded)
         shorter = replace(choice, best=shortest)
         return shorter if shorter.answers else choice
-
-    def _evaluated(self, candidate: Alternative, question: Question) -> Alternative:
-        if candidate.response is None:
-            return candidate
-        estimate = self._estimate(question, candidate.response)
-        if question.kind == "separate":
-            certainty = 1.0 / max(estimate.worst, 1e-30)
-            score = estimate.separability * min(certainty / ENOUGH, 1.0)
-        else:
-            score = 1.0 / max(estimate.errors[0], 1e-30)
-        return replace(candidate, estimate=estimate, score=score)
 
     def _estimate(self, question: Question, *planned: DriveResponse) -> SeparationEstimate:
         return estimate_separation(

@@ -39,6 +39,8 @@ RELAXATIONS_s = (3e-4, 3e-3, 3e-2, 0.3, 3.0)
 SAMPLES_PER_REACH = 8000  # of a track, for one sample of reach of a slope
 MAX_ROUNDS = 4  # of placing a slip and fitting the static response again
 
+Refit = Callable[[Sequence[Track]], View]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Slip:
@@ -229,7 +231,7 @@ def refine_slip(
     view: View,
     slip: Slip,
     *,
-    refit: Callable[[Sequence[Track]], View],
+    refit: Refit,
     has_length: bool = False,
 ) -> Slip:
     """Refine the instant of a slip to a sample and its length to an integer.

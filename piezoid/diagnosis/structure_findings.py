@@ -171,7 +171,7 @@ def structure_finding(
         held_out_rms_after_m=after_m,
         p_value=structure.healthy_p_value,
         rms_percent=50.0 * rms_m / view.half_stroke_m,
-        size=_size(low_m, rms_m, high_m),
+        size=Size.of_rms(rms_m, low_m, high_m),
         not_separable_from=(),
         explanation="Residual that no effect of the catalogue explains: "
         f"{with_unit(rms_m, 'm')} rms along {coordinate_words(score.coordinate)}"
@@ -209,7 +209,7 @@ def noise_finding(
         held_out_rms_after_m=error_m,
         p_value=score.p_value,
         rms_percent=50.0 * rms_m / view.half_stroke_m,
-        size=_size(low_m, rms_m, high_m),
+        size=Size.of_rms(rms_m, low_m, high_m),
         not_separable_from=(),
         explanation=f"The noise of the readings changes along {coordinate_words(score.coordinate)}"
         f", from {quiet} rms in the quietest region to {loud} in the loudest: "
@@ -219,10 +219,6 @@ def noise_finding(
         coordinate=score.coordinate,
         seen=_profile(score, view, noise.local / MEDIAN, noise.level, scale_m, middle_m),
     )
-
-
-def _size(low_m: float, rms_m: float, high_m: float) -> Size:
-    return Size(value=1e9 * rms_m, unit="nm, rms", ci95=(1e9 * low_m, 1e9 * high_m))
 
 
 def _period(structure: ResidualStructure) -> tuple[dict[str, float], str]:

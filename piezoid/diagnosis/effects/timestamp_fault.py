@@ -14,7 +14,6 @@ Source
     what acquisition programs do when the disk is busy
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -34,6 +33,7 @@ from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.sample_slips import (
     MIN_ORTHOGONAL,
     MIN_ROWS,
+    Refit,
     Slip,
     SlipScan,
     delay_change,
@@ -45,12 +45,9 @@ from piezoid.diagnosis.sample_slips import (
     strongest_slips,
     without_slips,
 )
-from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import other_axis_columns, with_displacement
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
-
-Refit = Callable[[Sequence[Track]], View]
 
 MAX_BETA_ERROR = 0.4  # largest deviation of beta from 1, and of the step relative to the length
 MIN_GAIN = 0.33  # of the track's squared residual
