@@ -31,7 +31,7 @@ from piezoid.diagnosis import (
     selection,
 )
 from piezoid.diagnosis.blocked_regression import paired_z
-from piezoid.diagnosis.initial_state_search import OTHER_INITIAL_STATES
+from piezoid.diagnosis.nuisance_search import OTHER_INITIAL_STATES
 from piezoid.diagnosis.residual_structure import locate_residual
 
 Decision = Callable[..., Any]

@@ -26,7 +26,7 @@ from benchmarks.zoo.stages import NAMES, draw_stage, stage_requests
 from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.initial_state_search import (
+from piezoid.diagnosis.nuisance_search import (
     with_individual_initial_states,
     with_shared_initial_state,
 )

@@ -10,8 +10,9 @@ Source: Arlot & Celisse, Statistics Surveys 4 (2010) on blocks for dependent dat
 Econometrica 57 (1989) on sums of squares of blocks.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import erfc, log, sqrt
+from math import log, sqrt
 
 import numpy as np
 
@@ -20,7 +21,9 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 
 FOLDS = 5
-TESTS = 3  # of the mean, of signs, of the likelihood ratio
+TIME_BLOCKS = 40  # of one recording at constant drive or in a hold
+SCATTER_BLOCKS = 20  # of a residual, for the standard error of its mean square
+SAME_ERROR = 1.02  # ratio of rms errors up to which two trends are equivalent
 RIDGE = 1e-9
 INFORMATIVE_POWER = 0.95  # share of the explained power in informative blocks
 MIN_BLOCKS = 6  # informative ones, at least
@@ -44,11 +47,6 @@ class CrossValidated:
     spread: Array
     loss: Array
     rms: float
-
-    @property
-    def p_value(self) -> float:
-        """One-sided p-value of the gain: the smallest of three tests."""
-        return min(1.0, TESTS * 0.5 * erfc(self.z / sqrt(2.0)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -255,3 +253,36 @@ def paired_z(reference: Array, candidate: Array) -> float:
 def _mean_z(gains: Array) -> float:
     """Return the mean over its standard error."""
     return float(gains.sum()) / (float(gains.std(ddof=1)) * sqrt(len(gains)) + 1e-300)
+
+
+def blocks_of(rows: int) -> Places:
+    """Return the block of each row, (rows,)."""
+    return np.arange(rows) * TIME_BLOCKS // rows
+
+
+def held_out_residual(y: Array, parts: Sequence[Array]) -> Array:
+    """Return the residual of columns and a constant on left-out blocks of time, (rows,)."""
+    design = np.column_stack([np.ones(len(y)), *parts])
+    residual, fold = np.empty(len(y)), blocks_of(len(y)) % FOLDS
+    for out in range(FOLDS):
+        inside = fold != out
+        coefficient = np.linalg.lstsq(design[inside], y[inside], rcond=None)[0]
+        residual[~inside] = y[~inside] - design[~inside] @ coefficient
+    return residual
+
+
+def gain_on_blocks(reference: Array, residual: Array) -> tuple[float, float]:
+    """Return the relative reduction of the rms between two residuals, and its z over blocks."""
+    block = blocks_of(len(reference))
+    gain = 1.0 - float(np.sqrt(np.mean(residual**2) / max(float(np.mean(reference**2)), 1e-300)))
+    gains = np.bincount(block, reference**2 - residual**2, TIME_BLOCKS).astype(np.float64)
+    explained = np.bincount(block, (reference - residual) ** 2, TIME_BLOCKS).astype(np.float64)
+    return gain, gain_z(gains, explained, gain)
+
+
+def relative_scatter(residual_m: Array) -> float:
+    """Return the relative standard error of the mean square of a correlated residual."""
+    blocks = np.array_split(residual_m, SCATTER_BLOCKS)
+    squares = np.array([np.mean(block**2) for block in blocks])
+    std = float(np.std(squares, ddof=1))
+    return std / max(float(np.mean(squares)), 1e-300) / sqrt(SCATTER_BLOCKS)

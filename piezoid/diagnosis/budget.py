@@ -25,6 +25,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from piezoid.diagnosis.candidate import QUANTISATION
 from piezoid.diagnosis.coordinate_descriptions import coordinate_words, next_experiment
 from piezoid.diagnosis.diagnosis import (
     NOISE_RATIO,
@@ -39,10 +40,8 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
-from piezoid.diagnosis.effects.quantisation import NAME as QUANTISATION
 from piezoid.diagnosis.null_distribution import ALPHA
 from piezoid.formatting import with_unit, words
-from piezoid.numerics.arrays import Array
 
 RESONANCE = "resonance"  # an unresolved mode widens loops as another loop shape does
 # Along one loop a wide class can follow all of these effects: for plays with a lag of 20 ms it
@@ -51,7 +50,6 @@ LIKE_ONE_LOOP = ("lag", "creep", "thermal_drift", "initial_state")
 ONE_LOOP_EXPERIMENT = (
     "Record three equal cycles, and the same ten times slower: loop shape repeats in all of them."
 )
-BLOCKS = 20  # of the residual, for the standard error of its mean square
 ONE_SIDED_95 = 1.645
 DOMINANT = 5.0  # ratio of the residual of one recording to the largest of all others
 
@@ -80,12 +78,6 @@ class RemainingErrors:
     is_compared: bool = True
     recordings_m: Mapping[str, float] = field(default_factory=dict)
     converter_m: float = 0.0
-
-
-def relative_scatter(residual_m: Array) -> float:
-    """Return the relative standard error of the mean square of a correlated residual."""
-    squares = np.array([np.mean(block**2) for block in np.array_split(residual_m, BLOCKS)])
-    return float(np.std(squares, ddof=1) / max(float(np.mean(squares)), 1e-300) / sqrt(BLOCKS))
 
 
 def with_budget(
@@ -245,7 +237,25 @@ def _remaining_part(
             "as they exceed the noise; no model removes them."
         )
     elif name == "extrapolation":
-        text = _extrapolation_text(diagnosis.final.rms_m, rms_m, errors.recordings_m)
+        # one recording causes the error if its error is far larger than that of all others
+        recordings_m = errors.recordings_m
+        *smaller, worst = sorted(recordings_m, key=lambda name: recordings_m[name]) or [""]
+        if smaller and recordings_m[worst] >= DOMINANT * recordings_m[smaller[-1]]:
+            rms, others_rms = (with_unit(recordings_m[name], "m") for name in (worst, smaller[-1]))
+            text = (
+                f"The error comes from {worst}: the model misses it by {rms} rms, the other "
+                f"recordings by at most {others_rms}. Leave it out, or record it again; a chirp "
+                "needs a smaller amplitude, at the rate of the controller or faster."
+            )
+        else:
+            held_out_m = diagnosis.final.rms_m
+            in_sample_m = sqrt(max(held_out_m**2 - rms_m**2, 0.0))
+            text = (
+                "The model predicts data that were left out of the fit worse "
+                f"({with_unit(held_out_m, 'm')} rms) than the data of the fit "
+                f"({with_unit(in_sample_m, 'm')} rms). Record every amplitude and speed at least "
+                "twice."
+            )
     elif name == SOMETHING_ELSE:
         text = (
             "Systematic residual that no effect explains; the model does not contain it "
@@ -261,33 +271,6 @@ def _remaining_part(
     return BudgetPart(part=name, rms_m=rms_m, is_explained=False, text=text)
 
 
-def _extrapolation_text(
-    held_out_m: float, difference_m: float, recordings_m: Mapping[str, float]
-) -> str:
-    """Name the recording that causes the error, if its error is far larger than all others.
-
-    Args:
-        held_out_m: error of the model on data that were left out.
-        difference_m: root of the difference of the mean squares held out and in sample.
-        recordings_m: error in sample by recording.
-    """
-    *smaller, worst = sorted(recordings_m, key=lambda name: recordings_m[name]) or [""]
-    if not smaller or recordings_m[worst] < DOMINANT * recordings_m[smaller[-1]]:
-        held_out = with_unit(held_out_m, "m")
-        in_sample = with_unit(sqrt(max(held_out_m**2 - difference_m**2, 0.0)), "m")
-        return (
-            f"The model predicts data that were left out of the fit worse ({held_out} rms) than "
-            f"the data of the fit ({in_sample} rms). Record every amplitude and speed at least "
-            "twice."
-        )
-    rms, others_rms = (with_unit(recordings_m[name], "m") for name in (worst, smaller[-1]))
-    return (
-        f"The error comes from {worst}: the model misses it by {rms} rms, the other recordings by "
-        f"at most {others_rms}. Leave it out, or record it again; a chirp needs a smaller "
-        "amplitude, at the rate of the controller or faster."
-    )
-
-
 def _with_loop_shape(
     diagnosis: Diagnosis, errors: RemainingErrors, power: float, *, is_largest: bool
 ) -> Diagnosis:
@@ -299,6 +282,7 @@ def _with_loop_shape(
 
     power  that the widest class of hysteresis explains and the model does not
     """
+    effect, experiment = effect_named(LOOP_SHAPE), effect_named(LOOP_SHAPE).experiment
     noise_m, after_m = diagnosis.noise_floor_rms_m, diagnosis.final.rms_m
     in_model = errors.before_m is not None
     if errors.before_m is None:
@@ -310,8 +294,17 @@ def _with_loop_shape(
         power = max(before_m**2 - after_m**2, 0.0)
         power_std = max(errors.scatter, 1e-6) * before_m**2
     if before_m <= NOISE_RATIO * noise_m or power <= 0.0 or not is_named:
-        return _without_loop_shape(diagnosis, sqrt(max(power, 0.0) + ONE_SIDED_95 * power_std))
-    effect, experiment = effect_named(LOOP_SHAPE), effect_named(LOOP_SHAPE).experiment
+        bound_m = sqrt(max(power, 0.0) + ONE_SIDED_95 * power_std)
+        bounded = NotDetected(
+            effect=LOOP_SHAPE,
+            upper_bound_m=bound_m,
+            detection_limit_m=bound_m,
+            reason="the widest class of hysteresis takes at most "
+            f"{with_unit(bound_m, 'm')} rms off the error of the model",
+            next_experiment=experiment,
+        )
+        absences = [absence for absence in diagnosis.not_detected if absence.effect != LOOP_SHAPE]
+        return replace(diagnosis, not_detected=(*absences, bounded))
     confounded = [
         f.effect for f in diagnosis.findings if f.effect == RESONANCE and not f.held_out_gain
     ]
@@ -339,17 +332,3 @@ def _with_loop_shape(
         parameters={},
     )
     return with_finding(diagnosis, finding)
-
-
-def _without_loop_shape(diagnosis: Diagnosis, bound_m: float) -> Diagnosis:
-    effect = effect_named(LOOP_SHAPE)
-    bounded = NotDetected(
-        effect=LOOP_SHAPE,
-        upper_bound_m=bound_m,
-        detection_limit_m=bound_m,
-        reason="the widest class of hysteresis takes at most "
-        f"{with_unit(bound_m, 'm')} rms off the error of the model",
-        next_experiment=effect.experiment,
-    )
-    absences = [absence for absence in diagnosis.not_detected if absence.effect != LOOP_SHAPE]
-    return replace(diagnosis, not_detected=(*absences, bounded))

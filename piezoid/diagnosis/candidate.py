@@ -1,4 +1,4 @@
-"""Evaluate a candidate effect: the model refitted with the effect and without it, and its size.
+"""Evaluate candidate effects: the model refitted with an effect and without it, and its size.
 
 The size is a function of coefficients and nonlinear parameters. Their joint covariance is that of
 the columns of the coefficients and the tangents of the parameters, beside the whole null:
@@ -10,23 +10,26 @@ k the relative error of the size by the law of the effect.
 A size as a share of the stroke is the root of the explained power, and its relative error half of
 that of the power.
 
+``Outcome`` is the result of a search: the candidates that are causes, and the faults of the data.
+
 Source: the delta method; Liang & Zeger, Biometrika 73 (1986) for the covariance.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 
 import numpy as np
 
 from piezoid.diagnosis.blocked_regression import CrossValidated, compare_nulls, paired_z
-from piezoid.diagnosis.bouc_wen_search import with_bouc_wen_of
 from piezoid.diagnosis.diagnosis import Size
-from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.refinement import with_step
-from piezoid.diagnosis.refitted_view import (
+from piezoid.diagnosis.effect import Effect, Fault
+from piezoid.diagnosis.nuisance_search import with_bouc_wen_of
+from piezoid.diagnosis.refinement import (
     SelectedEffect,
     filter_offset,
     with_filtered_drive,
+    with_step,
     without_ringing,
 )
 from piezoid.diagnosis.residual_view import View
@@ -52,6 +55,8 @@ NOISE_UNCERTAINTY = 0.03  # of the noise power
 # ratio; the smallest right names are a creep of the bundled stage, 0.88, and an effect at half
 # size, 0.91 (docs/measured/zoo.md).
 MIN_STRUCTURE_RATIO = 0.8
+QUANTISATION = "quantisation"
+Confounded = dict[str, tuple[str, ...]]  # names of effects that could replace an effect, by name
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,6 +130,55 @@ class Candidate:
         return is_certain and excess < MAX_EXCESS_RATIO**2 * placebo_excess
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """Result of a search.
+
+    first        view before any fault was repaired
+    clean        view with faults repaired
+    final        view with all causes in the model
+    faults       by effect
+    causes       every selected effect, evaluated beside all others
+    confounded   effects that would explain as much instead of a selected effect, by its name
+    score_tests  the last score test of each effect that was not selected
+    dismissed    selected effects and significant structure that may not be named
+    doubtful     selected effects that are not named because the model does not need them
+    rejection    why the model class does not apply and no cause was searched; empty if it applies
+    """
+
+    first: View
+    clean: View
+    final: View
+    faults: Mapping[str, Fault]
+    causes: tuple[Candidate, ...]
+    confounded: Confounded
+    score_tests: Mapping[str, ScoreTest]
+    dismissed: tuple[Candidate, ...] = ()
+    doubtful: tuple[Candidate, ...] = ()
+    rejection: str = ""
+
+    @property
+    def inseparable(self) -> tuple[str, ...]:
+        """Return the significant structural effects that the causes cannot be separated from."""
+        return tuple(c.effect.name for c in self.dismissed if c.effect.structural is not None)
+
+    @property
+    def repaired_faults(self) -> tuple[str, ...]:
+        """Return the names of the faults that were repaired; others need a new measurement."""
+        tracks, names = self.first.tracks, []
+        for name, fault in self.faults.items():
+            if any(a is not b for a, b in zip(tracks, fault.tracks, strict=True)):
+                names.append(name)
+            tracks = fault.tracks
+        return tuple(names)
+
+    @property
+    def coarse_readings(self) -> Fault | None:
+        """Return the fault of readings in coarse steps, which no repair removes."""
+        is_repaired = QUANTISATION in self.repaired_faults
+        return None if is_repaired else self.faults.get(QUANTISATION)
+
+
 def exceeds_structure(share: float, rms: float, noise: float) -> bool:
     """Tell whether an effect is not small beside the residual structure of the nuisance class.
 
@@ -137,16 +191,6 @@ def exceeds_structure(share: float, rms: float, noise: float) -> bool:
     The residual of a misspecified class has some shape, and always resembles some effect.
     """
     return 2.0 * share > MIN_STRUCTURE_RATIO * sqrt(max(rms**2 - noise**2, 0.0))
-
-
-def explained_share(gain: float, rms: float, noise: float) -> float:
-    """Return the share of the power above the noise that an effect explains.
-
-    gain  1 - rms / rms without the effect
-    rms   error with the effect
-    """
-    baseline_power = (rms / (1.0 - gain)) ** 2
-    return (baseline_power - rms**2) / max(baseline_power - noise**2, NOISE_UNCERTAINTY * noise**2)
 
 
 def evaluate(selected: SelectedEffect, view: View, without: View, *, test: ScoreTest) -> Candidate:

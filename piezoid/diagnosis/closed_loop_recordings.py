@@ -17,16 +17,12 @@ from math import erfc, log, sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.blocked_regression import SAME_ERROR, gain_on_blocks, held_out_residual
+from piezoid.diagnosis.candidate import MINIMUM_Z
 from piezoid.diagnosis.coordinate_descriptions import coordinate_profile
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size, with_finding
 from piezoid.diagnosis.effects import effect_named, every_effect
-from piezoid.diagnosis.rest_columns import (
-    MIN_Z,
-    SAME_ERROR,
-    cubic,
-    gain_on_blocks,
-    held_out_residual,
-)
+from piezoid.diagnosis.signals import cubic
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.checks.plausibility import held_span, is_held_throughout
@@ -111,7 +107,7 @@ def _finding(
     gain, z = gain_on_blocks(constant_V, residual_V)
     # the drive compensates creep, so it moves against the step before
     continues = step_V * slope_V < 0.0
-    if gain < MIN_GAIN or z < MIN_Z or not continues or after_V > SAME_ERROR * cubic_V:
+    if gain < MIN_GAIN or z < MINIMUM_Z or not continues or after_V > SAME_ERROR * cubic_V:
         return None
     effect = effect_named(NAME)
     percent = 100.0 * abs(slope_V * log(10.0) / step_V)

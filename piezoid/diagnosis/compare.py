@@ -15,7 +15,7 @@ import numpy as np
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.errors import RecordingError
 from piezoid.formatting import significant, with_unit
-from piezoid.identification.extended_fit import Extended, fit_extended
+from piezoid.identification.extended_fit import fit_extended
 from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.identification.extensions.mains_lines import MainsLines
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
@@ -211,6 +211,9 @@ def compare(
     rescaled = fit_extended(start, cleaned, (*stage_effects, change), structure=FIXED_OPERATOR)
     progress("refitting the model")
     refitted = fit_extended(rescaled.model, cleaned, stage_effects)
+    index = next(k for k, e in enumerate(rescaled.model.extensions) if isinstance(e, GainChange))
+    ratio = float(rescaled.model.extensions[index].free().value[0])
+    ratio_margin = STUDENT_95_FIVE_FOLDS * float(np.asarray(rescaled.spread[index])[0])
     measured_m = [recording.displacement_m(model.axis) for recording in cleaned]
     centred_m = np.concatenate([values - values.mean() for values in measured_m])
     errors_m = [
@@ -227,7 +230,7 @@ def compare(
         unchanged_error_m=unchanged.held_out_rms_m,
         rescaled_error_m=rescaled.held_out_rms_m,
         refitted_error_m=min(refitted.held_out_rms_m, unchanged.held_out_rms_m),
-        gain_ratio=_gain_ratio(rescaled),
+        gain_ratio=(ratio, ratio - ratio_margin, ratio + ratio_margin),
         fitted_noise_m=model.quality.noise_rms_m,
         noise_m=max(map(white_noise_rms, errors_m)),
     )
@@ -250,10 +253,3 @@ def _without_outliers(model: AxisModel, recording: Recording) -> Recording:
     interpolated_m = np.interp(rows, valid, measured_m[valid])
     cleaned = with_displacement(recording, interpolated_m, model.axis)
     return replace(cleaned, bridged=tuple(sorted({*recording.bridged, *outliers})))
-
-
-def _gain_ratio(fit: Extended) -> tuple[float, float, float]:
-    index = next(k for k, e in enumerate(fit.model.extensions) if isinstance(e, GainChange))
-    value = float(fit.model.extensions[index].free().value[0])
-    half_width = STUDENT_95_FIVE_FOLDS * float(np.asarray(fit.spread[index])[0])
-    return value, value - half_width, value + half_width

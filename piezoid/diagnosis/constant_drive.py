@@ -17,7 +17,16 @@ from math import erfc, sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.budget import RemainingErrors, relative_scatter, with_budget
+from piezoid.diagnosis.blocked_regression import (
+    FOLDS,
+    SAME_ERROR,
+    blocks_of,
+    gain_on_blocks,
+    held_out_residual,
+    relative_scatter,
+)
+from piezoid.diagnosis.budget import RemainingErrors, with_budget
+from piezoid.diagnosis.candidate import MINIMUM_Z
 from piezoid.diagnosis.coordinate_descriptions import NEXT_EXPERIMENTS, coordinate_profile
 from piezoid.diagnosis.coordinate_scores import strongest_peaks
 from piezoid.diagnosis.diagnosis import (
@@ -32,19 +41,8 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.effect import ConstantDriveData, Effect
 from piezoid.diagnosis.effects import effect_named, every_effect
-from piezoid.diagnosis.rest_columns import (
-    FOLDS,
-    MIN_Z,
-    SAME_ERROR,
-    blocks_of,
-    cubic,
-    gain_on_blocks,
-    held_out_residual,
-    peak_Hz,
-    waves,
-)
 from piezoid.diagnosis.segments import Places
-from piezoid.diagnosis.signals import GRIDS_Hz
+from piezoid.diagnosis.signals import GRIDS_Hz, cubic, peak_Hz, waves
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.hysteresis.sensor_noise import noise_rms
 from piezoid.numerics.arrays import Array
@@ -92,7 +90,7 @@ class RestColumns:
         """Return the gain of a cause beside selected causes; 0 if small or not significant."""
         gain, z = gain_on_blocks(self.residual(selected), self.residual([*selected, name]))
         min_gain = MIN_GAIN_JUMP if name == JUMP else MIN_GAIN
-        return gain if gain >= min_gain and z >= MIN_Z else 0.0
+        return gain if gain >= min_gain and z >= MINIMUM_Z else 0.0
 
 
 def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
@@ -126,8 +124,8 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
     diagnosis = Diagnosis(
         axis=axis,
         stroke_m=span_m,
-        baseline=HeldOut(rms_m=before_m, rms_percent=100.0 * before_m / span_m),
-        final=HeldOut(rms_m=after_m, rms_percent=100.0 * after_m / span_m),
+        baseline=HeldOut.of(before_m, span_m),
+        final=HeldOut.of(after_m, span_m),
         envelope_rms_m=after_m,
         noise_floor_rms_m=noise_m,
         explained_fraction=fraction_explained(before_m, after_m, noise_m),
@@ -261,11 +259,7 @@ def _finding(name: str, readings: RestColumns, selected: Sequence[str]) -> Findi
         held_out_rms_after_m=float(np.sqrt(np.mean(residual**2))),
         p_value=min(1.0, max(0.5 * erfc(z / sqrt(2.0)), 1e-12) * len(readings.columns)),
         rms_percent=100.0 * value_m / max(float(np.ptp(readings.y_m)), 1e-30),
-        size=Size(
-            value=1e9 * value_m,
-            unit="nm, rms",
-            ci95=(1e9 * max(value_m - margin_m, 0.0), 1e9 * (value_m + margin_m)),
-        ),
+        size=Size.of_rms(value_m, max(value_m - margin_m, 0.0), value_m + margin_m),
         not_separable_from=(),
         explanation="",
         next_experiment="",

@@ -13,18 +13,24 @@ from math import sqrt
 import numpy as np
 
 from piezoid.diagnosis.budget import RemainingErrors, with_budget
+from piezoid.diagnosis.candidate import Outcome
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
 from piezoid.diagnosis.constant_drive import diagnose_at_rest
 from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     Diagnosis,
+    HeldOut,
     fraction_explained,
 )
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.findings import findings_of, held_out, not_detected
+from piezoid.diagnosis.findings import findings_of, not_detected
 from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.identified_modes import split_by_mode, with_modes
-from piezoid.diagnosis.null_distribution import is_weak_evidence, smallest_structure_p_value
+from piezoid.diagnosis.null_distribution import (
+    ALPHA,
+    evidence_p_value,
+    smallest_structure_p_value,
+)
 from piezoid.diagnosis.refit import (
     CLEARLY_WORSE,
     ModelErrors,
@@ -35,11 +41,15 @@ from piezoid.diagnosis.residual_structure import (
     SearchResult,
     add_structure,
     locate_residual,
-    search_all,
 )
 from piezoid.diagnosis.residual_view import View, view_of
 from piezoid.diagnosis.segments import tracks_of
-from piezoid.diagnosis.selection import Outcome, search_faults, with_ingest_faults, without_causes
+from piezoid.diagnosis.selection import (
+    search_all,
+    search_faults,
+    with_ingest_faults,
+    without_causes,
+)
 from piezoid.diagnosis.step_responses import step_response_view
 from piezoid.errors import IdentificationError
 from piezoid.formatting import words
@@ -185,6 +195,9 @@ def _select_effects(
     (``is_rejected``), or if the error with all selected effects is too large: an effect would
     compensate for the missing class. A model that was fitted here may not apply because of an
     effect, so it is not rejected at first.
+
+    Clock slips are detected against the nuisance class, and its error may look like a slip. A slip
+    is dropped if its repair does not reduce the held-out error of the model.
     """
     executor.report("fitting the widest class of hysteresis")
     searched, mode_recordings = split_by_mode(driven_recordings(recordings, axis), model, lab)
@@ -207,9 +220,15 @@ def _select_effects(
     if rejection is not None:
         result = locate_residual(view, search_faults(view, rejection, executor))
         errors = attribute(result)
+    # on new stages of the zoo undoing two wrong slips increased the held-out error, and undoing
+    # ten right slips reduced it
+    faults = result.outcome.faults
+    if SLIP in faults and errors.without_m.get(SLIP, np.inf) <= errors.final_m:
+        remaining_faults = {name: fault for name, fault in faults.items() if name != SLIP}
+        result = replace(result, outcome=replace(result.outcome, faults=remaining_faults))
     return _Selection(
         axis=axis,
-        result=_drop_useless_slips(result, errors),
+        result=result,
         errors=errors,
         attribute=attribute,
         recordings=searched,
@@ -241,7 +260,7 @@ def _drop_doubtful_causes(
     final, outcome, errors = complete(selection), selection.result.outcome, selection.errors
     quality, model = final.quality, final.without_loop_shape()
     causes = [cause for cause in outcome.causes if cause.effect.structural is None]
-    doubtful = [cause for cause in causes if is_weak_evidence(cause.strength)]
+    doubtful = [cause for cause in causes if evidence_p_value(cause.strength) > ALPHA]
     driven = driven_recordings(selection.repaired(recordings), model.axis)
     held_out_m, explained_m = quality.held_out_rms_m, quality.explained_rms_m
     tested = [c for c in causes if c not in doubtful and c.strength < MAX_TESTED_STRENGTH]
@@ -307,20 +326,6 @@ def _prefer_named_effects(
     return result, errors
 
 
-def _drop_useless_slips(result: SearchResult, errors: ModelErrors) -> SearchResult:
-    """Drop clock slips whose repair does not reduce the held-out error of the model.
-
-    Slips are detected against the nuisance class, and its error may look like a slip: on new
-    stages of the zoo undoing two wrong slips increased the held-out error, and undoing ten right
-    slips reduced it.
-    """
-    faults = result.outcome.faults
-    if SLIP not in faults or errors.without_m.get(SLIP, np.inf) > errors.final_m:
-        return result
-    remaining_faults = {name: fault for name, fault in faults.items() if name != SLIP}
-    return replace(result, outcome=replace(result.outcome, faults=remaining_faults))
-
-
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
     """Return the view of all recordings in which this axis moves."""
     moving_recordings = driven_recordings(recordings, axis)
@@ -345,6 +350,7 @@ def _assembled(
     """Assemble findings, detection limits and the error budget."""
     axis, errors, scales = selection.axis, selection.errors, selection.scales
     half_stroke_m = selection.result.raw.half_stroke_m
+    stroke_m = 2.0 * half_stroke_m
     outcome = with_ingest_faults(selection.result.outcome, selection.recordings, half_stroke_m)
     result = replace(selection.result, outcome=outcome)
     searched = findings_of(result, errors, selection.recordings, axis, scales)
@@ -352,9 +358,9 @@ def _assembled(
     quality = final.quality
     diagnosis = Diagnosis(
         axis=axis,
-        stroke_m=2.0 * half_stroke_m,
-        baseline=held_out(errors.baseline_m, half_stroke_m),
-        final=held_out(quality.held_out_rms_m, half_stroke_m),
+        stroke_m=stroke_m,
+        baseline=HeldOut.of(errors.baseline_m, stroke_m),
+        final=HeldOut.of(quality.held_out_rms_m, stroke_m),
         envelope_rms_m=outcome.final.rms * half_stroke_m,
         noise_floor_rms_m=quality.noise_rms_m,
         explained_fraction=fraction_explained(

@@ -19,6 +19,11 @@ class Size:
     unit: str
     ci95: tuple[float, float]
 
+    @classmethod
+    def of_rms(cls, rms_m: float, low_m: float, high_m: float) -> "Size":
+        """Return an rms in nm with the limits of its interval."""
+        return cls(value=1e9 * rms_m, unit="nm, rms", ci95=(1e9 * low_m, 1e9 * high_m))
+
     @property
     def half_width(self) -> float:
         """Return half the width of the interval."""
@@ -140,6 +145,11 @@ class HeldOut:
     rms_m: float
     rms_percent: float
     explained_rms_m: float | None = None
+
+    @classmethod
+    def of(cls, rms_m: float, stroke_m: float) -> "HeldOut":
+        """Return an error of a stage with this stroke."""
+        return cls(rms_m=rms_m, rms_percent=100.0 * rms_m / stroke_m)
 
 
 @dataclass(frozen=True, kw_only=True)

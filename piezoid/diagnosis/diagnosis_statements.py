@@ -6,14 +6,13 @@ more than a size.
 
 from piezoid.diagnosis.constant_drive import NOT_EXCITED
 from piezoid.diagnosis.coordinate_descriptions import coordinate_words
-from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
+from piezoid.diagnosis.diagnosis import NOISE_RATIO, SOMETHING_ELSE, Diagnosis, Finding
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
+from piezoid.diagnosis.null_distribution import ALPHA
 from piezoid.formatting import significant, with_unit, words
 from piezoid.statement import Kind, Level, Statement
 
-USUAL_P = 0.05  # p-value from which structure is usual for healthy stages
 MIN_GAIN = 0.01  # of the power: less has no coordinate
-NEAR_NOISE = 1.3  # residual over noise; below it the excess is hidden by the noise
 
 SHAPE_EXPERIMENT = (
     "Record reversals of many sizes at several biases, each reached from above and from below."
@@ -90,8 +89,8 @@ def _nothing_found(diagnosis: Diagnosis) -> Statement:
         coordinate, percent = coordinate_words(structure.coordinate), 100 * structure.p_value
         usual = f"; {percent:.0f} % of healthy stages show as much"
         text += f" {100 * structure.gain:.2g} % of its power depends on {coordinate}"
-        text += f"{'' if structure.p_value <= USUAL_P else usual}."
-    exceeds = not at_rest and residual_m > NEAR_NOISE * noise_m > 0.0
+        text += f"{'' if structure.p_value <= ALPHA else usual}."
+    exceeds = not at_rest and residual_m > NOISE_RATIO * noise_m > 0.0
     if exceeds:
         text += f" {SHAPE_EXPERIMENT}"
     level = Level.ACTION if exceeds else Level.NOTE

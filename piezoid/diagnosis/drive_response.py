@@ -34,7 +34,6 @@ HISTORY_CYCLES = 2  # over the range, before a drive whose initial state is unkn
 class DriveResponse:
     """Response of the model of one axis to one drive.
 
-    name          of the experiment or recording
     model         of the axis
     rate_Hz       sampling rate of the drive
     voltage_V     (samples,)
@@ -43,7 +42,6 @@ class DriveResponse:
     memory_V      (plays,)  before the first sample; None: that after cycles over the range
     """
 
-    name: str
     model: AxisModel
     rate_Hz: float
     voltage_V: Array
@@ -182,7 +180,6 @@ def driven_recording(axis: AxisModel, recording: Recording) -> DriveResponse:
         if channel.quantity is Quantity.VOLTAGE and channel.axis != axis.axis
     }
     return DriveResponse(
-        name=recording.name,
         model=axis,
         rate_Hz=recording.sampling_rate_Hz,
         voltage_V=recording.voltage_V(axis.axis),

@@ -128,7 +128,18 @@ class CandidateTable:
     def choice(self, question: Question) -> Choice:
         """Return the best drive for a question, or a shorter one that is nearly as good."""
         recorded = self._estimate(question) if self.recorded else None
-        evaluated = [self._evaluated(candidate, question) for candidate in self.candidates]
+        evaluated = []
+        for candidate in self.candidates:
+            if candidate.response is None:
+                evaluated.append(candidate)
+                continue
+            estimate = self._estimate(question, candidate.response)
+            if question.kind == "separate":
+                certainty = 1.0 / max(estimate.worst, 1e-30)
+                score = estimate.separability * min(certainty / ENOUGH, 1.0)
+            else:
+                score = 1.0 / max(estimate.errors[0], 1e-30)
+            evaluated.append(replace(candidate, estimate=estimate, score=score))
         ranked = tuple(sorted(evaluated, key=lambda alternative: -alternative.score))
         best = ranked[0]
         nearly = [a for a in ranked if a.score >= NEARLY * best.score > 0.0]
@@ -136,17 +147,6 @@ class CandidateTable:
         choice = Choice(question=question, alternatives=ranked, best=best, recorded=recorded)
         shorter = replace(choice, best=shortest)
         return shorter if shorter.answers else choice
-
-    def _evaluated(self, candidate: Alternative, question: Question) -> Alternative:
-        if candidate.response is None:
-            return candidate
-        estimate = self._estimate(question, candidate.response)
-        if question.kind == "separate":
-            certainty = 1.0 / max(estimate.worst, 1e-30)
-            score = estimate.separability * min(certainty / ENOUGH, 1.0)
-        else:
-            score = 1.0 / max(estimate.errors[0], 1e-30)
-        return replace(candidate, estimate=estimate, score=score)
 
     def _estimate(self, question: Question, *planned: DriveResponse) -> SeparationEstimate:
         return estimate_separation(
@@ -176,7 +176,6 @@ def simulate_candidates(
             continue
         others_V = {name: drive.voltage_V[:, k + 1] for k, name in enumerate(drive.axes[1:])}
         response = DriveResponse(
-            name=drive.name,
             model=axis,
             rate_Hz=drive.sampling_rate_Hz,
             voltage_V=drive.voltage_V[:, 0],
@@ -204,11 +203,7 @@ def usual_drives(axis: AxisModel, bench: Bench) -> tuple[DriveResponse, ...]:
         rate_Hz = min(bench.clock_Hz, CYCLE_ROWS * frequency_Hz)
         voltage_V = equal_cycles(limits, rate_Hz, frequency_Hz=frequency_Hz, cycles=5)
         rows = rows_of(len(voltage_V), ROWS)
-        drives.append(
-            DriveResponse(
-                name="full cycles", model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V, rows=rows
-            )
-        )
+        drives.append(DriveResponse(model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V, rows=rows))
     return tuple(drives)
 
 

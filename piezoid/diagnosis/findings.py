@@ -13,13 +13,13 @@ from piezoid.diagnosis.candidate import (
     MINIMUM_SHARE,
     MINIMUM_Z,
     Candidate,
+    Outcome,
     exceeds_structure,
     size_of,
 )
 from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     Finding,
-    HeldOut,
     NotDetected,
     Size,
     held_out_gain,
@@ -28,10 +28,9 @@ from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
 from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.null_distribution import evidence_p_value
 from piezoid.diagnosis.refit import ModelErrors
-from piezoid.diagnosis.residual_structure import MAX_P_VALUE, SearchResult
+from piezoid.diagnosis.residual_structure import SearchResult
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import ScoreTest
-from piezoid.diagnosis.selection import Outcome
 from piezoid.diagnosis.structure_findings import noise_finding, noise_level, structure_finding
 from piezoid.formatting import with_unit, words
 from piezoid.identification.hysteresis.pieces import Scales
@@ -70,25 +69,30 @@ def findings_of(
         ),
         *(effect_finding(cause, outcome, errors) for cause in outcome.causes),
     ]
-    final, structure = held_out(errors.final_m, half_stroke_m), result.structure
+    structure = result.structure
     has_effects = any(cause.effect.structural is None for cause in outcome.causes)
     if structure is not None:
         findings.append(
             structure_finding(
                 structure,
-                without_curve=held_out(errors.without_m[SOMETHING_ELSE], half_stroke_m),
-                with_curve=final,
+                before_m=errors.without_m[SOMETHING_ELSE],
+                after_m=errors.final_m,
                 scale_m=scales.displacement_m,
                 middle_m=_middle_m(structure.view, recordings, axis, scales),
             )
         )
     elif not (outcome.rejection or outcome.faults or has_effects):
         # other effects than hysteresis could pass for noise
-        noise = noise_level(outcome.final, MAX_P_VALUE)
+        noise = noise_level(outcome.final)
         if noise is not None:
             middle_m = _middle_m(outcome.final, recordings, axis, scales)
             findings.append(
-                noise_finding(noise, error=final, scale_m=scales.displacement_m, middle_m=middle_m)
+                noise_finding(
+                    noise,
+                    error_m=errors.final_m,
+                    scale_m=scales.displacement_m,
+                    middle_m=middle_m,
+                )
             )
     return tuple(sorted(findings, key=lambda finding: finding.held_out_gain, reverse=True))
 
@@ -98,11 +102,6 @@ def _middle_m(view: View, recordings: Sequence[Recording], axis: str, scales: Sc
     displacement_m = recordings[0].displacement_m(axis)[: len(view.tracks[0].drive)]
     static_m = scales.displacement_m * view.static[0][: len(displacement_m)]
     return float(np.median(displacement_m - static_m))
-
-
-def held_out(rms_m: float, half_stroke_m: float) -> HeldOut:
-    """Return a held-out error in metres and in percent of the stroke."""
-    return HeldOut(rms_m=rms_m, rms_percent=50.0 * rms_m / half_stroke_m)
 
 
 def fault_finding(name: str, fault: Fault, errors: ModelErrors, half_stroke_m: float) -> Finding:
@@ -156,9 +155,20 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
         share = sqrt(before_m**2 - after_m**2) / (2.0 * outcome.first.half_stroke_m)
         factor, (low, high) = 100.0 * share / size.value, size.ci95
         size = replace(size, value=factor * size.value, ci95=(factor * low, factor * high))
+    size_text = f"{100 * share:.3g} % of the stroke (rms)"
+    if effect.structural is None:
+        where = "Behind jumps of the drive" if cause.selected.from_jumps else "Here"
+        evidence = f"{where} {size_text} cannot be imitated by any hysteresis."
+    else:
+        evidence = f"A simulation without it misses {size_text}; the model includes it."
+    sentences = [effect.summary, evidence]
     if structural:
         low, high = size.ci95
         size = replace(size, ci95=(min(low, 0.0), max(high, 0.0)))
+        names = " or ".join(words(alternative.name) for alternative in structural)
+        sentences.append(f"Not separable from {names}; the interval therefore includes zero.")
+    if effect.note is not None:
+        sentences.append(effect.note(parameters))
     return Finding(
         effect=effect.name,
         held_out_gain=held_out_gain(before_m, after_m),
@@ -171,29 +181,12 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
             *confounded,
             *(s.name for s in structural if s.name not in confounded),
         ),
-        explanation=_explanation(cause, share, structural),
+        explanation=" ".join(sentences),
         next_experiment=" ".join(
             [effect.experiment, *(f"For {words(e.name)}: {e.experiment}" for e in structural)]
         ),
         parameters=dict(parameters),
     )
-
-
-def _explanation(cause: Candidate, share: float, structural: Sequence[Effect]) -> str:
-    effect = cause.effect
-    where = "Behind jumps of the drive" if cause.selected.from_jumps else "Here"
-    size = f"{100 * share:.3g} % of the stroke (rms)"
-    if effect.structural is None:
-        evidence = f"{where} {size} cannot be imitated by any hysteresis."
-    else:
-        evidence = f"A simulation without it misses {size}; the model includes it."
-    sentences = [effect.summary, evidence]
-    if structural:
-        names = " or ".join(words(alternative.name) for alternative in structural)
-        sentences.append(f"Not separable from {names}; the interval therefore includes zero.")
-    if effect.note is not None:
-        sentences.append(effect.note(cause.selected.parameters))
-    return " ".join(sentences)
 
 
 def not_detected(effect: Effect, outcome: Outcome) -> NotDetected:
@@ -258,6 +251,29 @@ def _bounded(test: ScoreTest, outcome: Outcome) -> NotDetected:
     min_share = final.rms / 2.0 * sqrt(2.0 * effect.minimum_gain)
     margin = POWER * (test.bound - test.share)
     limit_m = max(scale_m * max(margin, min_share, MINIMUM_SHARE, test.floor), bound_m)
+    # why it was not named although its score test alone is significant
+    causes = ", ".join(words(cause.effect.name) for cause in outcome.causes)
+    dismissal = ""
+    if effect.name in outcome.inseparable:
+        structure = "structure that no hysteresis class explains"
+        alternative = f"a residue of {causes}" if causes else structure
+        dismissal = f": not named, because these recordings cannot separate it from {alternative}"
+    elif any(cause.effect.name == effect.name for cause in outcome.doubtful):
+        dismissal = (
+            ": not named, because the model predicts left-out data about as well without it"
+        )
+    elif test.cv.gain >= effect.minimum_gain and test.cv.z >= MINIMUM_Z:
+        if not test.physical:
+            dismissal = ": not named, because this size is physically impossible"
+        elif not exceeds_structure(test.share, final.rms, final.noise):
+            dismissal = (
+                ": not named, because structure that no hysteresis class explains is as large"
+            )
+        else:
+            residue = f", or it is a residue of {causes}" if causes else ""
+            dismissal = (
+                f": not named, because it is not significant beside the other effects{residue}"
+            )
     placebo = "" if test.placebo is None else f", its placebo {100 * test.placebo.gain:.2g} %"
     return NotDetected(
         effect=effect.name,
@@ -266,28 +282,7 @@ def _bounded(test: ScoreTest, outcome: Outcome) -> NotDetected:
         reason=(
             f"at most {with_unit(bound_m, 'm')} rms; it reduces the held-out error by "
             f"{100 * test.cv.gain:.2g} % ({test.cv.z:.2g} standard errors)"
-            f"{placebo}{_why_not_named(test, outcome)}"
+            f"{placebo}{dismissal}"
         ),
         next_experiment=effect.experiment,
     )
-
-
-def _why_not_named(test: ScoreTest, outcome: Outcome) -> str:
-    """State why an effect was not named although its score test alone is significant."""
-    effect, final = test.effect, outcome.final
-    causes = ", ".join(words(cause.effect.name) for cause in outcome.causes)
-    if effect.name in outcome.inseparable:
-        alternative = (
-            f"a residue of {causes}" if causes else "structure that no hysteresis class explains"
-        )
-        return f": not named, because these recordings cannot separate it from {alternative}"
-    if any(cause.effect.name == effect.name for cause in outcome.doubtful):
-        return ": not named, because the model predicts left-out data about as well without it"
-    if test.cv.gain < effect.minimum_gain or test.cv.z < MINIMUM_Z:
-        return ""
-    if not test.physical:
-        return ": not named, because this size is physically impossible"
-    if not exceeds_structure(test.share, final.rms, final.noise):
-        return ": not named, because structure that no hysteresis class explains is as large"
-    residue = f", or it is a residue of {causes}" if causes else ""
-    return f": not named, because it is not significant beside the other effects{residue}"

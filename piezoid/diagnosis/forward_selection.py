@@ -2,7 +2,8 @@
 
 Each step adds the effect with the smallest error, unless a change without a new effect explains as
 much: a selected filter on the other side of the hysteresis, a Bouc-Wen state, or other initial
-states. If no effect is significant, clock slips are tried instead of a filter.
+states. If no effect is significant, clock slips are tried instead of a filter. Resonances after
+jumps of the drive are selected before all other effects, on the step responses.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,19 +11,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import Candidate, evaluate
-from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
+from piezoid.diagnosis.effect import BETWEEN, Effect, Fault, Parameters, Trial
 from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.effects.timestamp_fault import find_equal_slips, find_slips
-from piezoid.diagnosis.initial_state_search import (
+from piezoid.diagnosis.nuisance_search import (
     OTHER_INITIAL_STATES,
     InitialStates,
+    with_best_bouc_wen,
     with_individual_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.refinement import initial_guess, refine, refine_together, with_step
-from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
+from piezoid.diagnosis.refinement import (
+    SelectedEffect,
+    initial_guess,
+    refine,
+    refine_together,
+    with_effects,
+    with_step,
+)
 from piezoid.diagnosis.residual_view import (
     View,
     with_bouc_wen,
@@ -32,8 +39,9 @@ from piezoid.diagnosis.residual_view import (
 )
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.segments import Track
-from piezoid.diagnosis.step_responses import modes_after_steps, without_unresolved_ringing
+from piezoid.diagnosis.step_responses import step_response_view, without_unresolved_ringing
 from piezoid.formatting import words
+from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 
 FIRST_GAIN = 0.25  # gain over that of the best tangent from which an effect is refitted first
@@ -93,7 +101,7 @@ def select_forward(
     clean: View,
     faults: Mapping[str, Fault],
     executor: Executor,
-    initial: InitialStates | None = None,
+    initial: InitialStates | None,
 ) -> SelectionState:
     """Select effects one after another until none is significant.
 
@@ -117,6 +125,53 @@ def select_forward(
             break
         state = next_state
     return state
+
+
+def modes_after_steps(view: View) -> tuple[SelectedEffect, ...]:
+    """Return the resonances that are significant in step responses, refined on these."""
+    step_responses, modes = step_response_view(view), []
+    if step_responses is None:
+        return ()
+    for mode in every_effect():
+        if not mode.may_be_absorbed or mode.untestable(step_responses):
+            continue
+        effect = with_any_phase(mode)
+        test = score_test(effect, step_responses)
+        if test is None or not test.physical:
+            continue
+        guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
+        refined, refined_view = refine(guess, step_responses, [])
+        if evaluate(refined, refined_view, step_responses, test=test).is_significant:
+            modes.append(replace(refined, from_jumps=True))
+    return tuple(modes)
+
+
+def with_any_phase(effect: Effect) -> Effect:
+    """Return the effect with its columns and the same columns delayed by one sample.
+
+    A jump lies between two samples, so its response is delayed by a fraction of a sample: a
+    weighted sum of both columns.
+    """
+    assert effect.trials is not None
+    assert effect.columns is not None
+    trials, columns = effect.trials, effect.columns
+
+    def two_phases(view: View, parameters: Parameters) -> Array:
+        tracks = [replace(track, rows=np.maximum(track.rows - 1, 0)) for track in view.tracks]
+        delayed = replace(with_tracks(view, tracks), static_override=view.static)
+        return np.hstack([columns(view, parameters), columns(delayed, parameters)])
+
+    def two_phase_trials(view: View) -> list[Trial]:
+        return [
+            replace(
+                trial,
+                columns=two_phases(view, trial.parameters),
+                coefficient_range=(-np.inf, np.inf),
+            )
+            for trial in trials(view)
+        ]
+
+    return replace(effect, trials=two_phase_trials, columns=two_phases)
 
 
 def _score_all(state: SelectionState, executor: Executor) -> dict[str, ScoreTest]:
@@ -211,7 +266,10 @@ def best_candidate(candidates: Iterable[Candidate]) -> Candidate | None:
 def _refit_effects(
     tests: Sequence[ScoreTest], state: SelectionState, executor: Executor
 ) -> list[Candidate]:
-    """Refit each effect beside the selected ones, unless its start values have a large error."""
+    """Refit each effect beside the selected ones, unless its start values have a large error.
+
+    A candidate is refined together with the selected effects that resemble it.
+    """
     clean, selected = state.clean, state.selected
     starts = executor.map(lambda test: _start_values(test, state), tests)
     errors = executor.map(lambda start: with_effects(clean, [*selected, start]).rms, starts)
@@ -221,7 +279,21 @@ def _refit_effects(
         start, test = pair
         executor.report(f"refitting with {words(start.effect.name)}")
         refined, view = refine(start, clean, selected)
-        return _refit_with_resembling(evaluate(refined, view, state.view, test=test), state, test)
+        candidate = evaluate(refined, view, state.view, test=test)
+        # beside a limit that absorbs a part of it, a delay differs from recording to recording:
+        # refined together with the limit, it may become physical
+        resembling = [
+            effect
+            for effect in selected
+            if effect.free and not effect.from_jumps and effect.effect.resembles(start.effect)
+        ]
+        # several free parameters are expensive to refine
+        is_affordable = len(refined.free) == 1 or (refined.free and candidate.physical)
+        if not resembling or not is_affordable:
+            return candidate
+        unrelated = [effect for effect in selected if effect not in resembling]
+        refined_together, view = refine_together([*resembling, refined], clean, unrelated)
+        return evaluate(refined_together[-1], view, state.view, test=test)
 
     return executor.map(
         refit,
@@ -251,28 +323,6 @@ def _start_values(test: ScoreTest, state: SelectionState) -> SelectedEffect:
     best = min((guess, *(initial_guess(test.effect, trial, 1.0) for trial in trials)), key=error)
     neighbours = [with_step(best, name, step) for name in best.free for step in NEIGHBOURS]
     return min((best, *neighbours), key=error)
-
-
-def _refit_with_resembling(
-    candidate: Candidate, state: SelectionState, test: ScoreTest
-) -> Candidate:
-    """Refine a candidate together with the selected effects that resemble it.
-
-    A delay may become physical that way: beside a limit that absorbs a part of it, it differs from
-    recording to recording. A candidate with several free parameters is expensive to refine, so it
-    must be physical already.
-    """
-    free = len(candidate.selected.free)
-    resembling = [
-        effect
-        for effect in state.selected
-        if effect.free and not effect.from_jumps and effect.effect.resembles(candidate.effect)
-    ]
-    if not resembling or not (free == 1 or (free and candidate.physical)):
-        return candidate
-    unrelated = [effect for effect in state.selected if effect not in resembling]
-    refined, view = refine_together([*resembling, candidate.selected], state.clean, unrelated)
-    return evaluate(refined[-1], view, candidate.without, test=test)
 
 
 def exchange_filter_side(

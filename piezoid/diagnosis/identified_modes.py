@@ -71,13 +71,19 @@ def with_modes(
     largest = int(np.argmax(np.abs(dynamics.mode_gain_m_per_V)))
     frequency_Hz = float(dynamics.mode_frequency_Hz[largest])
     low_Hz, high_Hz = dynamics.mode_frequency_interval_Hz()[largest].tolist()
-    before_m, after_m = (
-        float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
-        for residuals in (
-            [_residual_m(model, dynamics, recording, modes=modes) for recording in shaped]
-            for modes in (False, True)
-        )
-    )
+    # residuals behind the hysteresis, without their slow trend
+    residuals_m: tuple[list[Array], list[Array]] = ([], [])  # without and with the modes
+    for recording in shaped:
+        drive_V = voltage_behind_hysteresis(model, recording)
+        relative_V = drive_V - drive_V[0]
+        moved_m, _ = dynamics.sampled(recording.sampling_rate_Hz).run(relative_V)
+        motions_m = (dynamics.static_gain_m_per_V * relative_V, moved_m)
+        for residuals, motion_m in zip(residuals_m, motions_m, strict=True):
+            residual_m = recording.displacement_m(model.axis) - motion_m
+            time = np.linspace(-1.0, 1.0, len(residual_m))
+            trend_m = np.polyval(np.polyfit(time, residual_m, TREND), time)
+            residuals.append(residual_m - trend_m)
+    before_m, after_m = (float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for r in residuals_m)
     effect = effect_named(NAME)
     gain = held_out_gain(before_m, after_m)
     names = ", ".join(recording.name for recording in shaped)
@@ -184,17 +190,3 @@ def _with_response(diagnosis: Diagnosis, model: AxisModel, dynamics: LinearDynam
             for absence in diagnosis.not_detected
         ),
     )
-
-
-def _residual_m(
-    model: AxisModel, dynamics: LinearDynamics, recording: Recording, *, modes: bool
-) -> Array:
-    """Return the residual of one recording behind its hysteresis, without its slow trend."""
-    drive_V = voltage_behind_hysteresis(model, recording)
-    if modes:
-        moved_m, _ = dynamics.sampled(recording.sampling_rate_Hz).run(drive_V - drive_V[0])
-    else:
-        moved_m = dynamics.static_gain_m_per_V * (drive_V - drive_V[0])
-    residual_m = recording.displacement_m(model.axis) - moved_m
-    time = np.linspace(-1.0, 1.0, len(residual_m))
-    return np.asarray(residual_m - np.polyval(np.polyfit(time, residual_m, TREND), time))

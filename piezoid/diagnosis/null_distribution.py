@@ -68,11 +68,6 @@ def evidence_p_value(strength: float) -> float:
     return rank_p_value(strength, _healthy("strengths"))
 
 
-def is_weak_evidence(strength: float) -> bool:
-    """Return whether more than one in twenty healthy stages shows evidence as strong."""
-    return evidence_p_value(strength) > ALPHA
-
-
 @cache
 def _healthy(statistic: str) -> tuple[float, ...]:
     table = json.loads(files(__package__).joinpath("healthy_scores.json").read_text("utf-8"))

@@ -12,11 +12,10 @@ from functools import partial
 
 import numpy as np
 
-from piezoid.diagnosis.budget import relative_scatter
+from piezoid.diagnosis.blocked_regression import relative_scatter
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE
 from piezoid.diagnosis.effect import EffectEstimate, SearchScaling
 from piezoid.diagnosis.effects import effect_named
-from piezoid.diagnosis.identified_modes import NAME as RESONANCE
 from piezoid.diagnosis.residual_structure import SearchResult, add_structure
 from piezoid.diagnosis.segments import Track
 from piezoid.formatting import words
@@ -35,6 +34,7 @@ from piezoid.numerics.arrays import Samples
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 
+RESONANCE = "resonance"
 CLEARLY_WORSE = 1.1  # ratio of held-out errors, of the model with a part over that without it
 FREE_RUNGS = 0.85  # of the error: largest error with free shares of a creep ladder
 SMALL_LAG = 0.1  # of the lag of the model: start value beside a mode that the lag had represented
@@ -70,7 +70,7 @@ def attribute_errors(
     model: AxisModel,
     lab: Lab,
     scales: Scales,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None],
 ) -> ModelErrors:
     """Compute the errors of the baseline, of the full model, and without each detected effect.
 
@@ -152,14 +152,10 @@ def refit_model(
         further_starts=alternatives,
         structure=structure,
     )
-    refit = partial(fit, further_starts=())
-    final, extensions, without_modes = _fit_with_modes(model, extensions, modes, fit)
+    final, extensions, without_modes = _fit_with_effects(
+        model, extensions, modes, estimates, recordings, fit
+    )
     without = {} if without_modes is None else {RESONANCE: without_modes}
-    # after a change between two recordings (place 0) no recording has both gains
-    if any(e.effect == "gain_change" and e.parameters["place"] > 0.0 for e in estimates):
-        names = [recording.name for recording in recordings]
-        final = _with_later_recordings(final, names, refit)
-    final = _with_free_rungs(final, refit)
     fitted_extensions = final.model.extensions
     baseline_structure = STATIC
     for estimate in estimates:
@@ -209,7 +205,7 @@ def refit_model(
         final_m=final.held_out_rms_m,
         without_m={name: result.held_out_rms_m for name, result in without.items()},
         scatter=relative_scatter(final.held_m),
-        model=_shipped_model(model, final, refit, structure) if ships_refit else model,
+        model=_shipped_model(model, final, fit, structure) if ships_refit else model,
     )
 
 
@@ -266,36 +262,46 @@ def _identified_modes(model: AxisModel, extensions: Sequence[Extension]) -> list
     ]
 
 
-def _fit_with_modes(
+def _fit_with_effects(
     model: AxisModel,
     extensions: tuple[Extension, ...],
     modes: Sequence[LinearMode],
+    estimates: Sequence[EffectEstimate],
+    recordings: Sequence[Recording],
     fit: Fit,
 ) -> tuple[Extended, tuple[Extension, ...], Extended | None]:
     """Fit all extensions, and the modes of the dynamics unless the error is clearly larger.
 
+    The search underestimates the participation of a mode, because small fast motion on large slow
+    motion is smaller than its static response predicts: one fit from there ended with 0.18 instead
+    of 1. A participation of 1 is therefore a second start value.
+
     Returns the fit, its extensions in model order, and the fit without modes if it has them.
-    """
-    fits = [fit(model, extensions=start) for start in _with_full_participation(extensions)]
-    final = min(fits, key=lambda result: result.held_out_rms_m)
-    if modes:
-        with_modes = in_order([*extensions, *modes])
-        ringing_fit = fit(model, extensions=with_modes)
-        if ringing_fit.held_out_rms_m < CLEARLY_WORSE * final.held_out_rms_m:
-            return ringing_fit, with_modes, final
-    return final, extensions, None
-
-
-def _with_full_participation(extensions: tuple[Extension, ...]) -> list[tuple[Extension, ...]]:
-    """Return start values: the extensions as they are, and with participation 1 of every mode.
-
-    The search underestimates the participation, because small fast motion on large slow motion is
-    smaller than its static response predicts: one fit from there ended with 0.18 instead of 1.
     """
     full = tuple(
         replace(e, participation=1.0) if isinstance(e, LinearMode) else e for e in extensions
     )
-    return [extensions] if full == extensions else [extensions, full]
+    starts = [extensions] if full == extensions else [extensions, full]
+    fits = [fit(model, extensions=start) for start in starts]
+    final, without_modes = min(fits, key=lambda result: result.held_out_rms_m), None
+    if modes:
+        with_modes = in_order([*extensions, *modes])
+        ringing_fit = fit(model, extensions=with_modes)
+        if ringing_fit.held_out_rms_m < CLEARLY_WORSE * final.held_out_rms_m:
+            final, extensions, without_modes = ringing_fit, with_modes, final
+    refit = partial(fit, further_starts=())
+    # after a change between two recordings (place 0) no recording has both gains
+    if any(e.effect == "gain_change" and e.parameters["place"] > 0.0 for e in estimates):
+        names = [recording.name for recording in recordings]
+        final = _with_later_recordings(final, names, refit)
+    # free shares of the rungs of a creep ladder also follow other hysteresis than the model's
+    rungs = final.model.extensions
+    if any(isinstance(extension, CreepLadder) for extension in rungs):
+        free_rungs = [replace(e, even=False) if isinstance(e, CreepLadder) else e for e in rungs]
+        with_free_rungs = refit(final.model, extensions=free_rungs)
+        if with_free_rungs.held_out_rms_m < FREE_RUNGS * final.held_out_rms_m:
+            final = with_free_rungs
+    return final, extensions, without_modes
 
 
 def _structure_of(
@@ -336,19 +342,6 @@ def _with_later_recordings(final: Extended, recordings: Sequence[str], fit: Fit)
         return final
     refitted = refit((), later)
     return refitted if refitted.held_out_rms_m < final.held_out_rms_m else final
-
-
-def _with_free_rungs(final: Extended, fit: Fit) -> Extended:
-    """Free the share of each rung of a creep ladder if the error is then clearly smaller.
-
-    Free rungs also follow hysteresis that differs a little from the model's.
-    """
-    extensions = final.model.extensions
-    if not any(isinstance(extension, CreepLadder) for extension in extensions):
-        return final
-    free_rungs = [replace(e, even=False) if isinstance(e, CreepLadder) else e for e in extensions]
-    refit = fit(final.model, extensions=free_rungs)
-    return refit if refit.held_out_rms_m < FREE_RUNGS * final.held_out_rms_m else final
 
 
 def _shipped_model(model: AxisModel, final: Extended, fit: Fit, structure: Structure) -> AxisModel:

@@ -1,10 +1,7 @@
-"""Search for effects, and for structure of the residual that no effect of the catalogue explains.
+"""Structure of the residual that no effect of the catalogue explains, after a search for effects.
 
-Effects are searched first. If the residual is then systematic along one coordinate, the curve
-along it is subtracted from the readings and the search is repeated: an effect that had absorbed
-the structure is not found again, and effects that the structure had hidden are found. A curve that
+The structure is a curve along one coordinate, or an end of the sensor's range. A curve that
 explains clearly more than a selected effect replaces it, because a wrong name is worse than none.
-The second search is accepted if its error is clearly smaller.
 """
 
 from collections.abc import Sequence
@@ -14,6 +11,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from piezoid.diagnosis.candidate import Outcome
 from piezoid.diagnosis.coordinate_bases import Signals, displacement_basis
 from piezoid.diagnosis.coordinate_scores import (
     SURROGATES,
@@ -24,17 +22,14 @@ from piezoid.diagnosis.coordinate_scores import (
     score_coordinates,
 )
 from piezoid.diagnosis.diagnosis import Unexplained
-from piezoid.diagnosis.effects.quantisation import NAME as QUANTISATION
 from piezoid.diagnosis.null_distribution import (
     rank_p_value,
     structure_p_value,
 )
-from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
+from piezoid.diagnosis.refinement import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.segments import Track
-from piezoid.diagnosis.selection import Outcome, search
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.executor import Executor
 
 PLATEAU_WIDTH = 5.0  # noise standard deviations on either side of the plateau's median
 MIN_ROWS = 20  # on the plateau, of one recording
@@ -51,7 +46,6 @@ MAX_CURVE_RATIO = 0.9  # largest error with a curve instead of an effect, over t
 # Relative difference of a period of the reading and the step of a converter, if one causes the
 # other: on one stage they were 443.9 and 443.3 nm
 STEP_ERROR = 0.05
-MAX_SECOND_RATIO = 0.97  # largest error after the second search, over that after the first
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -188,35 +182,16 @@ class SearchResult:
     without_structure: "SearchResult | None" = None
 
 
-def search_all(view: View, executor: Executor) -> SearchResult:
-    """Search for effects, and for structure of the residual that no effect explains."""
-    first = search(view, executor)
-    executor.report("locating the unexplained residual")
-    residual = Residual.of(first.final, _unselected_tangents(first, first.final))
+def locate_structure(outcome: Outcome) -> tuple[Unexplained, list[ResidualStructure]]:
+    """Return the size of the residual, and the structure that may be subtracted from readings.
+
+    An end of the sensor's range comes first, then a curve along one coordinate.
+    """
+    residual = Residual.of(outcome.final, _unselected_tangents(outcome, outcome.final))
     scores = score_coordinates(residual)
-    first_result = SearchResult(raw=view, outcome=first, unexplained=_unexplained(first, scores))
-    curve = _structure_replacing_effect(first) or _first_significant(residual, scores, first)
-    best, best_rms = first_result, MAX_SECOND_RATIO * first.final.rms
-    for structure in (_sensor_range_structure(first), curve):
-        if structure is None:
-            continue
-        executor.report("searching again without this structure")
-        tracks = []
-        for k, (track, error) in enumerate(zip(view.tracks, structure.curve, strict=True)):
-            is_measured = ~structure.is_beyond_range(k)[track.rows]
-            rows, block = track.rows[is_measured], track.block[is_measured]
-            response = track.response - error
-            tracks.append(replace(track, response=response, rows=rows, block=block))
-        second = search(with_tracks(view, tracks), executor)
-        if first.coarse_readings is not None:  # minus a curve, readings have no equal steps
-            fault = replace(first.coarse_readings, tracks=second.clean.tracks)
-            second = replace(second, faults={**second.faults, QUANTISATION: fault})
-        if second.final.rms < best_rms:
-            best_rms = second.final.rms
-            best = replace(
-                first_result, outcome=second, structure=structure, without_structure=first_result
-            )
-    return best
+    curve = _structure_replacing_effect(outcome) or _first_significant(residual, scores, outcome)
+    structures = (_sensor_range_structure(outcome), curve)
+    return _unexplained(outcome, scores), [s for s in structures if s is not None]
 
 
 def locate_residual(view: View, outcome: Outcome) -> SearchResult:

@@ -22,9 +22,8 @@ from operator import itemgetter
 import numpy as np
 
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.residual_view import View, with_tracks
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Places, Track
-from piezoid.diagnosis.signals import other_axis_columns
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import relaxed
 
@@ -39,6 +38,8 @@ MIN_BETA_OF_ONE, MIN_BETA = 0.6, 0.2  # smallest beta of a slip of one sample, a
 RELAXATIONS_s = (3e-4, 3e-3, 3e-2, 0.3, 3.0)
 SAMPLES_PER_REACH = 8000  # of a track, for one sample of reach of a slope
 MAX_ROUNDS = 4  # of placing a slip and fitting the static response again
+
+Refit = Callable[[Sequence[Track]], View]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,10 +84,10 @@ def delay_change(static: Array, rows: Places, samples: int) -> Array:
     return np.asarray(static[np.clip(rows - samples, 0, len(static) - 1)] - static[rows])
 
 
-def delay_like_null(view: View, *, other_axes: bool = False) -> Null:
+def delay_like_null(view: View, *further_columns: Array) -> Null:
     """Return the null of a view, extended by columns that resemble a delay.
 
-    other_axes  whether to add responses to the drives of other axes
+    further_columns  (rows, columns) of other causes, with which to extend it as well
     """
     tracks = view.tracks
     speed = [
@@ -104,7 +105,7 @@ def delay_like_null(view: View, *, other_axes: bool = False) -> Null:
             for static, track in zip(view.static, tracks, strict=True)
         ]
         columns.append(view.rows(delayed))
-    columns += [other_axis_columns(view)] if other_axes else []
+    columns += further_columns
     return Null(
         columns=np.column_stack([view.null.all_columns, *(c for c in columns if np.any(c))]),
         response=view.response,
@@ -164,21 +165,17 @@ class SlipScan:
         """Return gain and beta of slips of one length that start at some rows."""
         change = self.change(samples)
         product = _sums_from(self.residual * change, first)
-        square, orthogonal = self._squares(change, first)
+        square, orthogonal = self.squares(samples, first)
         is_orthogonal = orthogonal > MIN_ORTHOGONAL * square + 1e-300
         beta = np.where(is_orthogonal, product / np.where(is_orthogonal, orthogonal, 1.0), 0.0)
         power = float(self.residual @ self.residual) + 1e-300
         return np.asarray(beta * product / power), np.asarray(beta)
 
-    def orthogonal_share(self, samples: int, first: Places) -> Array:
-        """Return the share of the square of such slips that is orthogonal to the null."""
-        square, orthogonal = self._squares(self.change(samples), first)
-        return np.asarray(orthogonal / (square + 1e-300))
-
-    def _squares(self, change: Array, first: Places) -> tuple[Array, Array]:
-        """Return the sums of squares of a column from some rows on, and of its orthogonal part."""
+    def squares(self, samples: int, first: Places) -> tuple[Array, Array]:
+        """Return the squares of the columns of such slips, whole and orthogonal to the null."""
         from scipy.linalg import solve_triangular
 
+        change = self.change(samples)
         square = _sums_from(change * change, first)
         products = self.null.all_columns[self.rows] * change[:, None]
         shared = _sums_from(products, first) / self.null.scale
@@ -234,12 +231,12 @@ def refine_slip(
     view: View,
     slip: Slip,
     *,
-    refit: Callable[[Sequence[Track]], View] | None = None,
+    refit: Refit,
     has_length: bool = False,
 ) -> Slip:
     """Refine the instant of a slip to a sample and its length to an integer.
 
-    refit       refits repaired tracks with the effects of the view; None: the view has no effects
+    refit       refits repaired tracks with the effects of the view
     has_length  whether the length is fixed and only the instant is refined
 
     The static response is refitted with the slip undone, for every trial of the length: a response
@@ -250,8 +247,7 @@ def refine_slip(
     longest = max_slip(len(view.tracks[slip.track].drive))
 
     def repaired(trial: Slip) -> View:
-        undone = undo_slip(view, trial)
-        return undone if refit is None else refit(undone.tracks)
+        return refit(without_slips(view.tracks, trial))
 
     for _ in range(MAX_ROUNDS):
         refined = _best_instant(view, repaired(slip), slip)
@@ -296,24 +292,21 @@ def _best_instant(view: View, repaired: View, slip: Slip) -> Slip:
     )
 
 
-def undo_slip(view: View, slip: Slip) -> View:
-    """Return the view of tracks with one slip undone."""
-    tracks = list(view.tracks)
-    tracks[slip.track] = shift_readings(tracks[slip.track], slip)
-    return with_tracks(view, tracks)
-
-
-def shift_readings(track: Track, slip: Slip) -> Track:
-    """Shift the readings after a slip back, and drop rows without a reading."""
-    samples, count = int(slip.samples), len(track.response)
-    index = np.arange(count)
-    source = np.where(index >= slip.instant, np.clip(index + samples, 0, count - 1), index)
-    end = slip.instant + 2 + max(-samples, 0)
-    is_missing = (track.rows > slip.instant - 3) & (track.rows < end)
-    has_reading = ~is_missing & (track.rows + max(samples, 0) < count)
-    return replace(
-        track,
-        response=track.response[source],
-        rows=track.rows[has_reading],
-        block=track.block[has_reading],
-    )
+def without_slips(tracks: Sequence[Track], *slips: Slip) -> list[Track]:
+    """Undo slips one after the other: shift the readings after each back, and drop lost rows."""
+    repaired = list(tracks)
+    for slip in slips:
+        track = repaired[slip.track]
+        samples, count = int(slip.samples), len(track.response)
+        index = np.arange(count)
+        source = np.where(index >= slip.instant, np.clip(index + samples, 0, count - 1), index)
+        end = slip.instant + 2 + max(-samples, 0)
+        is_missing = (track.rows > slip.instant - 3) & (track.rows < end)
+        has_reading = ~is_missing & (track.rows + max(samples, 0) < count)
+        repaired[slip.track] = replace(
+            track,
+            response=track.response[source],
+            rows=track.rows[has_reading],
+            block=track.block[has_reading],
+        )
+    return repaired

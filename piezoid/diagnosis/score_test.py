@@ -90,7 +90,15 @@ def screen_trials(
         is_loop_width = one_speed or np.linalg.norm(columns[:, 0]) < min_norm
         if not (trial.needs_time and is_loop_width):
             separable.append((trial, cv, columns))
-    possible = [result for result in separable if _is_possible(effect, result[0], result[1])]
+    # a trial is possible if its first coefficient is; the tangent of a filter has the right sign,
+    # but its length is off by factors
+    is_filter = effect.drive_filter is not None or effect.response_filter is not None
+    possible = []
+    for trial, cv, columns in separable:
+        low, high = (MIN_FILTER_SHARE, np.inf) if is_filter else trial.coefficient_range
+        size = abs(cv.coefficient[0])
+        if trial.unique and low <= cv.coefficient[0] <= high and size >= trial.minimum_coefficient:
+            possible.append((trial, cv, columns))
     trial, cv, columns = max(possible or physical, key=lambda result: result[1].gain)
     # rms of the contribution beyond the null with its error, and the norm of the whole trial
     added_rms = float(np.sqrt(np.mean((columns @ cv.coefficient) ** 2)))
@@ -109,17 +117,4 @@ def screen_trials(
         physical=bool(possible),
         separable=bool(separable),
         total_gain=cv.gain,
-    )
-
-
-def _is_possible(effect: Effect, trial: Trial, cv: CrossValidated) -> bool:
-    """Tell whether the first coefficient of a trial is physically possible."""
-    low, high = trial.coefficient_range
-    if not trial.unique:
-        return False
-    if effect.drive_filter is not None or effect.response_filter is not None:
-        # the tangent of a filter has the right sign, but its length is off by factors
-        low, high = MIN_FILTER_SHARE, float("inf")
-    return bool(
-        low <= cv.coefficient[0] <= high and abs(cv.coefficient[0]) >= trial.minimum_coefficient
     )

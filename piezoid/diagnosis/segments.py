@@ -145,6 +145,16 @@ def tracks_of(
         rows = np.setdiff1d(spread_rows(samples, share), bridged)
         settled = int(np.ceil(SETTLING * slowest_s * piece.sampling_rate_Hz))
         rows = rows[rows >= min(settled, samples // 10)]
+        other_drives = {
+            channel.axis: 2.0
+            * (channel.values[first : first + samples] - channel.values.min())
+            / float(np.ptp(channel.values))
+            - 1.0
+            for channel in recording.channels
+            if channel.quantity is Quantity.VOLTAGE
+            and channel.axis != axis
+            and np.ptp(channel.values) > 0.0
+        }
         command, drive = _command_and_drive(piece, unfiltered, rig, clock_Hz)
         tracks.append(
             Track(
@@ -154,7 +164,7 @@ def tracks_of(
                 drive=drive,
                 sensor_Hz=rig.sensor_bandwidth_Hz,
                 response=piece.response,
-                other_drives=_other_drives(recording, axis, first, samples),
+                other_drives=other_drives,
                 rows=rows,
                 block=rows * BLOCKS // samples,
                 bridged=bridged,
@@ -181,19 +191,6 @@ def _command_and_drive(
     delay = 0.0 if clock_Hz is None else 0.5 * rate_Hz / clock_Hz
     command = later(piece.drive, delay) if delay else piece.drive
     return command, behind_pole(command, sensor_Hz, rate_Hz)
-
-
-def _other_drives(recording: Recording, axis: str, first: int, samples: int) -> dict[str, Array]:
-    drives = {}
-    for channel in recording.channels:
-        if channel.quantity is not Quantity.VOLTAGE or channel.axis == axis:
-            continue
-        values = channel.values
-        span = float(np.ptp(values))
-        if span > 0.0:
-            part = values[first : first + samples]
-            drives[channel.axis] = np.asarray(2.0 * (part - values.min()) / span - 1.0)
-    return drives
 
 
 def staircase_response(

@@ -1,4 +1,4 @@
-"""Search for causes: faults of the data, forward selection, model comparison.
+"""Search for causes: faults of the data, forward selection, model comparison, residual structure.
 
 Every effect gets a score test by its tangents. A shortlist is refitted with the whole model, and
 the effect with the smallest error is selected if it is significant, physical and clearly better
@@ -10,33 +10,40 @@ model. The two are not separable on these recordings if the loss over blocks is 
 smaller with the selected effect (Vuong). The difference between two interpolations of the drive
 may be significant, so a small difference does not separate effects either.
 
+If the residual is then systematic along one coordinate, the curve along it is subtracted from the
+readings and the search is repeated: an effect that had absorbed the structure is not selected
+again, and effects that the structure had hidden are. The second search is accepted if its error is
+clearly smaller.
+
 Source: Vuong, Econometrica 57 (1989).
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import hypot, sqrt
 
 from piezoid.diagnosis.blocked_regression import paired_z
 from piezoid.diagnosis.candidate import (
+    NOISE_UNCERTAINTY,
+    QUANTISATION,
     Candidate,
+    Confounded,
+    Outcome,
     evaluate,
-    explained_share,
     structural_candidate,
 )
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import every_effect
-from piezoid.diagnosis.effects.quantisation import NAME as QUANTISATION
 from piezoid.diagnosis.forward_selection import SLIP, select_forward
-from piezoid.diagnosis.initial_state_search import (
+from piezoid.diagnosis.nuisance_search import (
     OTHER_INITIAL_STATES,
     InitialStates,
     is_shared_state_as_good,
     with_individual_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.refinement import initial_guess, refine
-from piezoid.diagnosis.refitted_view import SelectedEffect, with_effects
+from piezoid.diagnosis.refinement import SelectedEffect, initial_guess, refine, with_effects
+from piezoid.diagnosis.residual_structure import SearchResult, locate_structure
 from piezoid.diagnosis.residual_view import View, with_shared_reversals, with_tracks
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.step_responses import step_response_view
@@ -50,60 +57,38 @@ EVIDENT = 0.5  # largest relative error at which a shared initial state is evide
 MIN_TANGENT_GAIN = 0.5  # of the effect's gain, by a confounded effect that is refitted
 SEPARABLE = 1.96  # standard errors between two effects
 MIN_DIFFERENCE = 0.02  # of the explained and of the remaining error, to separate two effects
-Confounded = dict[str, tuple[str, ...]]  # names of effects that could replace an effect, by name
 STAMP_FAULTS = ("gap", "duplicate_time", "time_reversed")
 INVALID = "lost_readings"
 CERTAIN_P = 1e-12  # time stamps and flags are read, not estimated
 CLOCK, SPIKES = "timestamp_fault", "outliers"
+MAX_SECOND_RATIO = 0.97  # largest error after the second search, over that after the first
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Outcome:
-    """Result of a search.
-
-    first        view before any fault was repaired
-    clean        view with faults repaired
-    final        view with all causes in the model
-    faults       by effect
-    causes       every selected effect, evaluated beside all others
-    confounded   effects that would explain as much instead of a selected effect, by its name
-    score_tests  the last score test of each effect that was not selected
-    dismissed    selected effects and significant structure that may not be named
-    doubtful     selected effects that are not named because the model does not need them
-    rejection    why the model class does not apply and no cause was searched; empty if it applies
-    """
-
-    first: View
-    clean: View
-    final: View
-    faults: Mapping[str, Fault]
-    causes: tuple[Candidate, ...]
-    confounded: Confounded
-    score_tests: Mapping[str, ScoreTest]
-    dismissed: tuple[Candidate, ...] = ()
-    doubtful: tuple[Candidate, ...] = ()
-    rejection: str = ""
-
-    @property
-    def inseparable(self) -> tuple[str, ...]:
-        """Return the significant structural effects that the causes cannot be separated from."""
-        return tuple(c.effect.name for c in self.dismissed if c.effect.structural is not None)
-
-    @property
-    def repaired_faults(self) -> tuple[str, ...]:
-        """Return the names of the faults that were repaired; others need a new measurement."""
-        tracks, names = self.first.tracks, []
-        for name, fault in self.faults.items():
-            if any(a is not b for a, b in zip(tracks, fault.tracks, strict=True)):
-                names.append(name)
-            tracks = fault.tracks
-        return tuple(names)
-
-    @property
-    def coarse_readings(self) -> Fault | None:
-        """Return the fault of readings in coarse steps, which no repair removes."""
-        is_repaired = QUANTISATION in self.repaired_faults
-        return None if is_repaired else self.faults.get(QUANTISATION)
+def search_all(view: View, executor: Executor) -> SearchResult:
+    """Search for effects, and for structure of the residual that no effect explains."""
+    first = search(view, executor)
+    executor.report("locating the unexplained residual")
+    unexplained, structures = locate_structure(first)
+    first_result = SearchResult(raw=view, outcome=first, unexplained=unexplained)
+    best, best_rms = first_result, MAX_SECOND_RATIO * first.final.rms
+    for structure in structures:
+        executor.report("searching again without this structure")
+        tracks = []
+        for k, (track, error) in enumerate(zip(view.tracks, structure.curve, strict=True)):
+            is_measured = ~structure.is_beyond_range(k)[track.rows]
+            rows, block = track.rows[is_measured], track.block[is_measured]
+            response = track.response - error
+            tracks.append(replace(track, response=response, rows=rows, block=block))
+        second = search(with_tracks(view, tracks), executor)
+        if first.coarse_readings is not None:  # minus a curve, readings have no equal steps
+            fault = replace(first.coarse_readings, tracks=second.clean.tracks)
+            second = replace(second, faults={**second.faults, QUANTISATION: fault})
+        if second.final.rms < best_rms:
+            best_rms = second.final.rms
+            best = replace(
+                first_result, outcome=second, structure=structure, without_structure=first_result
+            )
+    return best
 
 
 def search(view: View, executor: Executor = SERIAL) -> Outcome:
@@ -112,7 +97,6 @@ def search(view: View, executor: Executor = SERIAL) -> Outcome:
     state = select_forward(clean, faults, executor, initial)
     causes, confounded, dismissed = compare_models(state.clean, state.selected, executor)
     final = with_effects(state.clean, [cause.selected for cause in causes])
-    named_effects = {cause.effect.name for cause in causes}
     outcome = Outcome(
         first=view,
         clean=state.clean,
@@ -120,16 +104,13 @@ def search(view: View, executor: Executor = SERIAL) -> Outcome:
         faults=state.faults,
         causes=tuple(causes),
         confounded=confounded,
-        score_tests={
-            **_test_dropped_effects(final, {*named_effects, *state.score_tests}),
-            **state.score_tests,
-        },
+        score_tests=_with_dropped_effects(state.score_tests, final, causes),
         dismissed=tuple(dismissed),
     )
     return _with_structure(outcome, executor)
 
 
-def search_faults(view: View, rejection: str, executor: Executor = SERIAL) -> Outcome:
+def search_faults(view: View, rejection: str, executor: Executor) -> Outcome:
     """Search for faults of the data only, because the model class does not apply.
 
     rejection  why the class does not apply
@@ -154,27 +135,26 @@ def without_causes(outcome: Outcome, causes: Sequence[Candidate]) -> Outcome:
     """Return the outcome without causes that the model does not need."""
     remaining = tuple(cause for cause in outcome.causes if cause not in causes)
     final = with_effects(outcome.clean, [cause.selected for cause in remaining])
-    named_effects = {cause.effect.name for cause in remaining}
     return replace(
         outcome,
         final=final,
         causes=remaining,
         doubtful=tuple(causes),
-        score_tests={
-            **_test_dropped_effects(final, {*named_effects, *outcome.score_tests}),
-            **outcome.score_tests,
-        },
+        score_tests=_with_dropped_effects(outcome.score_tests, final, remaining),
     )
 
 
-def _test_dropped_effects(final: View, tested: Collection[str]) -> dict[str, ScoreTest]:
-    """Test effects on the final view that were selected and dropped again."""
-    tests = [
+def _with_dropped_effects(
+    tests: Mapping[str, ScoreTest], final: View, causes: Sequence[Candidate]
+) -> dict[str, ScoreTest]:
+    """Add tests on the final view of effects that were selected and dropped again."""
+    tested = {*tests, *(cause.effect.name for cause in causes)}
+    dropped = [
         score_test(effect, final)
         for effect in every_effect()
         if effect.structural is None and effect.name not in tested and not effect.untestable(final)
     ]
-    return {test.effect.name: test for test in tests if test is not None}
+    return {**{test.effect.name: test for test in dropped if test is not None}, **tests}
 
 
 def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
@@ -193,7 +173,11 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
         if result is None:
             continue
         test, candidate = result
-        is_clear = explained_share(candidate.cv.gain, final.rms, final.noise) > CLEAR_SHARE
+        baseline_power = (final.rms / (1.0 - candidate.cv.gain)) ** 2
+        explained_power = baseline_power - final.rms**2
+        noise_power = final.noise**2
+        above_noise = max(baseline_power - noise_power, NOISE_UNCERTAINTY * noise_power)
+        is_clear = explained_power / above_noise > CLEAR_SHARE
         fits_well = final.rms < structural.largest_noise_ratio * final.noise
         if candidate.may_be_named and (is_clear or fits_well):
             outcome = replace(outcome, causes=(*outcome.causes, candidate))
@@ -272,8 +256,7 @@ def compare_models(
             assert test is not None
             candidate = evaluate(refined, with_effect, without, test=test)
             candidates.append(candidate)
-            alternatives = _find_confounded(candidate, view, remaining, executor)
-            confounded[name] = tuple(alternative.effect.name for alternative in alternatives)
+            confounded[name] = _find_confounded(candidate, view, remaining, executor)
         rejected = [c for c in candidates if not c.may_be_named]
         if not rejected:
             return candidates, confounded, dismissed
@@ -287,40 +270,33 @@ def _find_confounded(
     clean: View,
     remaining: Sequence[SelectedEffect],
     executor: Executor,
-) -> tuple[Candidate, ...]:
+) -> tuple[str, ...]:
     """Return the effects that could replace a selected effect, the smallest error first."""
-    in_model = {effect.effect.name for effect in remaining}
+    without, in_model = candidate.without, {effect.effect.name for effect in remaining}
+
+    def refit(effect: Effect) -> Candidate | None:
+        """Refit a confounded effect instead of the selected one; None if its gain is too small."""
+        if effect.trials is None or effect.structural is not None or effect.untestable(without):
+            return None
+        test = score_test(effect, without)
+        if test is None or test.total_gain < MIN_TANGENT_GAIN * candidate.cv.gain:
+            return None
+        if test.separable and not test.physical:
+            return None
+        guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
+        refined, view = refine(guess, clean, remaining, finer=1)
+        return evaluate(refined, view, without, test=test)
+
     alternatives = executor.map(
-        lambda effect: _evaluate_alternative(effect, candidate, clean, remaining),
+        refit,
         [
             effect
             for effect in every_effect()
             if effect.name in candidate.effect.confounded and effect.name not in in_model
         ],
     )
-    confounded = [
-        alternative
-        for alternative in alternatives
-        if alternative is not None and is_confounded(alternative, candidate)
-    ]
-    return tuple(sorted(confounded, key=lambda alternative: alternative.cv.rms))
-
-
-def _evaluate_alternative(
-    effect: Effect, candidate: Candidate, clean: View, remaining: Sequence[SelectedEffect]
-) -> Candidate | None:
-    """Refit a confounded effect instead of a selected one; None if its gain is too small."""
-    without = candidate.without
-    if effect.trials is None or effect.structural is not None or effect.untestable(without):
-        return None
-    test = score_test(effect, without)
-    if test is None or test.total_gain < MIN_TANGENT_GAIN * candidate.cv.gain:
-        return None
-    if test.separable and not test.physical:
-        return None
-    guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
-    refined, view = refine(guess, clean, remaining, finer=1)
-    return evaluate(refined, view, without, test=test)
+    confounded = [a for a in alternatives if a is not None and is_confounded(a, candidate)]
+    return tuple(a.effect.name for a in sorted(confounded, key=lambda a: a.cv.rms))
 
 
 def is_confounded(alternative: Candidate, candidate: Candidate) -> bool:

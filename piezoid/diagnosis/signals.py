@@ -1,4 +1,4 @@
-"""Helpers of effects: columns of filters and other axes, and recordings with an effect added."""
+"""Helpers of effects: filters, lines, trends, other axes, and recordings with an effect added."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -152,3 +152,34 @@ def other_axis_columns(view: View, *, backwards: bool = False) -> Array:
             of_axis[view.track_rows(k)] = np.column_stack([drive, drive**2, plays])[track.rows]
         columns.append(of_axis)
     return np.column_stack(columns)
+
+
+def cubic(time_s: Array) -> Array:
+    """Return a cubic of time, (rows, 3)."""
+    unit = 2.0 * (time_s - time_s[0]) / max(float(np.ptp(time_s)), 1e-30) - 1.0
+    return np.column_stack([unit, unit**2, unit**3])
+
+
+def waves(time_s: Array, frequencies_Hz: Sequence[float]) -> Array:
+    """Return cosine and sine of each frequency, about their means, (rows, 2 frequencies)."""
+    angles_rad = [2.0 * np.pi * frequency_Hz * time_s for frequency_Hz in frequencies_Hz]
+    columns = np.column_stack([wave(angle) for angle in angles_rad for wave in (np.cos, np.sin)])
+    return np.asarray(columns - columns.mean(axis=0))
+
+
+def peak_Hz(signal: Array, time_s: Array, near_Hz: float, reach_Hz: float) -> float:
+    """Return the frequency of a line of a signal, at the vertex of its power.
+
+    With a frequency error of an eighth of a period over the recording, a fifth of the line would
+    remain and be reported as a second line.
+    """
+    frequencies = near_Hz + reach_Hz * np.linspace(-1.0, 1.0, 41)
+    power = np.array(
+        [abs(np.exp(-2j * np.pi * f * time_s) @ signal) for f in frequencies.tolist()]
+    )
+    peak = int(np.clip(np.argmax(power), 1, len(frequencies) - 2))
+    left, centre, right = power[peak - 1 : peak + 2].tolist()
+    curvature = 2.0 * centre - left - right
+    offset = 0.5 * (right - left) / curvature if curvature > 0.0 else 0.0
+    step_Hz = frequencies[1] - frequencies[0]
+    return float(frequencies[peak] + step_Hz * np.clip(offset, -1.0, 1.0))

@@ -1,8 +1,8 @@
 """Step responses: resonances after jumps of the drive, at all samples.
 
 A mode rings for some milliseconds after a jump. These are a few of thousands of rows, all in one
-block, so that no mean over blocks is significant. Step responses are therefore searched
-separately, at all samples and with their own blocks, beside the static response of the whole view.
+block, so that no mean over blocks is significant. Step responses therefore have a view of their
+own, with all samples and separate blocks, beside the static response of the whole view.
 
 Source: Ewins, Modal Testing, 2nd ed. (2000), on free decays.
 """
@@ -13,15 +13,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from piezoid.diagnosis.candidate import evaluate
 from piezoid.diagnosis.drive_history import History
-from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.nuisance import NuisanceClass
-from piezoid.diagnosis.refinement import initial_guess, refine
-from piezoid.diagnosis.refitted_view import SelectedEffect
+from piezoid.diagnosis.refinement import SelectedEffect
 from piezoid.diagnosis.residual_view import View, with_tracks
-from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.segments import BLOCKS
 from piezoid.identification.extensions.linear_mode import LinearMode, rows_after_steps
 from piezoid.numerics.arrays import Array
@@ -62,53 +57,6 @@ class Trend(NuisanceClass):
             polynomials = np.polynomial.legendre.legvander(position, DEGREE)
             columns[first:stop, k * (DEGREE + 1) : (k + 1) * (DEGREE + 1)] = polynomials
         return columns
-
-
-def modes_after_steps(view: View) -> tuple[SelectedEffect, ...]:
-    """Return the resonances that are significant in step responses, refined on these."""
-    step_responses, modes = step_response_view(view), []
-    if step_responses is None:
-        return ()
-    for mode in every_effect():
-        if not mode.may_be_absorbed or mode.untestable(step_responses):
-            continue
-        effect = with_any_phase(mode)
-        test = score_test(effect, step_responses)
-        if test is None or not test.physical:
-            continue
-        guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
-        refined, refined_view = refine(guess, step_responses, [])
-        if evaluate(refined, refined_view, step_responses, test=test).is_significant:
-            modes.append(replace(refined, from_jumps=True))
-    return tuple(modes)
-
-
-def with_any_phase(effect: Effect) -> Effect:
-    """Return the effect with its columns and the same columns delayed by one sample.
-
-    A jump lies between two samples, so its response is delayed by a fraction of a sample: a
-    weighted sum of both columns.
-    """
-    assert effect.trials is not None
-    assert effect.columns is not None
-    trials, columns = effect.trials, effect.columns
-
-    def two_phases(view: View, parameters: Parameters) -> Array:
-        tracks = [replace(track, rows=np.maximum(track.rows - 1, 0)) for track in view.tracks]
-        delayed = replace(with_tracks(view, tracks), static_override=view.static)
-        return np.hstack([columns(view, parameters), columns(delayed, parameters)])
-
-    def two_phase_trials(view: View) -> list[Trial]:
-        return [
-            replace(
-                trial,
-                columns=two_phases(view, trial.parameters),
-                coefficient_range=(-np.inf, np.inf),
-            )
-            for trial in trials(view)
-        ]
-
-    return replace(effect, trials=two_phase_trials, columns=two_phases)
 
 
 def step_response_view(view: View) -> View | None:

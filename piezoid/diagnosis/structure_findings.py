@@ -31,11 +31,10 @@ from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
     CoordinateProfile,
     Finding,
-    HeldOut,
     Size,
     held_out_gain,
 )
-from piezoid.diagnosis.residual_structure import ResidualStructure
+from piezoid.diagnosis.residual_structure import MAX_P_VALUE, ResidualStructure
 from piezoid.diagnosis.residual_view import View
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
@@ -79,18 +78,30 @@ class NoiseLevel:
         return float(low), float(high)
 
 
-def noise_level(view: View, max_p_value: float) -> NoiseLevel | None:
+def noise_level(view: View) -> NoiseLevel | None:
     """Return the noise level along the coordinate on which it depends; None if uniform.
-
-    max_p_value  of the coordinate
 
     Noise below the resolution of the converter cannot be measured. Noise that is a minor part of
     the residual cannot be separated from other structure. Time is not tested: the distribution of
     the logarithms is skew, so that random signs are no null distribution.
+
+    Rows at which the noise cannot be measured have the typical level: next to samples that were
+    not recorded, and where the second difference of the static response exceeds the noise.
     """
     if any(step_size(track.response) > view.noise for track in view.tracks):
         return None
-    local = np.concatenate([_local_noise(view, k) for k in range(len(view.tracks))])
+    magnitudes = []
+    for track, static in zip(view.tracks, view.static, strict=True):
+        noise = np.full(len(static), np.nan)  # where it cannot be measured
+        noise[1:-1] = np.abs(np.diff(track.response - static, 2)) / sqrt(6.0)
+        noise[1:-1][np.abs(np.diff(static, 2)) > sqrt(6.0) * view.noise] = np.nan
+        for missing in track.bridged.tolist():
+            noise[max(missing - 1, 0) : missing + 2] = np.nan
+        rows = noise[track.rows]
+        measured = rows[np.isfinite(rows) & (rows > 0.0)]
+        typical = float(np.exp(np.mean(np.log(measured)))) if len(measured) else view.noise
+        magnitudes.append(np.where(np.isfinite(rows), rows, typical))
+    local = np.concatenate(magnitudes)
     if float(np.mean(local**2)) < MIN_SHARE * view.rms**2:
         return None
     values = np.log(np.maximum(local, MIN_NOISE * view.noise) ** 2)
@@ -103,68 +114,70 @@ def noise_level(view: View, max_p_value: float) -> NoiseLevel | None:
     best = max(scores, key=lambda score: score.gain)
     mean = values - residual.values + best.fitted - MEAN_LOG
     ratio = np.exp(0.5 * np.diff(np.quantile(best.fitted, RANGE)))
-    if best.gain <= 0.0 or best.p_value > max_p_value or ratio < MIN_RATIO:
+    if best.gain <= 0.0 or best.p_value > MAX_P_VALUE or ratio < MIN_RATIO:
         return None
     return NoiseLevel(score=best, local=local, level=np.exp(0.5 * mean), view=view)
-
-
-def _local_noise(view: View, k: int) -> Array:
-    """Return the magnitude of the noise at the rows of a track.
-
-    Rows at which it cannot be measured have the typical level: next to samples that were not
-    recorded, and where the second difference of the static response exceeds the noise.
-    """
-    track, static = view.tracks[k], view.static[k]
-    noise = np.full(len(static), np.nan)
-    noise[1:-1] = np.abs(np.diff(track.response - static, 2)) / sqrt(6.0)
-    noise[1:-1][np.abs(np.diff(static, 2)) > sqrt(6.0) * view.noise] = np.nan
-    for missing in track.bridged.tolist():
-        noise[max(missing - 1, 0) : missing + 2] = np.nan
-    rows = noise[track.rows]
-    measured = rows[np.isfinite(rows) & (rows > 0.0)]
-    typical = float(np.exp(np.mean(np.log(measured)))) if len(measured) else view.noise
-    return np.where(np.isfinite(rows), rows, typical)
 
 
 def structure_finding(
     structure: ResidualStructure,
     *,
-    without_curve: HeldOut,
-    with_curve: HeldOut,
+    before_m: float,
+    after_m: float,
     scale_m: float,
     middle_m: float,
 ) -> Finding:
     """Return the finding of structure that the search subtracted from the readings.
 
-    without_curve  held-out error of the model without the curve
-    with_curve     held-out error of the model with the curve
-    scale_m        displacement of 1 in scaled units
-    middle_m       displacement of 0 in scaled units
+    Its size is the rms of the curve, with an interval over blocks. A periodic curve counts in
+    full, although hysteresis can follow a part of it. Along another coordinate the curve and
+    hysteresis cannot be separated: only the part that no hysteresis follows counts.
+
+    before_m  held-out error of the model without the curve
+    after_m   held-out error of the model with the curve
+    scale_m   displacement of 1 in scaled units
+    middle_m  displacement of 0 in scaled units
     """
     score, view, end, law = structure.score, structure.view, structure.range_end, ""
-    low_m, rms_m, high_m = (view.half_stroke_m * rms for rms in _rms_with_interval(structure))
+    power, mean = structure.block_power, structure.mean_power
+    margin = 1.96 * float(np.std(power, ddof=1)) * sqrt(len(power)) / len(score.fitted)
+    ratio = 1.0
+    if score.basis.per_unit > 0.0:
+        curve = view.rows(structure.curve)
+        ratio = float(np.std(curve)) / max(sqrt(float(np.mean(score.fitted**2))), 1e-300)
+    low_m, rms_m, high_m = (
+        view.half_stroke_m * (ratio * sqrt(max(mean + change, 0.0)))
+        for change in (-margin, 0.0, margin)
+    )
     sign = float(np.sign(scale_m))
     profile = _profile(
         score, view, sign * structure.residual, sign * score.fitted, scale_m, middle_m
     )
+    parameters, location = _period(structure)
+    if not parameters:  # the range of the coordinate with most of the structure
+        height = np.abs(profile.fitted_m)
+        high = np.flatnonzero(height > HALF_HEIGHT * float(height.max()))
+        start, stop = (with_unit(profile.place[int(high[k])], profile.unit) for k in (0, -1))
+        recording = f" of {profile.recording}" if profile.recording else ""
+        location = f", most of it from {start} to {stop}{recording}"
     share = f"{100 * structure.share:.0f} % of the residual power above the noise"
     if end is not None:  # applies to other recordings
         limit = "min" if end.side * scale_m > 0.0 else "max"
         law = f"reading = {limit}(displacement, {with_unit(middle_m + scale_m * end.level, 'm')})"
     return Finding(
         effect=SOMETHING_ELSE,
-        held_out_gain=held_out_gain(without_curve.rms_m, with_curve.rms_m),
-        held_out_rms_before_m=without_curve.rms_m,
-        held_out_rms_after_m=with_curve.rms_m,
+        held_out_gain=held_out_gain(before_m, after_m),
+        held_out_rms_before_m=before_m,
+        held_out_rms_after_m=after_m,
         p_value=structure.healthy_p_value,
         rms_percent=50.0 * rms_m / view.half_stroke_m,
-        size=_size(low_m, rms_m, high_m),
+        size=Size.of_rms(rms_m, low_m, high_m),
         not_separable_from=(),
         explanation="Residual that no effect of the catalogue explains: "
         f"{with_unit(rms_m, 'm')} rms along {coordinate_words(score.coordinate)}"
-        f"{_location(structure, profile)}; {share}.",
+        f"{location}; {share}.",
         next_experiment=next_experiment(score.coordinate),
-        parameters=_parameters(structure),
+        parameters=parameters,
         coordinate=score.coordinate,
         law=law,
         seen=profile,
@@ -172,13 +185,13 @@ def structure_finding(
 
 
 def noise_finding(
-    noise: NoiseLevel, *, error: HeldOut, scale_m: float, middle_m: float
+    noise: NoiseLevel, *, error_m: float, scale_m: float, middle_m: float
 ) -> Finding:
     """Return the finding of noise that depends on a coordinate.
 
     Its size is the rms of the noise beyond its lowest level, with an interval over blocks.
 
-    error  held-out error of the model, which includes this noise
+    error_m  held-out error of the model, which includes this noise
     """
     score, view, quietest = noise.score, noise.view, noise.range[0]
     power, rows = np.add.reduceat(noise.local**2, view.null.edges), len(noise.local)
@@ -192,11 +205,11 @@ def noise_finding(
     return Finding(
         effect=SOMETHING_ELSE,
         held_out_gain=0.0,
-        held_out_rms_before_m=error.rms_m,
-        held_out_rms_after_m=error.rms_m,
+        held_out_rms_before_m=error_m,
+        held_out_rms_after_m=error_m,
         p_value=score.p_value,
         rms_percent=50.0 * rms_m / view.half_stroke_m,
-        size=_size(low_m, rms_m, high_m),
+        size=Size.of_rms(rms_m, low_m, high_m),
         not_separable_from=(),
         explanation=f"The noise of the readings changes along {coordinate_words(score.coordinate)}"
         f", from {quiet} rms in the quietest region to {loud} in the loudest: "
@@ -208,53 +221,17 @@ def noise_finding(
     )
 
 
-def _size(low_m: float, rms_m: float, high_m: float) -> Size:
-    return Size(value=1e9 * rms_m, unit="nm, rms", ci95=(1e9 * low_m, 1e9 * high_m))
-
-
-def _rms_with_interval(structure: ResidualStructure) -> tuple[float, float, float]:
-    """Return lower limit, value and upper limit (95 %) of the rms of the curve, over blocks.
-
-    A periodic curve counts in full, although hysteresis can follow a part of it. Along another
-    coordinate the curve and hysteresis cannot be separated: only the part that no hysteresis
-    follows counts.
-    """
-    fitted, power, mean = structure.score.fitted, structure.block_power, structure.mean_power
-    rows, count = len(fitted), len(power)
-    margin = 1.96 * float(np.std(power, ddof=1)) * sqrt(count) / rows
-    ratio = 1.0
-    if structure.score.basis.per_unit > 0.0:
-        curve = structure.view.rows(structure.curve)
-        ratio = float(np.std(curve)) / max(sqrt(float(np.mean(fitted**2))), 1e-300)
-    return ratio * sqrt(max(mean - margin, 0.0)), ratio * sqrt(mean), ratio * sqrt(mean + margin)
-
-
-def _parameters(structure: ResidualStructure) -> dict[str, float]:
-    score = structure.score
-    per_unit = score.basis.per_unit
+def _period(structure: ResidualStructure) -> tuple[dict[str, float], str]:
+    """Return the period of the curve as a parameter and in words; empty if it is not periodic."""
+    coordinate, per_unit = structure.score.coordinate, structure.score.basis.per_unit
     if not per_unit:
-        return {}
-    if score.coordinate in ("distance_travelled", "reading"):
-        return {"period_m": structure.view.half_stroke_m / per_unit}
-    if score.coordinate == "sample_index":
-        return {"period_samples": 1.0 / per_unit}
-    return {"frequency_Hz": per_unit}
-
-
-def _location(structure: ResidualStructure, profile: CoordinateProfile) -> str:
-    """State the range of the coordinate with most of the structure, or its period."""
-    parameters = _parameters(structure)
-    if "frequency_Hz" in parameters:
-        return f", at {parameters['frequency_Hz']:.5g} Hz"
-    if "period_m" in parameters:
-        return f", every {with_unit(parameters['period_m'], 'm')}"
-    if "period_samples" in parameters:
-        return f", every {parameters['period_samples']:.0f} samples"
-    height = np.abs(profile.fitted_m)
-    high = np.flatnonzero(height > HALF_HEIGHT * float(height.max()))
-    start, stop = (with_unit(profile.place[int(high[k])], profile.unit) for k in (0, -1))
-    recording = f" of {profile.recording}" if profile.recording else ""
-    return f", most of it from {start} to {stop}{recording}"
+        return {}, ""
+    if coordinate in ("distance_travelled", "reading"):
+        period_m = structure.view.half_stroke_m / per_unit
+        return {"period_m": period_m}, f", every {with_unit(period_m, 'm')}"
+    if coordinate == "sample_index":
+        return {"period_samples": 1.0 / per_unit}, f", every {1.0 / per_unit:.0f} samples"
+    return {"frequency_Hz": per_unit}, f", at {per_unit:.5g} Hz"
 
 
 def _profile(

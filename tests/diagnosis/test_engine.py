@@ -9,12 +9,18 @@ from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.candidate import is_consistent
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.effects import delay, lag, slew_limit
-from piezoid.diagnosis.initial_state_search import (
+from piezoid.diagnosis.nuisance_search import (
     with_individual_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.refinement import initial_guess, refine, refine_together
-from piezoid.diagnosis.refitted_view import SETTLED, SelectedEffect, with_effects
+from piezoid.diagnosis.refinement import (
+    SETTLED,
+    SelectedEffect,
+    initial_guess,
+    refine,
+    refine_together,
+    with_effects,
+)
 from piezoid.diagnosis.residual_view import View, with_cycled_drives
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import with_displacement

@@ -16,17 +16,17 @@ from piezoid.diagnosis.drive_history import (
     states_along,
 )
 from piezoid.diagnosis.effects import initial_state
-from piezoid.diagnosis.initial_state_search import (
-    OTHER_INITIAL_STATES,
-    is_shared_state_as_good,
-    with_individual_initial_states,
-    with_shared_initial_state,
-)
 from piezoid.diagnosis.nuisance import MAX_KEPT, NuisanceClass
 from piezoid.diagnosis.nuisance_columns import (
     SHARED,
     THRESHOLD,
     write_shared_columns,
+)
+from piezoid.diagnosis.nuisance_search import (
+    OTHER_INITIAL_STATES,
+    is_shared_state_as_good,
+    with_individual_initial_states,
+    with_shared_initial_state,
 )
 from piezoid.diagnosis.residual_view import View, with_free_memory, with_reversals
 from piezoid.diagnosis.segments import Track

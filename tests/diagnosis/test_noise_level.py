@@ -60,7 +60,7 @@ def test_noise_that_grows_with_position_is_a_finding_with_its_coordinate():
 
 
 def noise_level_of(recordings: Iterable[Recording], lab: Lab) -> NoiseLevel | None:
-    return noise_level(view_on(recordings, axis="x", lab=lab), 0.02)
+    return noise_level(view_on(recordings, axis="x", lab=lab))
 
 
 def test_noise_that_grows_with_speed_has_speed_as_its_coordinate():

@@ -11,8 +11,8 @@ import pytest
 
 from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
-from piezoid.diagnosis.residual_structure import search_all
 from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnoses, write_diagnosis
+from piezoid.diagnosis.selection import search_all
 from piezoid.digests import unseal
 from piezoid.identification.fit import fit
 from piezoid.numerics.executor import SERIAL

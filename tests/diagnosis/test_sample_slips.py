@@ -7,13 +7,14 @@ import pytest
 
 from benchmarks.zoo.score import read_campaign
 from benchmarks.zoo.stages import draw_stage, stage
+from piezoid.diagnosis.candidate import Outcome
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import timestamp_fault
 from piezoid.diagnosis.effects.timestamp_fault import slip_evidence
 from piezoid.diagnosis.residual_view import with_tracks
 from piezoid.diagnosis.sample_slips import delay_like_null, max_slip, strongest_slips
-from piezoid.diagnosis.selection import Outcome, search, with_ingest_faults
+from piezoid.diagnosis.selection import search, with_ingest_faults
 from piezoid.records.recording import Channel, Quantity
 from piezoid.statement import finding
 

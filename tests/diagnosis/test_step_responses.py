@@ -8,9 +8,10 @@ import pytest
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import EffectEstimate
 from piezoid.diagnosis.effects import resonance
+from piezoid.diagnosis.forward_selection import modes_after_steps
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.selection import search
-from piezoid.diagnosis.step_responses import modes_after_steps, step_response_view
+from piezoid.diagnosis.step_responses import step_response_view
 from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array

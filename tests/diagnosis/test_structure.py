@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import structural_candidate
 from piezoid.diagnosis.effects import non_congruence
 from piezoid.diagnosis.nuisance_columns import CURVED_COUNT, SHARED
+from piezoid.diagnosis.nuisance_search import with_best_bouc_wen
 from piezoid.diagnosis.residual_view import View, with_bouc_wen, with_tracks
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.selection import search

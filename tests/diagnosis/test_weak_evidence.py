@@ -63,7 +63,7 @@ def test_a_doubtful_cause_is_named_only_if_the_model_needs_it(
 ):
     recordings, model, selection = changed_gain()
     errors_m = Errors(explained=error_without_m, held_out=error_without_m)
-    monkeypatch.setattr(diagnose_module, "is_weak_evidence", lambda _: is_weak)
+    monkeypatch.setattr(diagnose_module, "evidence_p_value", lambda _: float(is_weak))
     monkeypatch.setattr(diagnose_module, "errors_with_loop_shape_m", lambda *_: errors_m)
     monkeypatch.setattr(diagnose_module, "CLEARLY_WORSE", max_ratio)
     monkeypatch.setattr(diagnose_module, "_select_effects", lambda *_, **__: selection)
@@ -90,5 +90,5 @@ def test_an_end_of_the_range_that_the_model_explains_is_not_named(monkeypatch):
     monkeypatch.setattr(residual_structure, "find_sensor_range_end", false_range_end)
     monkeypatch.setattr(residual_structure, "_sensor_range_structure", unexplained_structure)
     monkeypatch.setattr(residual_structure, "MIN_NOISE_RATIO", 0.0)
-    monkeypatch.setattr(residual_structure, "MAX_SECOND_RATIO", 10.0)
+    monkeypatch.setattr("piezoid.diagnosis.selection.MAX_SECOND_RATIO", 10.0)
     assert SOMETHING_ELSE not in diagnose_module.diagnose(recorded(10)).names

@@ -22,8 +22,6 @@ Source
     Jung & Gweon (2000); Kuhnen & Krejci (2009); Vieira (1986)
 """
 
-from itertools import product
-
 import numpy as np
 
 from piezoid.diagnosis.drive_response import DriveResponse
@@ -52,8 +50,10 @@ FASTEST_s = 0.01
 DECAY_s = 30.0  # of creep from before a track; slower creep is part of its zero
 SLOWEST = 10.0  # slowest time constant over the longest track
 REFERENCE_s = 10.0  # time at which the spectrum has the size of the effect
-TILTS = (0.0, -0.15, 0.15)  # relative change of the spectrum per decade
-FIRST_RUNGS = (1.0, 0.5)  # share of the fastest rung that is present
+# Spectra: the relative change per decade, and the share of the fastest rung that is present.
+SPECTRA = tuple(
+    {"tilt": tilt, "begins": share} for tilt in (0.0, -0.15, 0.15) for share in (1.0, 0.5)
+)
 SHARES = (0.0, 0.1)  # physically possible shares of a step per decade
 MIN_DURATION_s = 2.0  # a shorter recording shows no slow motion
 PLANNED_s = (0.03, 3000.0)  # time constants in a plan
@@ -77,21 +77,6 @@ def _ladder(view: View, parameters: Parameters, *, backwards: bool = False) -> A
         return ladder(view.static[k][order], times_s, track.rate_Hz, share)[order]
 
     return view.column(relax)[:, None]
-
-
-def _trials(view: View) -> list[Trial]:
-    trials = []
-    for tilt, first_rung, backwards in product(TILTS, FIRST_RUNGS, (False, True)):
-        spectrum = {"tilt": tilt, "begins": first_rung}
-        trials.append(
-            Trial(
-                columns=_ladder(view, spectrum, backwards=backwards),
-                parameters=spectrum,
-                physical=not backwards,
-                coefficient_range=SHARES,
-            )
-        )
-    return trials
 
 
 def _tangent(drive: DriveResponse, _: float) -> Array:
@@ -159,7 +144,16 @@ EFFECT = Effect(
         else f"the longest recording lasts {view.longest_s:.2g} s; creep needs "
         f"{MIN_DURATION_s:g} s or more"
     ),
-    trials=_trials,
+    trials=lambda view: [
+        Trial(
+            columns=_ladder(view, spectrum, backwards=backwards),
+            parameters=spectrum,
+            physical=not backwards,
+            coefficient_range=SHARES,
+        )
+        for spectrum in SPECTRA
+        for backwards in (False, True)
+    ],
     # one exponential decay for each track: creep from before the recording
     covariates=lambda view: np.column_stack(
         [

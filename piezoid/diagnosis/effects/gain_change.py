@@ -65,16 +65,6 @@ def _change(
     return np.column_stack([view.track_column(k, share * response), view.track_column(k, share)])
 
 
-def _gains_of_tracks(view: View) -> Array:
-    """Return a column of a gain for each track but the first: no evidence of a change in one."""
-    columns = [
-        view.track_column(k, view.static[k][track.rows])
-        for k, track in enumerate(view.tracks)
-        if k > 0
-    ]
-    return np.column_stack([np.zeros((len(view.offset), 0)), *columns])
-
-
 def _trials(view: View) -> list[Trial]:
     """Return changes in each track that moves far enough; temporary changes are their placebos."""
     half_range = max(float(np.ptp(static)) for static in view.static) / 2
@@ -209,7 +199,17 @@ WITHIN = Effect(
     columns=lambda view, parameters: _change(
         view, int(parameters["track"]), parameters["place"], parameters.get("lasts", 0.0)
     ),
-    covariates=_gains_of_tracks,
+    # a gain for each track but the first: no evidence of a change within a track
+    covariates=lambda view: np.column_stack(
+        [
+            np.zeros((len(view.offset), 0)),
+            *(
+                view.track_column(k, view.static[k][track.rows])
+                for k, track in enumerate(view.tracks)
+                if k > 0
+            ),
+        ]
+    ),
     size=lambda _, __, coefficient: 100.0 * float(coefficient[0]),
     model_error=0.03,  # hysteresis absorbs a part of a step of the gain
     inject=inject,

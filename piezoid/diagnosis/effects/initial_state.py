@@ -25,7 +25,7 @@ from piezoid.diagnosis.effect import (
     Structural,
     Trial,
 )
-from piezoid.diagnosis.initial_state_search import with_shared_state_if_as_good
+from piezoid.diagnosis.nuisance_search import with_shared_state_if_as_good
 from piezoid.diagnosis.residual_view import View, with_free_memory
 from piezoid.diagnosis.signals import with_added
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES

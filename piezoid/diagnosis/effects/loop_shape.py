@@ -22,7 +22,6 @@ from piezoid.diagnosis.effect import (
     Effect,
 )
 from piezoid.diagnosis.signals import with_added
-from piezoid.identification.model import AxisModel
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
@@ -39,11 +38,6 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_added(recording, np.sin(3.0 * np.pi * states).sum(axis=1), share)
 
 
-def _without_loop_shape(axis: AxisModel, _: Recording) -> AxisModel | None:
-    plays_only = axis.without_loop_shape()
-    return None if plays_only is axis else plays_only
-
-
 EFFECT = Effect(
     name=NAME,
     explanation=__doc__ or "",
@@ -55,5 +49,7 @@ EFFECT = Effect(
     shows=OVER_DRIVE,
     tangent="the widest class of hysteresis is compared with the model, not a single column",
     inject=inject,
-    without=_without_loop_shape,
+    without=lambda axis, _: (
+        None if (plays_only := axis.without_loop_shape()) is axis else plays_only
+    ),
 )

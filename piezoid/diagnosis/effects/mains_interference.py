@@ -30,9 +30,8 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.rest_columns import peak_Hz, waves
 from piezoid.diagnosis.segments import Places
-from piezoid.diagnosis.signals import GRIDS_Hz, added_percent, with_added
+from piezoid.diagnosis.signals import GRIDS_Hz, added_percent, peak_Hz, waves, with_added
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.extensions.mains_lines import (
     HARMONICS,

@@ -28,7 +28,6 @@ from piezoid.diagnosis.effect import (
     Trial,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
@@ -48,18 +47,7 @@ def _null_without(view: View) -> Null:
 
 
 def _trials(view: View) -> list[Trial]:
-    column = view.column(lambda _, track: track.drive) * _irreversible_response(view)
-    # whether the column explains most of the power of all products with the drive
-    null, n_products = _null_without(view), len(view.nuisance.bias_columns)
-    orthogonal, residual = null.project_out(column), null.residual
-    explained = float(orthogonal @ residual) ** 2 / (float(orthogonal @ orthogonal) + 1e-300)
-    widest_error = float(np.sum(view.null.residual**2)) * (1.0 + n_products / len(residual))
-    explains_most = explained > MIN_SHARE * (float(np.sum(residual**2)) - widest_error)
-    return [Trial(columns=column[:, None], minimum_coefficient=MIN_OPENING, unique=explains_most)]
-
-
-def _irreversible_response(view: View) -> Array:
-    """Return the distance of congruent loops from the mean of the largest loop, at the rows."""
+    """Return the drive times the distance of congruent loops from the mean of the largest loop."""
     null, nuisance = _null_without(view), view.nuisance
     congruent = np.setdiff1d(np.arange(view.null.all_columns.shape[1]), nuisance.bias_columns)
     weight = np.zeros(nuisance.shared)
@@ -68,11 +56,17 @@ def _irreversible_response(view: View) -> Array:
     up = np.linspace(-1.0, 1.0, POINTS)
     loop = nuisance.static_along(np.concatenate([up, up[::-1]]), (1.0, -1.0), weight)
     middle = 0.5 * (loop[:POINTS] + loop[POINTS:][::-1])
-
-    def distance(k: int, track: Track) -> Array:
-        return nuisance.static(k, weight) - np.interp(track.drive, up, middle)
-
-    return view.column(distance)
+    distance = view.column(
+        lambda k, track: nuisance.static(k, weight) - np.interp(track.drive, up, middle)
+    )
+    column = view.column(lambda _, track: track.drive) * distance
+    # whether the column explains most of the power of all products with the drive
+    orthogonal, residual = null.project_out(column), null.residual
+    explained = float(orthogonal @ residual) ** 2 / (float(orthogonal @ orthogonal) + 1e-300)
+    n_products = len(nuisance.bias_columns)
+    widest_error = float(np.sum(view.null.residual**2)) * (1.0 + n_products / len(residual))
+    explains_most = explained > MIN_SHARE * (float(np.sum(residual**2)) - widest_error)
+    return [Trial(columns=column[:, None], minimum_coefficient=MIN_OPENING, unique=explains_most)]
 
 
 def inject(recording: Recording, share: float) -> Recording:

@@ -18,13 +18,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from piezoid.diagnosis.converter_steps import drive_step
 from piezoid.diagnosis.effect import (
     OVER_TIME,
     Effect,
     Fault,
     FaultTest,
 )
-from piezoid.diagnosis.effects.quantisation import drive_step
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import stroke_of, with_displacement
@@ -136,13 +136,10 @@ def largest_undetected(view: View) -> float:
     return max(largest) / 2.0
 
 
-def without_spikes(track: Track, static: Array) -> Track:
+def without_spikes(track: Track, is_spike: Array) -> Track:
     """Return the track with spikes interpolated linearly; the same track if it has none."""
-    is_spike, _ = spikes(track, static)
-    return _interpolated(track, is_spike) if is_spike.any() else track
-
-
-def _interpolated(track: Track, is_spike: Array) -> Track:
+    if not is_spike.any():
+        return track
     samples, is_good = np.arange(len(is_spike)), ~is_spike.astype(bool)
     response = np.interp(samples, samples[is_good], track.response[is_good])
     return replace(track, response=response)
@@ -154,15 +151,14 @@ def find_outliers(view: View) -> Fault | None:
     step = drive_step(view)
     for track, static in zip(view.tracks, view.static, strict=True):
         is_spike, chance = spikes(track, static, step)
-        if not is_spike.any():
-            tracks.append(track)
+        repaired = without_spikes(track, is_spike)
+        tracks.append(repaired)
+        if repaired is track:
             continue
-        repaired = _interpolated(track, is_spike)
         size = np.abs(track.response - repaired.response)
         largest.append((float(size.max()), white_noise_rms(repaired.response)))
         chances.append(chance)
         locations.append(f"{track.name} ({int(is_spike.sum())})")
-        tracks.append(repaired)
     if not largest:
         return None
     height, noise = max(largest)

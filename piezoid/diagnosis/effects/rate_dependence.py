@@ -85,21 +85,6 @@ def _columns(view: View, parameters: Parameters) -> Array:
     return view.column(change)[:, None]
 
 
-def _trials(view: View) -> list[Trial]:
-    return [
-        Trial(
-            columns=_columns(view, {"time_s": time_s, "strain": strain}),
-            parameters={"time_s": time_s, "strain": strain},
-            coefficient_range=SHARES,
-            needs_time=True,
-            free={"time_s": 1.8, "strain": 2.0},
-            limits={"time_s": TIME_RANGE_s, "strain": STRAIN_RANGE},
-        )
-        for time_s in TIMES_s
-        for strain in (LINEAR_STRAIN, 0.03)
-    ]
-
-
 def inject(recording: Recording, share: float) -> Recording:
     """Delay the irreversible part with one time constant, which slow recordings do not show."""
     moved_m, drive_V = recording.displacement_m(), recording.voltage_V()
@@ -137,7 +122,18 @@ EFFECT = Effect(
         columns=lambda drive, _: -(np.gradient(drive.irreversible_m) * drive.rate_Hz)[:, None]
     ),
     confounded=("delay", "lag", "resonance", "slew_limit"),
-    trials=_trials,
+    trials=lambda view: [
+        Trial(
+            columns=_columns(view, {"time_s": time_s, "strain": strain}),
+            parameters={"time_s": time_s, "strain": strain},
+            coefficient_range=SHARES,
+            needs_time=True,
+            free={"time_s": 1.8, "strain": 2.0},
+            limits={"time_s": TIME_RANGE_s, "strain": STRAIN_RANGE},
+        )
+        for time_s in TIMES_s
+        for strain in (LINEAR_STRAIN, 0.03)
+    ],
     columns=_columns,
     size=added_percent(_columns),
     model_error=0.05,  # the law of activation differs between ceramics

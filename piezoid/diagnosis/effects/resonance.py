@@ -27,7 +27,7 @@ from piezoid.diagnosis.effect import (
     Trial,
     without_part,
 )
-from piezoid.diagnosis.refitted_view import with_polynomial_response
+from piezoid.diagnosis.refinement import with_polynomial_response
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import filtered_change, mode, with_extension
 from piezoid.identification.extensions.extension import Extension

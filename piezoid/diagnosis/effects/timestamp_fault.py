@@ -14,7 +14,6 @@ Source
     what acquisition programs do when the disk is busy
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -29,11 +28,12 @@ from piezoid.diagnosis.effect import (
     Fault,
     FaultTest,
 )
-from piezoid.diagnosis.effects.outliers import without_spikes
+from piezoid.diagnosis.effects.outliers import spikes, without_spikes
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.sample_slips import (
     MIN_ORTHOGONAL,
     MIN_ROWS,
+    Refit,
     Slip,
     SlipScan,
     delay_change,
@@ -41,17 +41,13 @@ from piezoid.diagnosis.sample_slips import (
     instant_error,
     max_slip,
     refine_slip,
-    shift_readings,
     slip_locations,
     strongest_slips,
-    undo_slip,
+    without_slips,
 )
-from piezoid.diagnosis.segments import Track
-from piezoid.diagnosis.signals import with_displacement
+from piezoid.diagnosis.signals import other_axis_columns, with_displacement
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
-
-Refit = Callable[[Sequence[Track]], View]
 
 MAX_BETA_ERROR = 0.4  # largest deviation of beta from 1, and of the step relative to the length
 MIN_GAIN = 0.33  # of the track's squared residual
@@ -129,8 +125,9 @@ def largest_undetected(view: View) -> float:
             continue
         first = scan.instants()
         if len(first):
-            orthogonal = max(float(np.median(scan.orthogonal_share(1, first))), MIN_ORTHOGONAL)
-            power = MIN_GAIN / orthogonal * np.mean(scan.residual**2)
+            square, orthogonal = scan.squares(1, first)
+            share = max(float(np.median(orthogonal / (square + 1e-300))), MIN_ORTHOGONAL)
+            power = MIN_GAIN / share * np.mean(scan.residual**2)
             largest = max(largest, float(np.sqrt(power)))
     return largest / 2.0
 
@@ -163,7 +160,14 @@ def slip_evidence(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
     is_equal = np.abs(np.log(speed[:, None] / speed[None, :])) < np.log(EQUAL_SPEED)
     is_common = np.any(is_equal & (is_after[:, None] != is_after[None, :]), axis=1)
     sides = is_after[is_common]
-    if min(sides.sum(), (~sides).sum()) < MIN_WINDOWS or not _moves_both_ways(change, first):
+    # if the stage moves one way only, a slip may be an offset
+    moves_both_ways = all(
+        MIN_REVERSE_MOTION
+        < np.sum(np.maximum(side, 0.0) ** 2) / max(side @ side, 1e-300)
+        < 1.0 - MIN_REVERSE_MOTION
+        for side in (change[:first], change[first:])
+    )
+    if min(sides.sum(), (~sides).sum()) < MIN_WINDOWS or not moves_both_ways:
         return None
     weight = np.sqrt(square[is_common])
     step, std = _step(delay[is_common], sides, weight)
@@ -175,15 +179,6 @@ def slip_evidence(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
         p_value=_permutation_p_value(delay[is_common], weight),
         rms=float(np.sqrt(np.mean(change[first:] ** 2) * (n - first) / n)),
     )
-
-
-def _moves_both_ways(change: Array, first: int) -> bool:
-    """Tell whether the stage reverses on either side: otherwise a slip may be an offset."""
-    for side in (change[:first], change[first:]):
-        forward = np.sum(np.maximum(side, 0.0) ** 2) / max(side @ side, 1e-300)
-        if not MIN_REVERSE_MOTION < forward < 1.0 - MIN_REVERSE_MOTION:
-            return False
-    return True
 
 
 def _step(delay: Array, is_after: NDArray[np.bool_], weight: Array) -> tuple[float, float]:
@@ -219,23 +214,34 @@ def find_slips(view: View, refit: Refit | None = None) -> Fault | None:
     refit = refit or partial(with_tracks, view)
     pairs = zip(view.tracks, view.static, strict=True)
     # spikes would hide a small slip
-    tracks = [without_spikes(track, static) for track, static in pairs]
+    tracks = [without_spikes(track, spikes(track, static)[0]) for track, static in pairs]
     is_clean = all(new is old for new, old in zip(tracks, view.tracks, strict=True))
     repaired = view if is_clean else refit(tracks)
-    slips: list[SlipEvidence] = []
-    while len(slips) < MAX_SLIPS:
+    detected: list[SlipEvidence] = []
+    while len(detected) < MAX_SLIPS:
         evidence = _next_slip(repaired, refit)
         if evidence is None:
             break
-        trial = refit(undo_slip(repaired, evidence.slip).tracks)
+        trial = refit(without_slips(repaired.tracks, evidence.slip))
         if not _is_confirmed(repaired, trial, evidence):
             break
-        slips.append(evidence)
+        detected.append(evidence)
         repaired = trial
-    if not slips:
+    if not detected:
         return None
-    slips = [_refined_beside(slips, evidence, view, refit) for evidence in slips]
-    tracks = _undone(slips, view)
+    slips = []
+    for evidence in detected:
+        further_slips = [further.slip for further in detected if further is not evidence]
+        slip = evidence.slip
+        if all(further.track != slip.track for further in further_slips):
+            # refine the only slip of a track, all others undone, if that clearly reduces the error
+            beside = refit(without_slips(view.tracks, *further_slips))
+            refined = refine_slip(beside, slip, refit=refit)
+            rms, refined_rms = (
+                refit(without_slips(beside.tracks, undone)).rms for undone in (slip, refined)
+            )
+            slip = refined if refined_rms < CLEARLY_BETTER * rms else slip
+        slips.append(replace(evidence, slip=slip))
     # a second slip at the instant of the first one corrects its length
     first = slips[0].slip
     width = instant_error(len(view.tracks[first.track].drive))
@@ -247,35 +253,12 @@ def find_slips(view: View, refit: Refit | None = None) -> Fault | None:
     ]
     last = at_first[-1]
     return Fault(
-        tracks=tuple(tracks),
+        tracks=tuple(without_slips(view.tracks, *(evidence.slip for evidence in slips))),
         value=sum(evidence.slip.samples for evidence in at_first),
         spread=float(np.hypot(last.std, last.step - last.slip.samples)),
         p_value=min(evidence.p_value for evidence in slips),
         locations=slip_locations([evidence.slip for evidence in slips], view.tracks),
     )
-
-
-def _undone(slips: Sequence[SlipEvidence], view: View) -> list[Track]:
-    """Return the tracks of a view with slips undone one after the other."""
-    tracks = list(view.tracks)
-    for evidence in slips:
-        tracks[evidence.slip.track] = shift_readings(tracks[evidence.slip.track], evidence.slip)
-    return tracks
-
-
-def _refined_beside(
-    slips: Sequence[SlipEvidence], evidence: SlipEvidence, view: View, refit: Refit
-) -> SlipEvidence:
-    """Refine the only slip of a track, all others undone, if that clearly reduces the error."""
-    further_slips = [slip for slip in slips if slip is not evidence]
-    if any(further.slip.track == evidence.slip.track for further in further_slips):
-        return evidence
-    beside = refit(_undone(further_slips, view))
-    refined = refine_slip(beside, evidence.slip, refit=refit)
-    rms, refined_rms = (
-        refit(undo_slip(beside, slip).tracks).rms for slip in (evidence.slip, refined)
-    )
-    return replace(evidence, slip=refined) if refined_rms < CLEARLY_BETTER * rms else evidence
 
 
 def find_equal_slips(view: View, refit: Refit, samples: int) -> Fault | None:
@@ -298,7 +281,7 @@ def find_equal_slips(view: View, refit: Refit, samples: int) -> Fault | None:
         instant = int(scan.samples[first[row]])
         slip = Slip(track=k, instant=instant, samples=samples, gain=float(gain[row]))
         slip = refine_slip(repaired, slip, refit=refit, has_length=True)
-        trial = refit(undo_slip(repaired, slip).tracks)
+        trial = refit(without_slips(repaired.tracks, slip))
         if trial.rms < MAX_ERROR * repaired.rms:
             repaired, slips = trial, [*slips, slip]
     if not slips:
@@ -332,7 +315,7 @@ def _next_slip(view: View, refit: Refit) -> SlipEvidence | None:
             continue
         if not has_other_axes:
             return evidence
-        wider_null = delay_like_null(view, other_axes=True)
+        wider_null = delay_like_null(view, other_axis_columns(view))
         beside_other_axes = slip_evidence(view, wider_null, evidence.slip)
         if beside_other_axes is not None and beside_other_axes.is_significant:
             return evidence

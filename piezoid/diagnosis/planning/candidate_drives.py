@@ -196,22 +196,11 @@ def rising_ramps(limits: DriveLimits, rate_Hz: float, _: np.random.Generator) ->
     return np.concatenate(parts)
 
 
-def ramp_rate_Hz(limits: DriveLimits) -> float:
-    """Return the rate that resolves the fastest triangle."""
-    fastest_Hz = limits.slew_V_per_s / (2.0 * (limits.voltage_max_V - limits.voltage_min_V))
-    return max(RAMP_ROWS * fastest_Hz, SLOWER_Hz)
-
-
 def constant_drive(
     limits: DriveLimits, rate_Hz: float, _: np.random.Generator, *, time_s: float
 ) -> Array:
     """Return mid-range."""
     return np.full(round(time_s * rate_Hz), 0.5 * sum(limits.range_V))
-
-
-def slow_ramp(limits: DriveLimits, rate_Hz: float, _: np.random.Generator) -> Array:
-    """Return one slow cycle over the whole range."""
-    return path_V([*limits.range_V, limits.voltage_min_V], limits, rate_Hz, move_s=40.0)
 
 
 def small_multisine(limits: DriveLimits, rate_Hz: float, rng: np.random.Generator) -> Array:
@@ -368,7 +357,10 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         name="fast_ramps",
         why="Full triangles at rising speed up to the slew limit.",
         waveform=rising_ramps,
-        highest_Hz=ramp_rate_Hz,
+        # resolves the fastest triangle
+        highest_Hz=lambda limits: max(
+            RAMP_ROWS * (limits.slew_V_per_s / (2.0 * float(np.ptp(limits.range_V)))), SLOWER_Hz
+        ),
     ),
     Experiment(
         name="long_hold",
@@ -390,7 +382,9 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     Experiment(
         name="slow_ramp",
         why="The whole range once, slowly, up and down.",
-        waveform=slow_ramp,
+        waveform=lambda limits, rate_Hz, _: path_V(
+            [*limits.range_V, limits.voltage_min_V], limits, rate_Hz, move_s=40.0
+        ),
         highest_Hz=1000.0,
     ),
 )

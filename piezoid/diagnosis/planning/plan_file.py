@@ -1,6 +1,5 @@
 """Write a plan as sentences and as files: drive.csv and plan.json."""
 
-from collections.abc import Mapping
 from math import isfinite
 from typing import Any
 
@@ -28,6 +27,20 @@ def plan_files(plan: Plan, *, model_digest: str, diagnosis_digest: str) -> dict[
     """Return drive.csv and plan.json by name."""
     question, drive, limits = plan.question, plan.drive, plan.limits
     drive_csv = drive.to_csv().encode()
+    size: dict[str, Any]
+    if question.finding is None:
+        size = {
+            "unit": "m, rms",
+            "detection_limit": question.limit_m,
+            "expected_detection_limit": expected_limit_m(question, plan.recorded, plan.planned),
+        }
+    else:
+        size = {
+            "unit": question.finding.size.unit,
+            "value": question.finding.size.value,
+            "half": question.finding.size.half_width,
+            "expected_half": expected_half(question, plan.recorded, plan.planned),
+        }
     content = {
         "model": model_digest,
         "diagnosis": diagnosis_digest,
@@ -54,7 +67,7 @@ def plan_files(plan: Plan, *, model_digest: str, diagnosis_digest: str) -> dict[
         "set_aside": [_question_json(question) for question in plan.set_aside],
         "before": _estimate_json(question, plan.recorded),
         "after": _estimate_json(question, plan.planned),
-        "size": _size_json(plan),
+        "size": size,
         "alternatives": [
             {
                 "name": alternative.name,
@@ -86,24 +99,6 @@ def _estimate_json(
             name: HALF_95 * error if isfinite(error) else None
             for name, error in zip(question.effects, estimate.errors, strict=True)
         },
-    }
-
-
-def _size_json(plan: Plan) -> Mapping[str, Any]:
-    """Return the diagnosed size or detection limit, and the expected one."""
-    question, estimates = plan.question, (plan.recorded, plan.planned)
-    if question.finding is None:
-        return {
-            "unit": "m, rms",
-            "detection_limit": question.limit_m,
-            "expected_detection_limit": expected_limit_m(question, *estimates),
-        }
-    size = question.finding.size
-    return {
-        "unit": size.unit,
-        "value": size.value,
-        "half": size.half_width,
-        "expected_half": expected_half(question, *estimates),
     }
 
 

@@ -1,18 +1,23 @@
-"""Search for the initial hysteresis state of each track.
+"""Search for hysteresis states of the nuisance class: initial states, and a Bouc-Wen state.
 
-The nuisance class is fitted to rows that do not depend on the initial state, because the drive has
-covered its whole range since the track began. Hypotheses about the initial state are then compared
+Initial states: the nuisance class is fitted to rows that do not depend on the initial state,
+because the drive has covered its whole range since the track began. Hypotheses are then compared
 by the error of this class from the first sample on: for each track, and for all tracks with one
 shared hypothesis, because stages are usually cycled in the same way before every recording. A
 hypothesis must also reduce the error of all tracks together after a refit of the nuisance class,
 so that no other effect passes for an initial state.
+
+A Bouc-Wen state is structure of the nuisance class and no cause. It is added only if its error is
+smaller than that of any effect. Structural effects are compared with a class that does not contain
+them, and this class may have a Bouc-Wen state as well.
 
 Source: Krejci (1996) on forgetting; Mayergoyz (1991) on wiping out.
 """
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from operator import attrgetter
+from itertools import product
+from operator import attrgetter, itemgetter
 
 import numpy as np
 
@@ -22,6 +27,7 @@ from piezoid.diagnosis.nuisance_columns import (
     REACH,
     SHARED,
     THRESHOLD,
+    BoucWenLaw,
     bouc_wen_along,
     bouc_wen_columns,
     friction_along,
@@ -30,6 +36,7 @@ from piezoid.diagnosis.nuisance_columns import (
 )
 from piezoid.diagnosis.residual_view import (
     View,
+    with_bouc_wen,
     with_cycled_drives,
     with_free_memory,
     with_reversals,
@@ -52,11 +59,23 @@ POINTS = 500  # samples of a track that are compared
 STEPS = (0.15, 0.05, 0.015)  # of half the range, by which reversals are changed
 MAX_REVERSAL = 1.2  # of half the range
 
+# of a Bouc-Wen state
+BETAS = (0.8, 1.6, 3.2)
+RATIOS = (0.0, 0.4)  # gamma over beta
+EXPONENTS = (1.0, 1.6)
+BENDS = (-0.2, 0.0, 0.2)  # separated by ridges of the error
+STEP_FRACTIONS = (1.0, 0.5, 0.25, 0.1)
+BETA_FACTOR, EXPONENT_FACTOR = 1.4, 1.35  # of a full step
+RATIO_STEP, BEND_STEP = 0.25, 0.25
+RCOND = 1e-9  # relative length of linearly dependent columns
+LAW_LIMITS = ((0.2, 20.0), (-0.4, 0.9), (1.0, 4.0), (-0.6, 0.6))
+
 InitialStates = tuple[View, View]
 """Views with the best shared hypothesis and with the best initial state of each track; neither
 depends on the initial states that were assumed before."""
 Sketch = tuple[tuple[Reversals, ...], Callable[[Reversals], float]]
 """Hypotheses of a track, and (hypothesis) -> standard deviation of the residual under it."""
+Law = tuple[float, float, float, float]  # beta, gamma / beta, exponent, bend
 
 
 def with_shared_initial_state(view: View, executor: Executor = SERIAL) -> View:
@@ -178,3 +197,59 @@ def _sketch(view: View, k: int, weight: Array) -> Sketch:
 
     # a hypothesis is compared with its neighbours, for the track alone and for all tracks
     return hypotheses(drive), cache(deviation)
+
+
+def with_best_bouc_wen(view: View) -> View:
+    """Return the view with the Bouc-Wen state that has the smallest residual."""
+    without_state = with_bouc_wen(view, None)
+
+    def residual_energy(law: BoucWenLaw) -> float:
+        # the columns of the view are projected out of the trial columns
+        orthogonal = without_state.null.project_out(
+            with_bouc_wen(without_state, law).nuisance.bouc_wen_rows
+        )
+        coefficients = np.linalg.lstsq(orthogonal, without_state.null.residual, rcond=RCOND)[0]
+        return float(np.sum((without_state.null.residual - orthogonal @ coefficients) ** 2))
+
+    return with_bouc_wen(view, _best_law(residual_energy))
+
+
+def with_bouc_wen_of(view: View, null_of: Callable[[View], Null]) -> View:
+    """Return the view with the Bouc-Wen state that is best in a smaller class.
+
+    null_of  (view) -> null of the smaller class
+    """
+    best_law = _best_law(lambda law: null_of(with_bouc_wen(view, law)).rms, BENDS)
+    return with_bouc_wen(view, best_law)
+
+
+def _best_law(
+    criterion: Callable[[BoucWenLaw], float], bends: Sequence[float] = (0.0,)
+) -> BoucWenLaw:
+    """Minimise the criterion over a grid, then by coordinate search with shrinking steps."""
+    laws: list[Law] = [*product(BETAS, RATIOS, EXPONENTS, bends)]
+    errors = [criterion(_law_of(law)) for law in laws]
+    smallest, best = min(zip(errors, laws, strict=True), key=itemgetter(0))
+    for fraction, parameter in product(STEP_FRACTIONS, range(len(LAW_LIMITS))):
+        for step in (fraction, -fraction):
+            beta, ratio, exponent, bend = best
+            stepped = (
+                beta * BETA_FACTOR**step,
+                ratio + RATIO_STEP * step,
+                exponent * EXPONENT_FACTOR**step,
+                bend + BEND_STEP * step,
+            )
+            low, high = LAW_LIMITS[parameter]
+            values = [*best]
+            values[parameter] = min(max(stepped[parameter], low), high)
+            candidate = (values[0], values[1], values[2], values[3])
+            error = criterion(_law_of(candidate))
+            if error < smallest:
+                smallest, best = error, candidate
+                break
+    return _law_of(best)
+
+
+def _law_of(law: Law) -> BoucWenLaw:
+    beta, ratio, exponent, bend = law
+    return beta, ratio * beta, exponent, bend
