@@ -59,7 +59,7 @@ from piezoid.identification.loop_shape_fit import errors_with_loop_shape_m
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_fitted_rows
 from piezoid.numerics.executor import Executor
-from piezoid.records.constant_drive import is_at_rest
+from piezoid.records.drive_signal import is_at_rest
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording, counted_in
@@ -110,7 +110,10 @@ def diagnose(
         of_axis = f" of axis {selected_axis}" if selected_axis else " of the same axis"
         raise missing_channels_error(recordings, f"a drive voltage and a displacement{of_axis}")
     constant = recordings_of_axis(recordings, selected_axis)
-    if constant and all(is_at_rest(recording, selected_axis) for recording in constant):
+    if constant and all(
+        is_at_rest(recording.voltage_V(selected_axis), recording.displacement_m(selected_axis))
+        for recording in constant
+    ):
         progress("diagnosing recordings at constant drive")
         diagnosis = diagnose_at_rest(constant, selected_axis)
         return replace(diagnosis, counted=counted_in(recordings))

@@ -16,7 +16,7 @@ from scipy.ndimage import median_filter
 
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.records.constant_drive import is_at_rest
+from piezoid.records.drive_signal import is_at_rest
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import robust_sigma, step_size
 from piezoid.statement import Statement, finding
@@ -71,7 +71,7 @@ def find_baseline_steps(recording: Recording) -> tuple[tuple[int, ...], list[Sta
     breaks, statements = set(recording.breaks), []
     for axis in recording.complete_axes:
         drive, reading = recording.voltage_V(axis), recording.displacement_m(axis)
-        is_constant = is_at_rest(recording, axis)
+        is_constant = is_at_rest(drive, reading)
         steps = [
             BaselineStep(first=part.start + s.first, last=part.start + s.last, size=s.size)
             for part in recording.pieces

@@ -12,9 +12,8 @@ from piezoid.numerics.arrays import Array, Samples, freeze
 from piezoid.numerics.executor import Once
 from piezoid.operators.filters import relaxed
 from piezoid.operators.play import turns_of
-from piezoid.records.constant_drive import is_at_rest
+from piezoid.records.drive_signal import is_at_rest, noise_of, reversals_of
 from piezoid.records.recording import Quantity, Recording
-from piezoid.records.reversals import noise_of, reversals_of
 
 MINIMUM_SAMPLES = 20
 MIN_DRIFT = 5e-4  # of the range: a smaller drift of the zero does not matter to a controller
@@ -163,7 +162,10 @@ def scales_of(recordings: Sequence[Recording], axis: str) -> Scales:
     Raises ``ExcitationError`` if the drive or the displacement does not move.
     """
     drives = [recording.voltage_V(axis) for recording in recordings]
-    is_constant = all(is_at_rest(recording, axis) for recording in recordings)
+    is_constant = all(
+        is_at_rest(drive_V, recording.displacement_m(axis))
+        for drive_V, recording in zip(drives, recordings, strict=True)
+    )
     low, high = min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)
     spans = [float(np.ptp(recording.displacement_m(axis))) for recording in recordings]
     names = ", ".join(recording.name for recording in recordings)
