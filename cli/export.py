@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet, StageLab, print_record, rich_text, say
+from piezoid_cli.terminal import (
+    Force,
+    Json,
+    Quiet,
+    StageLab,
+    print_record,
+    rich_text,
+    say,
+    show_progress,
+)
 
 if TYPE_CHECKING:
     from piezoid.export.parameter_file import ParameterFile
@@ -52,7 +61,6 @@ def export(
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.targets.target_inputs import ControllerHardware, read_hardware
     from piezoid.targets.targets import FOLDERS, check_targets, target_files
-    from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, content_of
     from piezoid_cli.workers import usable_cores
 

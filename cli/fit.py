@@ -6,16 +6,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piezoid_cli.statements import budget_lines, show_statements
 from piezoid_cli.terminal import (
     Force,
     Json,
     Processes,
     Quiet,
     RecordingLab,
+    budget_lines,
     print_record,
     rich_text,
     say,
+    show_progress,
+    show_statements,
     table,
 )
 
@@ -74,7 +76,6 @@ def fit(
     """
     from piezoid.output_folder import check_folder, write_folder
     from piezoid_cli.calibration import calibrate
-    from piezoid_cli.progress import show_progress
     from piezoid_cli.workers import usable_cores
 
     check_folder(out, force=force, new=True, names=WRITTEN, inputs=files)

@@ -5,8 +5,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.progress import show_progress
-from piezoid_cli.terminal import Json, Quiet, RecordingLab, print_record, rich_text, say
+from piezoid_cli.terminal import (
+    Json,
+    Quiet,
+    RecordingLab,
+    print_record,
+    rich_text,
+    say,
+    show_progress,
+)
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -140,40 +147,26 @@ def _table(
     """
     from rich.table import Table
 
-    rows = [_cells(column, has_noise=has_noise) for column in columns]
-    visible = [k for k in range(len(HEADINGS)) if k < N_ALWAYS or any(row[k] for row in rows)]
-    numbers = [k for k in visible if k not in (LABEL, MEANING)]
-    spent = sum(max(len(row[k]) for row in (HEADINGS, *rows)) for k in numbers)
-    has_room = width - spent - GAP * len(visible) >= MIN_WORDS
-    table = Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0))
-    for k in visible:
-        table.add_column(HEADINGS[k], overflow="fold", no_wrap=has_room and k in numbers)
-    for row in rows:
-        table.add_row(*(rich_text(row[k]) for k in visible))
-    return table
-
-
-def _cells(column: "ColumnSummary", *, has_noise: bool) -> tuple[str, ...]:
-    is_clock = column.meaning == "time"  # the line below the table describes the clock
-    noise, low, high = column.noise_rms, column.minimum, column.maximum
-    if noise is not None and low is not None and high is not None:
-        # The noise of a computed ramp is rounding.
-        noise = noise if noise > ROUNDING * (high - low) else None
-    noise_rms = _quantity(noise, column.si_unit)
-    if has_noise and column.noise_rms is None and low is not None:
-        noise_rms = "unknown"  # too few samples, or too fast a signal
-    states = []
-    if low is None:
-        states.append("empty")
-    elif column.missing:
-        states.append(f"{column.missing} missing")
-    if column.is_dead:
-        states.append("dead")
-    if column.clipped:
-        states.append(f"{100 * column.clipped:.2g} % clipped")
-    return tuple(
-        _truncate(cell)
-        for cell in (
+    rows = []
+    for column in columns:
+        is_clock = column.meaning == "time"  # the line below the table describes the clock
+        noise, low, high = column.noise_rms, column.minimum, column.maximum
+        if noise is not None and low is not None and high is not None:
+            # The noise of a computed ramp is rounding.
+            noise = noise if noise > ROUNDING * (high - low) else None
+        noise_rms = _quantity(noise, column.si_unit)
+        if has_noise and column.noise_rms is None and low is not None:
+            noise_rms = "unknown"  # too few samples, or too fast a signal
+        states = []
+        if low is None:
+            states.append("empty")
+        elif column.missing:
+            states.append(f"{column.missing} missing")
+        if column.is_dead:
+            states.append("dead")
+        if column.clipped:
+            states.append(f"{100 * column.clipped:.2g} % clipped")
+        cells = (
             str(column.number),
             column.label,
             column.meaning,
@@ -184,7 +177,17 @@ def _cells(column: "ColumnSummary", *, has_noise: bool) -> tuple[str, ...]:
             "" if is_clock else _quantity(column.step or None, column.si_unit),
             ", ".join(states),
         )
-    )
+        rows.append(tuple(map(_truncate, cells)))
+    visible = [k for k in range(len(HEADINGS)) if k < N_ALWAYS or any(row[k] for row in rows)]
+    numbers = [k for k in visible if k not in (LABEL, MEANING)]
+    spent = sum(max(len(row[k]) for row in (HEADINGS, *rows)) for k in numbers)
+    has_room = width - spent - GAP * len(visible) >= MIN_WORDS
+    table = Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0))
+    for k in visible:
+        table.add_column(HEADINGS[k], overflow="fold", no_wrap=has_room and k in numbers)
+    for row in rows:
+        table.add_row(*(rich_text(row[k]) for k in visible))
+    return table
 
 
 def _truncate(text: str) -> str:

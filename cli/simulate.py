@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet, print_record, say
+from piezoid_cli.terminal import Force, Json, Quiet, print_record, say, show_progress
 
 
 def simulate(
@@ -56,7 +56,6 @@ def simulate(
     piezoid simulate --out tip/ --seed 7 --junction 4 --json
     """
     from piezoid.output_folder import check_folder, write_folder
-    from piezoid_cli.progress import show_progress
     from piezoid_datasets.virtual_lab.campaign import draw_campaign
     from piezoid_datasets.virtual_lab.junction_campaign import (
         draw_junction_campaign,
