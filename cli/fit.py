@@ -238,8 +238,7 @@ def calibrate_streamed(
     """
     from dataclasses import replace
 
-    from piezoid.calibration.axis_jobs import JobResult, try_design
-    from piezoid.calibration.calibrate import finish
+    from piezoid.calibration.calibrate import JobResult, finish, try_design
     from piezoid.records.chunked_reader import read_thinned
     from piezoid.records.lab import read_lab
     from piezoid.verbs import fit as fit_stage

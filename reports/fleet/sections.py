@@ -25,9 +25,8 @@ from piezoid_reports.fleet.statistics import (
     Distribution,
     compare_stages,
 )
-from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table, count_of
+from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table, count_of, html
 from piezoid_reports.quantities import number, significant, with_half_width
-from piezoid_reports.render import html
 
 NEGLIGIBLE = 1e-3  # of its interval: a smaller slope is rounding
 MAX_DOTS = 1000  # stages drawn one by one

@@ -161,26 +161,23 @@ def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
     ]
 
 
-def _lag(axis: AxisModel) -> str:
-    uncertainty = axis.uncertainty
-    if axis.quality.is_lag_ambiguous and axis.lag.kind != "none":
-        return "not separable from the loop width at a single speed"
-    if "lag_s" not in uncertainty.names:
-        return with_half_width(axis.lag.time_s, math.nan, "s")
-    k = uncertainty.names.index("lag_s")
-    quantile = float(student_quantile(0.975, max(uncertainty.blocks - 1, 1)))
-    half_s = quantile * float(np.sqrt(max(uncertainty.covariance[k, k], 0.0)))
-    return with_half_width(float(uncertainty.values[k]), half_s, "s")
-
-
 def _quantities(page: Page) -> Table:
     columns = []
     for axis in page.axes:
         low_V, high_V = axis.voltage_V
         amplifier_Hz, sensor_Hz = axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz
+        uncertainty = axis.uncertainty
+        lag = with_half_width(axis.lag.time_s, math.nan, "s")
+        if axis.quality.is_lag_ambiguous and axis.lag.kind != "none":
+            lag = "not separable from the loop width at a single speed"
+        elif "lag_s" in uncertainty.names:
+            k = uncertainty.names.index("lag_s")
+            quantile = float(student_quantile(0.975, max(uncertainty.blocks - 1, 1)))
+            half_s = quantile * float(np.sqrt(max(uncertainty.covariance[k, k], 0.0)))
+            lag = with_half_width(float(uncertainty.values[k]), half_s, "s")
         column = {
             "width of the full loop": _loop_width(axis),
-            "lag": _lag(axis),
+            "lag": lag,
             "voltage offset": number(axis.hysteresis.voltage_offset_V, "V", 4),
             "displacement offset": number(axis.hysteresis.displacement_offset_m, "m", 4),
             "valid drive": f"{number(low_V, 'V')} to {number(high_V, 'V')}",
