@@ -9,7 +9,7 @@ from piezoid.export.fmu import controller_units, fmu_files
 from piezoid.export.shared_library import shared_library_files
 from piezoid.targets.fmu_plant import plant_units
 from piezoid.targets.nanonis import nanonis_files
-from piezoid.targets.pid_files import pid_files
+from piezoid.targets.pid import pid_files
 from piezoid.targets.target_inputs import TargetInputs
 from piezoid.targets.waveform import waveform_files
 
