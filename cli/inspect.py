@@ -97,6 +97,9 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
     """Print the columns, the clock and the problems of every file."""
     from rich.console import Console
 
+    from piezoid.raw_counts import in_counts
+    from piezoid_reports.parts import count_of
+
     console = Console(soft_wrap=False)
     for inspection in inspections:
         about = f": {inspection.format}, {inspection.rows} rows" if inspection.format else ""
@@ -105,7 +108,20 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
             has_noise = inspection.response is None
             console.print(_table(inspection.columns, console.width, has_noise=has_noise))
         if inspection.axis is not None:
-            console.print(rich_text(_clock_line(inspection)))
+            line = (
+                f"  axis {inspection.axis}, {inspection.sampling_rate_Hz:.9g} Hz for "
+                f"{inspection.duration_s:.6g} s"
+            )
+            if inspection.breaks:
+                line += f", {count_of(inspection.breaks, 'gap')}"
+            if inspection.reversals is not None:
+                line += f", {inspection.reversals} reversals of the drive"
+            if inspection.levels_V:
+                levels_V = dict.fromkeys(f"{u:.4g} V" for u in inspection.levels_V)
+                line += in_counts(f" at {', '.join(levels_V)}", inspection.counted)
+            if not inspection.axis_is_named:
+                line += f"; no axis named in the file, {inspection.axis} assumed"
+            console.print(rich_text(line))
         if inspection.response is not None:
             for line in response_lines(inspection):
                 console.print(rich_text(line))
@@ -115,26 +131,6 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
         if inspection.refusal is not None:
             console.print(rich_text(f"  not a recording: {inspection.refusal}", style="red"))
         console.print()
-
-
-def _clock_line(inspection: "Inspection") -> str:
-    from piezoid.raw_counts import in_counts
-    from piezoid_reports.parts import count_of
-
-    line = (
-        f"  axis {inspection.axis}, {inspection.sampling_rate_Hz:.9g} Hz for "
-        f"{inspection.duration_s:.6g} s"
-    )
-    if inspection.breaks:
-        line += f", {count_of(inspection.breaks, 'gap')}"
-    if inspection.reversals is not None:
-        line += f", {inspection.reversals} reversals of the drive"
-    if inspection.levels_V:
-        levels = " at " + ", ".join(dict.fromkeys(f"{u:.4g} V" for u in inspection.levels_V))
-        line += in_counts(levels, inspection.counted)
-    if not inspection.axis_is_named:
-        line += f"; no axis named in the file, {inspection.axis} assumed"
-    return line
 
 
 def _table(

@@ -55,7 +55,26 @@ def render(page: Page) -> Section | None:
         return None
     parts.append(Heading(text="All axes"))
     usable = [b for b in budgets if has_usable_intervals(page.model.axes[b.axis])]
-    parts += [*_errors(page, budgets), *_contributions(usable), _quantities(page)]
+    parts += _errors(page, budgets)
+    if usable:
+        ranked = sorted(usable[0].budget.contributions, key=lambda c: -c.standard)
+        columns = []
+        for expected in (budget.budget for budget in usable):
+            cells = dict.fromkeys((c.name for c in ranked), "")
+            for c in expected.contributions:
+                share = percent(expected.share(c))
+                cells[c.name] = f"{number(c.standard, 'm')} ({share})" if c.standard else ""
+            columns.append(cells)
+        together = [{"together": number(b.budget.combined, "m")} for b in usable]
+        parts.append(
+            Table(
+                caption="Uncertainty budget of a predicted position at the end of the range: "
+                "standard uncertainty and share.",
+                columns=("source", *(f"axis {b.axis}" for b in usable)),
+                rows=(*side_by_side(columns), *side_by_side(together)),
+            )
+        )
+    parts.append(_quantities(page))
     missing = dict.fromkeys(name for budget in budgets for name in budget.unknown)
     if missing:
         names = ", ".join(f"{DECLARATIONS[name]} ({name})" for name in missing)
@@ -136,29 +155,6 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
             is_open=True,
         )
     )
-
-
-def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
-    """Return the uncertainty budgets of all axes, largest contribution of the first axis first."""
-    if not budgets:
-        return []
-    ranked = sorted(budgets[0].budget.contributions, key=lambda c: -c.standard)
-    columns = []
-    for expected in (budget.budget for budget in budgets):
-        cells = dict.fromkeys((c.name for c in ranked), "")
-        for c in expected.contributions:
-            share = percent(expected.share(c))
-            cells[c.name] = f"{number(c.standard, 'm')} ({share})" if c.standard != 0.0 else ""
-        columns.append(cells)
-    together = [{"together": number(b.budget.combined, "m")} for b in budgets]
-    return [
-        Table(
-            caption="Uncertainty budget of a predicted position at the end of the range: standard "
-            "uncertainty and share.",
-            columns=("source", *(f"axis {b.axis}" for b in budgets)),
-            rows=(*side_by_side(columns), *side_by_side(together)),
-        )
-    ]
 
 
 def _quantities(page: Page) -> Table:
