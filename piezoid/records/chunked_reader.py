@@ -29,7 +29,7 @@ from piezoid.records.drive_signal import noise_of, reversals_of
 from piezoid.records.ingest import ingest_table, parts_of
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table_in_chunks
-from piezoid.records.readers.source import open_source
+from piezoid.records.readers.reader import open_source
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.table import RawTable
 from piezoid.statement import Statement, finding

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from piezoid.errors import ParameterFileError
-from piezoid.export.fmu import controller_units, fmu_files
 from piezoid.export.shared_library import shared_library_files
-from piezoid.targets.fmu_plant import plant_units
+from piezoid.targets.fmu import controller_units, fmu_files, plant_units
 from piezoid.targets.nanonis import nanonis_files
 from piezoid.targets.pid import pid_files
 from piezoid.targets.target_inputs import TargetInputs

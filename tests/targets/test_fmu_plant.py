@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.export.fmu import fmu_files
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.model import Discrepancy
 from piezoid.operators.linear import first_order
 from piezoid.operators.preisach_plays import PreisachPlays
-from piezoid.targets.fmu_plant import plant_units
+from piezoid.targets.fmu import fmu_files, plant_units
 from piezoid.targets.target_inputs import TargetInputs
 from piezoid.targets.targets import target_files
 from piezoid.verification.closed_loop import run_axis

@@ -11,8 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, text_of, unreadable
+from piezoid.records.readers.reader import Reader, Source, text_of, unreadable
 from piezoid.records.readers.text_numbers import (
     Layout,
     NumberTable,

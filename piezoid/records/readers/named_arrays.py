@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
+from piezoid.records.readers.reader import Source, check_columns, check_growth, unreadable
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from piezoid.errors import UnreadableFileError
 from piezoid.numerics.arrays import Array
-from piezoid.records.readers.source import check_columns, unreadable
+from piezoid.records.readers.reader import check_columns, unreadable
 from piezoid.statement import Statement, finding
 
 if TYPE_CHECKING:

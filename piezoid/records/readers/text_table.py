@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from piezoid.records.readers.named_arrays import complex_statement
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import (
+from piezoid.records.readers.reader import (
     FREE_SIZE,
+    Reader,
     Source,
     check_growth,
     encoding_of,
