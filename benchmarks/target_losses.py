@@ -46,7 +46,7 @@ def losses(folder: Path) -> list[tuple[str, str]]:
     rows = []
     for target in TARGETS:
         try:
-            notes = target_files(inputs_of(folder), [target]).notes
+            _, notes = target_files(inputs_of(folder), [target])
         except PiezoidError as error:
             notes = (f"refused: {error}",)
         rows += [(target, note) for note in notes if note.startswith(("axis", "refused"))]

@@ -81,9 +81,8 @@ def export(
     contents, notes = shipping_files(shipping), tuple[str, ...]()
     file = shipping.parameters
     if file is not None:
-        generated = target_files(_target_inputs(file, folder, hardware), targets)
-        notes = generated.notes
-        contents |= generated.files
+        files, notes = target_files(_target_inputs(file, folder, hardware), targets)
+        contents |= files
     add_to_folder(stage, contents, gone=("params.json", *FOLDERS, REFUSED), force=force)
     axes, unshipped = ((), shipping.reasons) if file is None else (file.axes, file.unshipped)
     if json:

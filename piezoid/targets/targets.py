@@ -1,7 +1,6 @@
 """Names of the targets of `piezoid export`, and the files of each."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 from piezoid.errors import ParameterFileError
@@ -16,15 +15,6 @@ BUNDLE = "bundle"
 RENAMED = {"pi-pid": "pid", "biquad": "pid"}
 
 FilesAndNotes = tuple[Mapping[str, bytes], tuple[str, ...]]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TargetFiles:
-    """Files of the targets, by name below the stage folder, and notes for the user."""
-
-    files: Mapping[str, bytes]
-    notes: tuple[str, ...]
-
 
 # The name of a target is also that of its folder.
 _WRITERS: dict[str, Callable[[TargetInputs], FilesAndNotes]] = {
@@ -63,8 +53,11 @@ def check_targets(names: Iterable[str]) -> tuple[str, ...]:
     return requested
 
 
-def target_files(inputs: TargetInputs, targets: Iterable[str]) -> TargetFiles:
-    """Return the files of all targets but the bundle; the same input gives the same bytes."""
+def target_files(inputs: TargetInputs, targets: Iterable[str]) -> FilesAndNotes:
+    """Return the files of all targets but the bundle; the same input gives the same bytes.
+
+    returned  files by name below the stage folder, and notes for the user
+    """
     files: dict[str, bytes] = {}
     notes: list[str] = []
     for target in targets:
@@ -72,4 +65,4 @@ def target_files(inputs: TargetInputs, targets: Iterable[str]) -> TargetFiles:
             contents, target_notes = _WRITERS[target](inputs)
             files |= {f"{target}/{name}": content for name, content in contents.items()}
             notes.extend(target_notes)
-    return TargetFiles(files=MappingProxyType(files), notes=tuple(notes))
+    return MappingProxyType(files), tuple(notes)

@@ -76,7 +76,7 @@ def unit_folder(tmp_path_factory):
         plant_units("other", (complete_plant(), complete_plant_with_functions(), withdrawn_tip()))
     )
     files = {
-        f"rig/{name}": content for name, content in target_files(exported, ["fmu"]).files.items()
+        f"rig/{name}": content for name, content in target_files(exported, ["fmu"])[0].items()
     }
     files |= {f"other/fmu/{name}": content for name, content in other_files.items()}
     return write_files(folder, files)
