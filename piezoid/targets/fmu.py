@@ -25,8 +25,8 @@ from piezoid.digests import digest_of_bytes
 from piezoid.export.bundle import SAMPLES, runtime_source
 from piezoid.export.c_header import c_header, plain_ascii
 from piezoid.export.parameter_file import ParameterFile, digest_of
-from piezoid.export.shared_library import LINUX, shared_library
 from piezoid.operators.dead_zone import KernelMap
+from piezoid.targets.library import LINUX, shared_library
 from piezoid.verification.loop_plant import Linear, SettledPlant
 from piezoid.verification.plant import AxisPlant, Junction
 

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 
 from piezoid.errors import ParameterFileError
-from piezoid.export.shared_library import shared_library_files
 from piezoid.targets.fmu import controller_units, fmu_files, plant_units
+from piezoid.targets.library import shared_library_files
 from piezoid.targets.nanonis import nanonis_files
 from piezoid.targets.pid import pid_files
 from piezoid.targets.target_inputs import TargetInputs
