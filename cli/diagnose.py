@@ -143,13 +143,12 @@ def _show(diagnosis: "Diagnosis", recordings: "Sequence[Recording]") -> None:
     from rich.console import Console
 
     from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
-    from piezoid.formatting import with_unit
+    from piezoid.formatting import count_of, with_unit
     from piezoid.identification.dynamics.behind_hysteresis import excites_dynamics
     from piezoid.identification.fit import driven_recordings, recordings_of_axis
     from piezoid.raw_counts import in_counts, record_in_counts
     from piezoid.records.checks.plausibility import is_held_throughout
     from piezoid.statement import Level
-    from piezoid_reports.parts import count_of
     from piezoid_reports.sections.findings import findings_table
 
     console, counted = Console(), diagnosis.counted

@@ -97,8 +97,8 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
     """Print the columns, the clock and the problems of every file."""
     from rich.console import Console
 
+    from piezoid.formatting import count_of
     from piezoid.raw_counts import in_counts
-    from piezoid_reports.parts import count_of
 
     console = Console(soft_wrap=False)
     for inspection in inspections:

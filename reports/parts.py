@@ -270,11 +270,6 @@ def folded(summary: str, parts: Sequence[Part]) -> list[Part]:
     return [Fold(summary=summary, parts=tuple(parts))] if parts else []
 
 
-def count_of(number: int, noun: str) -> str:
-    """Return a number with its noun: ``1 figure``, ``3 figures``."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
 def html(
     title: str,
     sections: Sequence[Section],

@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from piezoid.formatting import Scale
+from piezoid.formatting import Scale, count_of
 from piezoid_reports.chart import Axis, Canvas, axis_over
 from piezoid_reports.fleet.records import (
     CRASHED,
@@ -25,7 +25,7 @@ from piezoid_reports.fleet.statistics import (
     Distribution,
     compare_stages,
 )
-from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table, count_of, html
+from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table, html
 from piezoid_reports.quantities import number, significant, with_half_width
 
 NEGLIGIBLE = 1e-3  # of its interval: a smaller slope is rounding

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezoid.design.design_statements import guaranteed_error_m
+from piezoid.formatting import count_of
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.verification.criteria import SHAPE_ERROR, Limits, Verdict
 from piezoid.verification.scenarios import spiral_speed_m_per_s
@@ -12,7 +13,7 @@ from piezoid.verification.tracking import SpiralTrace, rms_from
 from piezoid.verification.verification import ComparisonRow, Verification
 from piezoid_reports.chart import Canvas, axis_over, decades_over
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Figure, Part, Section, Table, count_of, folded, with_rows
+from piezoid_reports.parts import Figure, Part, Section, Table, folded, with_rows
 from piezoid_reports.quantities import number, significant
 
 MAX_VERDICTS = 10  # in the table, which also shows every failed verdict
