@@ -142,8 +142,22 @@ def open_source(path: Path, *, in_memory: bool = True) -> Source:
         ) from error
     decompressed, is_gzip = None, head.startswith(b"\x1f\x8b")
     if is_gzip:
-        limit = growth_limit(size) if in_memory else HEAD_SIZE
-        decompressed = _decompress(path, limit, in_memory=in_memory)
+        limit, content = growth_limit(size) if in_memory else HEAD_SIZE, bytearray()
+        try:
+            # Read in pieces until the limit is exceeded; a single read would ignore the limit.
+            with gzip.open(path, "rb") as unpacked:
+                while len(content) <= limit and (piece := unpacked.read(_PIECE)):
+                    content += piece
+        except (OSError, EOFError, zlib.error) as error:
+            raise unreadable(
+                path.name,
+                f"the gzip archive is damaged ({error})",
+                needed="an archive that unpacks",
+                remedy="Copy the file again from where it was written.",
+            ) from error
+        if in_memory:
+            check_size(path.name, len(content), limit)
+        decompressed = bytes(content)
         head = decompressed[:HEAD_SIZE]
     if not head:
         raise unreadable(
@@ -251,25 +265,6 @@ def check_columns(file: str, columns: int) -> None:
             remedy="Keep only the columns that matter, or transpose the table.",
             columns=columns,
         )
-
-
-def _decompress(path: Path, limit: int, *, in_memory: bool) -> bytes:
-    try:
-        # Read in pieces until the limit is exceeded; a single read would ignore the limit.
-        content = bytearray()
-        with gzip.open(path, "rb") as stream:
-            while len(content) <= limit and (piece := stream.read(_PIECE)):
-                content += piece
-    except (OSError, EOFError, zlib.error) as error:
-        raise unreadable(
-            path.name,
-            f"the gzip archive is damaged ({error})",
-            needed="an archive that unpacks",
-            remedy="Copy the file again from where it was written.",
-        ) from error
-    if in_memory:
-        check_size(path.name, len(content), limit)
-    return bytes(content)
 
 
 def text_of(source: Source) -> str:
