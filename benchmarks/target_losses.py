@@ -13,40 +13,24 @@ from piezoid.design.design import design_from_json
 from piezoid.errors import PiezoidError
 from piezoid.export.parameter_file import from_json
 from piezoid.identification.store import read_model
-from piezoid.records.lab import Lab, read_lab
-from piezoid.targets.target_inputs import TargetInputs
-from piezoid.targets.targets import target_files
-from piezoid.verification.verify_stage import stage_plants
+from piezoid.records.lab import read_lab
+from piezoid.targets.targets import inputs_of, target_files
 from piezoid_cli.stage_files import content_of
 
 TARGETS = ("pid", "nanonis", "waveform")
 
 
-def inputs_of(folder: Path) -> TargetInputs:
-    """Read the inputs of the targets as `piezoid export` does."""
+def losses(folder: Path) -> list[tuple[str, str]]:
+    """Return target and statement for every axis of a stage."""
     design = design_from_json(content_of(folder / "design.json"), "design.json")
     model = read_model(content_of(folder / "model.json"), "model.json")
     file = from_json(content_of(folder / "params.json"), "params.json")
     path = folder / "lab.toml"
-    lab = read_lab(path) if path.exists() else Lab()
-    plants, family_plants = stage_plants(file, model, lab)
-    axes = [plant.axis for plant in plants]
-    return TargetInputs(
-        file=file,
-        plants=plants,
-        drawn=dict(zip(axes, family_plants, strict=True)),
-        models={axis.axis: model[axis.axis] for axis in file.axes if axis.method != "rst"},
-        designs={axis.axis: axis for axis in design.axes},
-        converter_V=lab.acquisition.input_range_V,
-    )
-
-
-def losses(folder: Path) -> list[tuple[str, str]]:
-    """Return target and statement for every axis of a stage."""
+    inputs = inputs_of(file, model, design, read_lab(path) if path.exists() else None)
     rows = []
     for target in TARGETS:
         try:
-            notes = target_files(inputs_of(folder), [target]).notes
+            _, notes = target_files(inputs, [target])
         except PiezoidError as error:
             notes = (f"refused: {error}",)
         rows += [(target, note) for note in notes if note.startswith(("axis", "refused"))]

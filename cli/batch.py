@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import typer
 
-from piezoid_cli.progress import show_progress
-from piezoid_cli.terminal import JsonFile, Quiet, print_raw, rich_text, table
+from piezoid_cli.terminal import JsonFile, Quiet, print_raw, rich_text, show_progress, table
 
 if TYPE_CHECKING:
     from distributed import Client

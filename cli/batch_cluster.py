@@ -116,7 +116,21 @@ def cluster_client(scheduler: str, processes: int | None) -> "Iterator[Client]":
 
     with dask.config.set({"logging.distributed": "critical", **DASK_INTERVALS}):
         if scheduler:
-            with _connect(scheduler) as client:
+            try:
+                client = Client(scheduler, timeout=TIMEOUT_s)
+            except (OSError, ValueError) as error:
+                raise typer.BadParameter(
+                    f"--scheduler {scheduler}: no answer ({error}); start a scheduler with "
+                    "`dask scheduler`, and name the address that it prints"
+                ) from error
+            with client:
+                try:
+                    client.wait_for_workers(1, timeout=TIMEOUT_s)
+                except TimeoutError as error:
+                    raise typer.BadParameter(
+                        f"--scheduler {scheduler}: no worker; on a machine with piezoid and "
+                        f"access to the recordings, run `dask worker {scheduler} --nthreads 1`"
+                    ) from error
                 yield client
             return
         with unreachable_by_interrupts():  # its thread starts the workers
@@ -134,27 +148,6 @@ def cluster_client(scheduler: str, processes: int | None) -> "Iterator[Client]":
             cluster.scale(count)
             client.wait_for_workers(count)
             yield client
-
-
-def _connect(scheduler: str) -> "Client":
-    from distributed import Client
-
-    try:
-        client = Client(scheduler, timeout=TIMEOUT_s)
-    except (OSError, ValueError) as error:
-        raise typer.BadParameter(
-            f"--scheduler {scheduler}: no answer ({error}); start a scheduler with "
-            "`dask scheduler`, and name the address that it prints"
-        ) from error
-    try:
-        client.wait_for_workers(1, timeout=TIMEOUT_s)
-    except TimeoutError as error:
-        client.close()
-        raise typer.BadParameter(
-            f"--scheduler {scheduler}: no worker; on a machine with piezoid and access to the "
-            f"recordings, run `dask worker {scheduler} --nthreads 1`"
-        ) from error
-    return client
 
 
 def run_on_workers(

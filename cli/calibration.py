@@ -26,18 +26,23 @@ def calibrate(
     from piezoid_cli.workers import map_jobs, worker_pool
 
     # Workers load modules while this process reads. A single file has one axis: no worker.
-    preload = partial(import_module, "piezoid.calibration.axis_jobs")
+    preload = partial(import_module, "piezoid.calibration.calibrate")
     with worker_pool(processes - 1 if len(files) > 1 else 0, preload) as pool:
         from piezoid.records.collection import collect
         from piezoid.records.lab import read_lab
 
         declared = None if lab is None else read_lab(lab)
         collection = collect(files, declared)
-        from piezoid.calibration.axis_jobs import estimated_cost, jobs_of, run_job
+        from piezoid.calibration.calibrate import (
+            estimated_cost,
+            finish,
+            jobs_of,
+            run_job,
+            with_results,
+        )
 
         stage, jobs = jobs_of(collection, declared, processes, progress)
         results = map_jobs(run_job, jobs, progress, pool=pool, cost=estimated_cost)
-    from piezoid.calibration.calibrate import finish, with_results
     from piezoid_reports.render import with_report
 
     model = with_results(stage, results)

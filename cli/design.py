@@ -5,8 +5,17 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.statements import show_statements
-from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, report_table, say
+from piezoid_cli.terminal import (
+    Force,
+    JsonFile,
+    Quiet,
+    StageLab,
+    print_raw,
+    report_table,
+    say,
+    show_progress,
+    show_statements,
+)
 
 
 def design(
@@ -44,7 +53,6 @@ def design(
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.statement import Level
     from piezoid_cli.export import show_unshipped
-    from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, text_of
     from piezoid_reports.page import Page
     from piezoid_reports.render import render_design

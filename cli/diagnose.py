@@ -7,16 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.statements import budget_lines, show_statements
 from piezoid_cli.terminal import (
     Force,
     JsonFile,
     Quiet,
     RecordingLab,
+    budget_lines,
     print_raw,
     report_table,
     rich_text,
     say,
+    show_progress,
+    show_statements,
 )
 
 if TYPE_CHECKING:
@@ -52,7 +54,6 @@ def diagnose(
     """
     from piezoid.output_folder import check_folder, write_folder
     from piezoid.raw_counts import in_counts
-    from piezoid_cli.progress import show_progress
 
     inputs = [*files, *([] if lab is None else [lab])]
     names = ("diagnosis.json", "diagnosis.html")
@@ -64,8 +65,7 @@ def diagnose(
     if json:
         print_raw(contents["diagnosis.json"])
     elif not quiet:
-        _show(diagnosis)
-        _show_unused(recordings, diagnosis.axis)
+        _show(diagnosis, recordings)
         if comparison is not None:
             say(in_counts(comparison.statement.text, comparison.counted))
         say(f"diagnosis: {', '.join(str(out / name) for name in names)}")
@@ -138,40 +138,17 @@ def _diagnose_files(
     return recordings, diagnosis, comparison, contents
 
 
-def _show_unused(recordings: "Sequence[Recording]", axis: str) -> None:
-    """Print the recordings that do not contribute to the diagnosis of an axis."""
-    from piezoid.identification.dynamics.behind_hysteresis import excites_dynamics
-    from piezoid.identification.fit import driven_recordings, recordings_of_axis
-    from piezoid.records.checks.plausibility import is_held_throughout
-
-    used_names = {recording.name for recording in driven_recordings(recordings, axis)}
-    servo = [r.name for r in recordings_of_axis(recordings, axis) if is_held_throughout(r, axis)]
-    unused = [r.name for r in recordings if r.name not in (*used_names, *servo)]
-    if servo and not set(servo) & used_names:
-        say(f"{', '.join(servo)}: recorded in closed loop; only creep was tested")
-    fast_names = {recording.name for recording, _ in excites_dynamics(recordings, axis)}
-    fast = [name for name in unused if name in fast_names]
-    if fast:
-        say(
-            f"used for the dynamics only: {', '.join(fast)} (the drive of axis {axis} is too "
-            "small to show hysteresis)"
-        )
-    unused = [name for name in unused if name not in fast]
-    if unused:
-        say(
-            f"not used: {', '.join(unused)} (axis {axis} does not move or was not recorded; see "
-            "piezoid inspect, or choose another --axis)"
-        )
-
-
-def _show(diagnosis: "Diagnosis") -> None:
+def _show(diagnosis: "Diagnosis", recordings: "Sequence[Recording]") -> None:
+    """Print findings, errors and statements, and the recordings that do not contribute."""
     from rich.console import Console
 
     from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
-    from piezoid.formatting import with_unit
+    from piezoid.formatting import count_of, with_unit
+    from piezoid.identification.dynamics.behind_hysteresis import excites_dynamics
+    from piezoid.identification.fit import driven_recordings, recordings_of_axis
     from piezoid.raw_counts import in_counts, record_in_counts
+    from piezoid.records.checks.plausibility import is_held_throughout
     from piezoid.statement import Level
-    from piezoid_reports.parts import count_of
     from piezoid_reports.sections.findings import findings_table
 
     console, counted = Console(), diagnosis.counted
@@ -191,3 +168,23 @@ def _show(diagnosis: "Diagnosis") -> None:
     if any(statement.quantity == "no_effect_tested" for statement in statements):
         minimum = min(minimum, Level.WARNING)
     show_statements(record_in_counts(statements, counted), minimum)
+    # Recordings that do not contribute to the diagnosis.
+    axis = diagnosis.axis
+    used_names = {recording.name for recording in driven_recordings(recordings, axis)}
+    servo = [r.name for r in recordings_of_axis(recordings, axis) if is_held_throughout(r, axis)]
+    unused = [r.name for r in recordings if r.name not in (*used_names, *servo)]
+    if servo and not set(servo) & used_names:
+        say(f"{', '.join(servo)}: recorded in closed loop; only creep was tested")
+    fast_names = {recording.name for recording, _ in excites_dynamics(recordings, axis)}
+    fast = [name for name in unused if name in fast_names]
+    if fast:
+        say(
+            f"used for the dynamics only: {', '.join(fast)} (the drive of axis {axis} is too "
+            "small to show hysteresis)"
+        )
+    unused = [name for name in unused if name not in fast]
+    if unused:
+        say(
+            f"not used: {', '.join(unused)} (axis {axis} does not move or was not recorded; see "
+            "piezoid inspect, or choose another --axis)"
+        )

@@ -2,16 +2,20 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet, StageLab, print_record, rich_text, say
-
-if TYPE_CHECKING:
-    from piezoid.export.parameter_file import ParameterFile
-    from piezoid.targets.target_inputs import ControllerHardware, TargetInputs
-    from piezoid_cli.stage_files import StageFolder
+from piezoid_cli.terminal import (
+    Force,
+    Json,
+    Quiet,
+    StageLab,
+    print_record,
+    rich_text,
+    say,
+    show_progress,
+)
 
 
 def export(
@@ -50,14 +54,13 @@ def export(
     from piezoid.calibration.controllers import REFUSED, export_and_verify, shipping_files
     from piezoid.digests import digest_in
     from piezoid.output_folder import add_to_folder, check_folder
-    from piezoid.targets.target_inputs import ControllerHardware, read_hardware
-    from piezoid.targets.targets import FOLDERS, check_targets, target_files
-    from piezoid_cli.progress import show_progress
+    from piezoid.targets.target_inputs import read_hardware
+    from piezoid.targets.targets import FOLDERS, check_targets, inputs_of, target_files
     from piezoid_cli.stage_files import StageFolder, content_of
     from piezoid_cli.workers import usable_cores
 
     targets = check_targets(target or ())
-    hardware = ControllerHardware() if box is None else read_hardware(box)
+    hardware = None if box is None else read_hardware(box)
     folder = StageFolder(stage, lab)
     design, model = folder.design, folder.model
     check_folder(stage, force=force, names=("params.json", "verification.json"))
@@ -73,9 +76,9 @@ def export(
     contents, notes = shipping_files(shipping), tuple[str, ...]()
     file = shipping.parameters
     if file is not None:
-        generated = target_files(_target_inputs(file, folder, hardware), targets)
-        notes = generated.notes
-        contents |= generated.files
+        inputs = inputs_of(file, model, design, folder.lab, hardware=hardware)
+        files, notes = target_files(inputs, targets)
+        contents |= files
     add_to_folder(stage, contents, gone=("params.json", *FOLDERS, REFUSED), force=force)
     axes, unshipped = ((), shipping.reasons) if file is None else (file.axes, file.unshipped)
     if json:
@@ -103,34 +106,6 @@ def export(
             say(note)
     if unshipped:
         raise typer.Exit(1)
-
-
-def _target_inputs(
-    file: "ParameterFile", folder: "StageFolder", hardware: "ControllerHardware"
-) -> "TargetInputs":
-    from piezoid.records.lab import Lab
-    from piezoid.targets.target_inputs import TargetInputs
-    from piezoid.verification.verify_stage import stage_plants
-
-    declared, model = folder.lab or Lab(), folder.model
-    plants, variations = stage_plants(file, model, declared)
-    return TargetInputs(
-        file=file,
-        plants=plants,
-        drawn={
-            plant.axis: plants_of_axis
-            for plant, plants_of_axis in zip(plants, variations, strict=True)
-        },
-        models={axis.axis: model[axis.axis] for axis in file.axes if axis.method != "rst"},
-        designs={axis.axis: axis for axis in folder.design.axes},
-        converter_V=declared.acquisition.input_range_V,
-        amplifier_V_per_V={
-            axis.axis: gain
-            for axis in file.axes
-            if (gain := declared.amplifier_of(axis.axis).gain_V_per_V) is not None
-        },
-        hardware=hardware,
-    )
 
 
 def show_unshipped(reasons: Mapping[str, str]) -> None:

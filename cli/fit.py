@@ -6,16 +6,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piezoid_cli.statements import budget_lines, show_statements
 from piezoid_cli.terminal import (
     Force,
     Json,
     Processes,
     Quiet,
     RecordingLab,
+    budget_lines,
     print_record,
     rich_text,
     say,
+    show_progress,
+    show_statements,
     table,
 )
 
@@ -74,7 +76,6 @@ def fit(
     """
     from piezoid.output_folder import check_folder, write_folder
     from piezoid_cli.calibration import calibrate
-    from piezoid_cli.progress import show_progress
     from piezoid_cli.workers import usable_cores
 
     check_folder(out, force=force, new=True, names=WRITTEN, inputs=files)
@@ -237,8 +238,7 @@ def calibrate_streamed(
     """
     from dataclasses import replace
 
-    from piezoid.calibration.axis_jobs import JobResult, try_design
-    from piezoid.calibration.calibrate import finish
+    from piezoid.calibration.calibrate import JobResult, finish, try_design
     from piezoid.records.chunked_reader import read_thinned
     from piezoid.records.lab import read_lab
     from piezoid.verbs import fit as fit_stage

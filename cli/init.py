@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import Json, Quiet, print_record, say
+from piezoid_cli.terminal import Json, Quiet, print_record, say, show_progress
 
 
 def init(
@@ -37,7 +37,6 @@ def init(
     from piezoid.records.inspection import inspect_files
     from piezoid.records.lab_draft import HEAD, draft_lab
     from piezoid_cli.inspect import show
-    from piezoid_cli.progress import show_progress
 
     opening = HEAD.partition("\n")[0].encode()
     write_file(out, b"", opening=opening, force=force, only_check=True)

@@ -5,8 +5,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.progress import show_progress
-from piezoid_cli.terminal import Json, Quiet, RecordingLab, print_record, rich_text, say
+from piezoid_cli.terminal import (
+    Json,
+    Quiet,
+    RecordingLab,
+    print_record,
+    rich_text,
+    say,
+    show_progress,
+)
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -90,6 +97,9 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
     """Print the columns, the clock and the problems of every file."""
     from rich.console import Console
 
+    from piezoid.formatting import count_of
+    from piezoid.raw_counts import in_counts
+
     console = Console(soft_wrap=False)
     for inspection in inspections:
         about = f": {inspection.format}, {inspection.rows} rows" if inspection.format else ""
@@ -98,7 +108,20 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
             has_noise = inspection.response is None
             console.print(_table(inspection.columns, console.width, has_noise=has_noise))
         if inspection.axis is not None:
-            console.print(rich_text(_clock_line(inspection)))
+            line = (
+                f"  axis {inspection.axis}, {inspection.sampling_rate_Hz:.9g} Hz for "
+                f"{inspection.duration_s:.6g} s"
+            )
+            if inspection.breaks:
+                line += f", {count_of(inspection.breaks, 'gap')}"
+            if inspection.reversals is not None:
+                line += f", {inspection.reversals} reversals of the drive"
+            if inspection.levels_V:
+                levels_V = dict.fromkeys(f"{u:.4g} V" for u in inspection.levels_V)
+                line += in_counts(f" at {', '.join(levels_V)}", inspection.counted)
+            if not inspection.axis_is_named:
+                line += f"; no axis named in the file, {inspection.axis} assumed"
+            console.print(rich_text(line))
         if inspection.response is not None:
             for line in response_lines(inspection):
                 console.print(rich_text(line))
@@ -108,26 +131,6 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
         if inspection.refusal is not None:
             console.print(rich_text(f"  not a recording: {inspection.refusal}", style="red"))
         console.print()
-
-
-def _clock_line(inspection: "Inspection") -> str:
-    from piezoid.raw_counts import in_counts
-    from piezoid_reports.parts import count_of
-
-    line = (
-        f"  axis {inspection.axis}, {inspection.sampling_rate_Hz:.9g} Hz for "
-        f"{inspection.duration_s:.6g} s"
-    )
-    if inspection.breaks:
-        line += f", {count_of(inspection.breaks, 'gap')}"
-    if inspection.reversals is not None:
-        line += f", {inspection.reversals} reversals of the drive"
-    if inspection.levels_V:
-        levels = " at " + ", ".join(dict.fromkeys(f"{u:.4g} V" for u in inspection.levels_V))
-        line += in_counts(levels, inspection.counted)
-    if not inspection.axis_is_named:
-        line += f"; no axis named in the file, {inspection.axis} assumed"
-    return line
 
 
 def _table(
@@ -140,40 +143,26 @@ def _table(
     """
     from rich.table import Table
 
-    rows = [_cells(column, has_noise=has_noise) for column in columns]
-    visible = [k for k in range(len(HEADINGS)) if k < N_ALWAYS or any(row[k] for row in rows)]
-    numbers = [k for k in visible if k not in (LABEL, MEANING)]
-    spent = sum(max(len(row[k]) for row in (HEADINGS, *rows)) for k in numbers)
-    has_room = width - spent - GAP * len(visible) >= MIN_WORDS
-    table = Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0))
-    for k in visible:
-        table.add_column(HEADINGS[k], overflow="fold", no_wrap=has_room and k in numbers)
-    for row in rows:
-        table.add_row(*(rich_text(row[k]) for k in visible))
-    return table
-
-
-def _cells(column: "ColumnSummary", *, has_noise: bool) -> tuple[str, ...]:
-    is_clock = column.meaning == "time"  # the line below the table describes the clock
-    noise, low, high = column.noise_rms, column.minimum, column.maximum
-    if noise is not None and low is not None and high is not None:
-        # The noise of a computed ramp is rounding.
-        noise = noise if noise > ROUNDING * (high - low) else None
-    noise_rms = _quantity(noise, column.si_unit)
-    if has_noise and column.noise_rms is None and low is not None:
-        noise_rms = "unknown"  # too few samples, or too fast a signal
-    states = []
-    if low is None:
-        states.append("empty")
-    elif column.missing:
-        states.append(f"{column.missing} missing")
-    if column.is_dead:
-        states.append("dead")
-    if column.clipped:
-        states.append(f"{100 * column.clipped:.2g} % clipped")
-    return tuple(
-        _truncate(cell)
-        for cell in (
+    rows = []
+    for column in columns:
+        is_clock = column.meaning == "time"  # the line below the table describes the clock
+        noise, low, high = column.noise_rms, column.minimum, column.maximum
+        if noise is not None and low is not None and high is not None:
+            # The noise of a computed ramp is rounding.
+            noise = noise if noise > ROUNDING * (high - low) else None
+        noise_rms = _quantity(noise, column.si_unit)
+        if has_noise and column.noise_rms is None and low is not None:
+            noise_rms = "unknown"  # too few samples, or too fast a signal
+        states = []
+        if low is None:
+            states.append("empty")
+        elif column.missing:
+            states.append(f"{column.missing} missing")
+        if column.is_dead:
+            states.append("dead")
+        if column.clipped:
+            states.append(f"{100 * column.clipped:.2g} % clipped")
+        cells = (
             str(column.number),
             column.label,
             column.meaning,
@@ -184,7 +173,17 @@ def _cells(column: "ColumnSummary", *, has_noise: bool) -> tuple[str, ...]:
             "" if is_clock else _quantity(column.step or None, column.si_unit),
             ", ".join(states),
         )
-    )
+        rows.append(tuple(map(_truncate, cells)))
+    visible = [k for k in range(len(HEADINGS)) if k < N_ALWAYS or any(row[k] for row in rows)]
+    numbers = [k for k in visible if k not in (LABEL, MEANING)]
+    spent = sum(max(len(row[k]) for row in (HEADINGS, *rows)) for k in numbers)
+    has_room = width - spent - GAP * len(visible) >= MIN_WORDS
+    table = Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0))
+    for k in visible:
+        table.add_column(HEADINGS[k], overflow="fold", no_wrap=has_room and k in numbers)
+    for row in rows:
+        table.add_row(*(rich_text(row[k]) for k in visible))
+    return table
 
 
 def _truncate(text: str) -> str:

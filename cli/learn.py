@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, say
+from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, say, show_progress
 
 if TYPE_CHECKING:
     from piezoid.learning.learn import Learned
@@ -52,7 +52,6 @@ def learn(
     piezoid learn stage42/ --reference scan.csv --open-loop --axis x --out wave/
     """
     from piezoid.output_folder import check_folder, write_folder
-    from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, content_of
 
     if (period is None) != (table is None):

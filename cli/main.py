@@ -28,10 +28,9 @@ from piezoid_cli.init import init
 from piezoid_cli.inspect import inspect
 from piezoid_cli.learn import learn
 from piezoid_cli.plan import plan
-from piezoid_cli.progress import VERBOSE
 from piezoid_cli.report import report
 from piezoid_cli.simulate import simulate
-from piezoid_cli.terminal import guard_output, rich_text
+from piezoid_cli.terminal import VERBOSE, guard_output, rich_text, say
 from piezoid_cli.verify import verify
 
 VERBOSE_OPTIONS = ("-v", "--verbose")
@@ -39,6 +38,12 @@ USAGE = 2
 
 # Base class of all usage errors; typer exports only this sub-class of it.
 _UsageError = cast(type[typer.BadParameter], typer.BadParameter.__base__)
+
+_OUT_OF_MEMORY = (
+    "out of memory. Needed: memory for all recordings, about 1 kB for each sample of a fit. Fit "
+    "them with --stream, which reads in chunks, or select a part of them with start_s and stop_s "
+    "in lab.toml."
+)
 
 VERBS = (
     *(inspect, init, fit, diagnose, plan, design, export, verify, learn, report, simulate),
@@ -91,7 +96,6 @@ for verb in VERBS:
 def _show_version(is_requested: bool) -> None:
     if is_requested:
         from piezoid import __version__
-        from piezoid_cli.terminal import say
 
         say(f"piezoid {__version__}")
         raise typer.Exit
@@ -146,42 +150,29 @@ def main() -> None:
     except Exception as error:
         if "--debug" in sys.argv[1:]:
             raise
-        sys.exit(_report(error))
+        from rich.console import Console
+        from rich.text import Text
 
+        from piezoid.errors import PiezoidError
 
-_OUT_OF_MEMORY = (
-    "out of memory. Needed: memory for all recordings, about 1 kB for each sample of a fit. Fit "
-    "them with --stream, which reads in chunks, or select a part of them with start_s and stop_s "
-    "in lab.toml."
-)
-
-
-def _report(error: Exception) -> int:
-    from rich.console import Console
-    from rich.text import Text
-
-    from piezoid.errors import PiezoidError
-
-    if isinstance(error, PiezoidError):
-        status, message = error.exit_status, str(error)
-    elif isinstance(error, OSError):
-        status = 3
-        message = (
-            f"{error.filename or 'a file'}: {error.strerror or error}. Needed: a file or folder "
-            "that this command can read and write. Check its name, its permissions and the free "
-            "disk space."
-        )
-    elif isinstance(error, MemoryError):
-        status, message = 3, _OUT_OF_MEMORY
-    else:
-        status = 70
-        message = (
-            f"internal error ({type(error).__name__}: {error}). Please report it with the output "
-            "of the same command with --debug."
-        )
-    console = Console(stderr=True)
-    console.print(Text.assemble(("error: ", "bold red"), rich_text(message)))
-    return status
+        if isinstance(error, PiezoidError):
+            status, message = error.exit_status, str(error)
+        elif isinstance(error, OSError):
+            status, problem = 3, f"{error.filename or 'a file'}: {error.strerror or error}"
+            message = (
+                f"{problem}. Needed: a file or folder that this command can read and write. Check "
+                "its name, its permissions and the free disk space."
+            )
+        elif isinstance(error, MemoryError):
+            status, message = 3, _OUT_OF_MEMORY
+        else:
+            status, problem = 70, f"internal error ({type(error).__name__}: {error})"
+            message = (
+                f"{problem}. Please report it with the output of the same command with --debug."
+            )
+        text = Text.assemble(("error: ", "bold red"), rich_text(message))
+        Console(stderr=True).print(text)
+        sys.exit(status)
 
 
 if __name__ == "__main__":

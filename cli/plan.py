@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piezoid_cli.terminal import Force, JsonFile, Quiet, print_raw, rich_text, table
+from piezoid_cli.terminal import Force, JsonFile, Quiet, print_raw, rich_text, show_progress, table
 
 if TYPE_CHECKING:
     from piezoid.diagnosis.experiment import Plan
@@ -51,7 +51,6 @@ def plan(
     """
     from piezoid.digests import digest_in
     from piezoid.output_folder import add_to_folder, check_folder, write_folder
-    from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, content_of
 
     if out is None:

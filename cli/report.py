@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet, StageLab, print_record, say
+from piezoid_cli.terminal import Force, Json, Quiet, StageLab, print_record, say, show_progress
 
 if TYPE_CHECKING:
     from piezoid.records.collection import Collection
@@ -40,7 +40,6 @@ def report(
     from piezoid.errors import RecordingError
     from piezoid.output_folder import add_to_folder, check_folder
     from piezoid.records.collection import collect
-    from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, content_of, out_of_date
 
     with show_progress(quiet=quiet or json) as progress:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet, print_record, say
+from piezoid_cli.terminal import Force, Json, Quiet, print_record, say, show_progress
 
 
 def simulate(
@@ -56,7 +56,6 @@ def simulate(
     piezoid simulate --out tip/ --seed 7 --junction 4 --json
     """
     from piezoid.output_folder import check_folder, write_folder
-    from piezoid_cli.progress import show_progress
     from piezoid_datasets.virtual_lab.campaign import draw_campaign
     from piezoid_datasets.virtual_lab.junction_campaign import (
         draw_junction_campaign,
@@ -69,7 +68,16 @@ def simulate(
         raise typer.BadParameter(
             "--junction records a tip; it excludes --effect, --truth, --recording and --careless"
         )
-    sizes = dict(_parse_effect(text) for text in effect or ())
+    sizes: dict[str, float | None] = {}  # percent of the stroke
+    for text in effect or ():
+        name, equals, percent = text.partition("=")
+        try:
+            sizes[name] = float(percent) if equals else None
+        except ValueError:
+            raise typer.BadParameter(
+                f"--effect {text}: {percent!r} is not a number; write the size in percent of the "
+                f"stroke, as in {name}=0.8"
+            ) from None
     with show_progress(quiet=quiet or json) as progress:
         progress(f"simulating the virtual {'stage' if junction is None else 'tip'}")
         try:
@@ -100,17 +108,3 @@ def simulate(
     elif not quiet:
         for line in lines:
             say(line)
-
-
-def _parse_effect(text: str) -> tuple[str, float | None]:
-    """Return name and size of ``creep`` or ``creep=0.8``."""
-    name, equals, percent = text.partition("=")
-    if not equals:
-        return name, None
-    try:
-        return name, float(percent)
-    except ValueError:
-        raise typer.BadParameter(
-            f"--effect {text}: {percent!r} is not a number; write the size in percent of the "
-            f"stroke, as in {name}=0.8"
-        ) from None

@@ -92,7 +92,7 @@ class StageFolder:
 
 def content_of(path: Path) -> bytes:
     """Return the content of a sealed file; raise ``OSError`` for a pipe or a device."""
-    from piezoid.records.readers.source import regular_size
+    from piezoid.records.readers.reader import regular_size
 
     try:
         size = regular_size(path)

@@ -1,4 +1,4 @@
-r"""Output on the terminal, safe against control characters in names from files.
+r"""Output on the terminal: text, tables, statements and progress.
 
 A heading or the name of a file may contain codes that clear a terminal, move its cursor or set its
 title. All text output is printed by this module, with such characters escaped (``\x1b``). Output
@@ -8,7 +8,15 @@ for scripts (``--json``) is printed byte for byte.
 import io
 import os
 import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import partial
 from pathlib import Path
+from textwrap import fill
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
@@ -18,13 +26,22 @@ from piezoid.errors import printable
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from rich.progress import TextColumn
     from rich.table import Table
     from rich.text import Text
 
+    from piezoid.diagnosis.diagnosis import Diagnosis
+    from piezoid.statement import Level, Statement
     from piezoid_reports.parts import Table as ReportTable
 
 NARROW, MINUS = "\u202f", "\u2212"  # typography of the report
+MAX_SHOWN = 5  # statements
+INDENT = "  "
+INTERVAL_s = 10.0  # between lines in a log
+REPEAT_s = 60.0  # after which the line of a long step is repeated
+
+# With -v: print each step when it starts, also on a terminal.
+VERBOSE: ContextVar[bool] = ContextVar("VERBOSE", default=False)
+
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print only errors.")]
 Force = Annotated[
     bool,
@@ -147,8 +164,112 @@ def print_record(schema: str, **entries: object) -> None:
     print_raw(dumps({"schema": f"piezoid.{schema}/1", **entries}, indent=1, allow_nan=False))
 
 
-def step_column() -> "TextColumn":
-    """Return the column of a progress bar that shows the current step."""
-    from rich.progress import TextColumn
+def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" = None) -> None:
+    """Print at most five statements at or above a level (default: action), or all with -v."""
+    from rich.console import Console
 
-    return TextColumn("{task.description}", markup=False)
+    from piezoid.statement import Level, select
+
+    is_verbose = VERBOSE.get()
+    lowest = Level.NOTE if is_verbose else Level.ACTION if minimum is None else minimum
+    selected = select(statements, minimum=lowest)
+    listed = selected if is_verbose else selected[:MAX_SHOWN]
+    console = Console()
+    if listed and lowest is Level.ACTION:
+        console.print(rich_text("needs action:"))
+    for statement in listed:
+        axis = f"axis {statement.axis}: " if statement.axis else ""
+        style = {Level.ACTION: "bold", Level.NOTE: "dim"}.get(statement.level, "")
+        text = fill(
+            f"{axis}{statement.text}",
+            width=console.width,
+            initial_indent=INDENT,
+            subsequent_indent=INDENT,
+        )
+        console.print(rich_text(text, style=style))
+    if len(selected) > len(listed):
+        omitted = len(selected) - len(listed)
+        console.print(rich_text(f"  {omitted} more in the report and with --verbose"))
+
+
+def budget_lines(diagnoses: "Sequence[Diagnosis]", legend: str = "") -> list[str]:
+    """Return the error budget of each diagnosed axis as a line, followed by a legend."""
+    from piezoid.formatting import with_unit
+    from piezoid.raw_counts import in_counts
+    from piezoid_reports.sections.error_budget import label_of, visible_parts
+
+    lines = []
+    for diagnosis in diagnoses:
+        terms = ", ".join(
+            f"{label_of(part.part)} {with_unit(part.rms_m, 'm')}{'*' if part.is_explained else ''}"
+            for part in visible_parts(diagnosis)
+        )
+        total = with_unit(diagnosis.baseline.rms_m, "m")
+        name = "simulation" if diagnosis.model is None else "base model"
+        line = f"error budget {diagnosis.axis}: {name} {total}; of this {terms}"
+        lines.append(in_counts(line, diagnosis.counted))
+    if any("*" in line for line in lines):
+        lines.append(
+            "(rms, squares add up; * removed by the final model, the others are its held-out error"
+            f"{legend})"
+        )
+    return lines
+
+
+@contextmanager
+def show_progress(
+    *, quiet: bool, interval_s: float = INTERVAL_s
+) -> Iterator[Callable[[str], None]]:
+    """Yield a function that shows the current step on standard error.
+
+    interval_s  minimum time between two lines without a terminal
+    """
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console, log = Console(stderr=True, quiet=quiet), Log(partial(say, err=True))
+    if quiet:
+        yield lambda _: None
+    elif VERBOSE.get():
+        yield log.write
+    elif console.is_terminal:
+        step = TextColumn("{task.description}", markup=False)
+        columns = (SpinnerColumn(), step, TimeElapsedColumn())
+        with Progress(*columns, console=console, transient=True) as progress:
+            task = progress.add_task("starting", total=None)
+            yield lambda text: progress.update(task, description=printable(text))
+    else:
+        with log.at_intervals(interval_s) as report:
+            yield report
+
+
+class Log:
+    """Log of the steps, one line each with the elapsed seconds."""
+
+    def __init__(self, print_line: Callable[[str], None]) -> None:
+        """Start the clock; ``print_line`` receives each line."""
+        self._print_line = print_line
+        self._start_s = self._printed_s = time.monotonic()
+        self._latest = ""
+
+    def write(self, step: str, *, repeat_s: float = float("inf")) -> None:
+        """Write a step, unless the latest line shows it and is younger than ``repeat_s``."""
+        now_s = time.monotonic()
+        if step and (step != self._latest or now_s - self._printed_s >= repeat_s):
+            self._latest, self._printed_s = step, now_s
+            self._print_line(f"{now_s - self._start_s:5.0f} s  {step}")
+
+    @contextmanager
+    def at_intervals(self, interval_s: float) -> Iterator[Callable[[str], None]]:
+        """Yield a function that sets the current step, which is written once per interval."""
+        ended, steps = Event(), deque([""], maxlen=1)
+
+        def write() -> None:
+            while not ended.wait(interval_s):
+                self.write(steps[-1], repeat_s=REPEAT_s)
+
+        Thread(target=write, daemon=True).start()
+        try:
+            yield steps.append
+        finally:
+            ended.set()

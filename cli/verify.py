@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.statements import MAX_SHOWN
 from piezoid_cli.terminal import (
+    MAX_SHOWN,
     Force,
     JsonFile,
     Quiet,
@@ -16,6 +16,7 @@ from piezoid_cli.terminal import (
     report_table,
     rich_text,
     say,
+    show_progress,
 )
 
 if TYPE_CHECKING:
@@ -74,7 +75,6 @@ def verify(
     from piezoid.verification.rebuild import emulate
     from piezoid.verification.rebuild import rebuild as build_on_host
     from piezoid.verification.verify_stage import verify_stage
-    from piezoid_cli.progress import show_progress
     from piezoid_cli.stage_files import StageFolder, changed_in_bundle, text_of
     from piezoid_cli.workers import usable_cores
     from piezoid_reports.page import Page

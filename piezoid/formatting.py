@@ -39,6 +39,11 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
+def count_of(number: int, noun: str) -> str:
+    """Return a number with its noun: ``1 figure``, ``3 figures``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def with_unit(value: float, unit: str, digits: int = 3) -> str:
     """Return a number with its unit, for example ``66.0 nm``."""
     if not math.isfinite(value):

@@ -1,12 +1,21 @@
-"""Parts of a section: headings, sentences, tables, figures, and their containers."""
+"""Parts of a page: headings, sentences, tables, figures, their containers, and the HTML page."""
 
+import base64
+import hashlib
 import itertools
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.resources import files as files_of
 from typing import ClassVar
 
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+from markupsafe import Markup
+
+from piezoid.errors import printable
+from piezoid.identification.fit_statements import GOOD_PERCENT, NEAR_NOISE
 from piezoid.identification.model import AxisModel
+from piezoid.raw_counts import in_counts
 from piezoid_reports.chart import Axis, Canvas, Layer
 
 FIRST_SENTENCE = re.compile(r"(?<=[.;])\s")
@@ -261,6 +270,51 @@ def folded(summary: str, parts: Sequence[Part]) -> list[Part]:
     return [Fold(summary=summary, parts=tuple(parts))] if parts else []
 
 
-def count_of(number: int, noun: str) -> str:
-    """Return a number with its noun: ``1 figure``, ``3 figures``."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+def html(
+    title: str,
+    sections: Sequence[Section],
+    *,
+    alarm: tuple[str, str] | None = None,
+    counted: Sequence[str] = (),
+) -> str:
+    """Return an HTML page.
+
+    title     a name from the data, shown as text
+    sections  in the order of the page
+    alarm     warning above the sections and its explanation, or None
+    counted   quantities recorded in counts; their metres or volts are shown as counts
+    """
+
+    def escaped(value: object) -> object:
+        is_text = isinstance(value, str) and not hasattr(value, "__html__")
+        return printable(in_counts(str(value), counted)) if is_text else value
+
+    environment = Environment(
+        loader=FunctionLoader(_template),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=escaped,
+    )
+    # The policy allows this style and script and no network.
+    style, script = _template("style.css"), _template("figures.js")
+    return environment.get_template("page.html.j2").render(
+        title=title,
+        alarm=alarm,
+        sections=sections,
+        style=Markup(style),
+        script=Markup(script),
+        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; "
+        "base-uri 'none'; form-action 'none'",
+        good_percent=GOOD_PERCENT,
+        near_noise=NEAR_NOISE,
+    )
+
+
+def _hash(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def _template(name: str) -> str:
+    return (files_of("piezoid_reports") / "templates" / name).read_text(encoding="utf-8")

@@ -1,10 +1,13 @@
 """Numbers as text, with engineering units and 95 % intervals."""
 
 import math
+from typing import TYPE_CHECKING
 
 from piezoid import formatting
-from piezoid.diagnosis.diagnosis import Finding
 from piezoid.formatting import UNKNOWN, interval_digits, scale_for, with_unit
+
+if TYPE_CHECKING:
+    from piezoid.diagnosis.diagnosis import Finding
 
 NARROW = "\u202f"  # narrow no-break space between number and unit
 MINUS = "\N{MINUS SIGN}"
@@ -56,7 +59,7 @@ def with_interval(value: float, interval: tuple[float, float], unit: str) -> str
     return f"{number(value, unit)} ({number(low, unit)} to {number(high, unit)})"
 
 
-def size_of(finding: Finding) -> str:
+def size_of(finding: "Finding") -> str:
     """Return the size of a finding with its 95 % interval, one-sided if that includes zero."""
     size = finding.size
     digits = interval_digits(*size.ci95)

@@ -1,13 +1,7 @@
 """Render records as one self-contained HTML page, without clock, random numbers or network."""
 
-import base64
-import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.resources import files as files_of
-
-from jinja2 import Environment, FunctionLoader, StrictUndefined
-from markupsafe import Markup
 
 from piezoid.calibration.calibrate import Calibration
 from piezoid.calibration.stage_statements import stage_statements
@@ -17,18 +11,15 @@ from piezoid.diagnosis.compare import ModelComparison
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.digests import digest_in
-from piezoid.errors import printable
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import as_single_axes
-from piezoid.identification.fit_statements import GOOD_PERCENT, NEAR_NOISE
 from piezoid.identification.store import write_model
-from piezoid.raw_counts import in_counts
 from piezoid.records.collection import Collection
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.statement import select
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Section
+from piezoid_reports.parts import html
 from piezoid_reports.sections import DESIGN_SECTIONS, DIAGNOSIS_SECTIONS, SECTIONS, Renderer
 
 ALARM = (
@@ -113,56 +104,6 @@ def _page_html(page: Page, renderers: Sequence[Renderer], *, alarm: tuple[str, s
     title = stage if "stage" in stage.lower() else f"Stage {stage}"
     sections = [section for make in renderers if (section := make(page)) is not None]
     return html(title, sections, alarm=alarm, counted=page.counted)
-
-
-def html(
-    title: str,
-    sections: Sequence[Section],
-    *,
-    alarm: tuple[str, str] | None = None,
-    counted: Sequence[str] = (),
-) -> str:
-    """Return an HTML page.
-
-    title     a name from the data, shown as text
-    sections  in the order of the page
-    alarm     warning above the sections and its explanation, or None
-    counted   quantities recorded in counts; their metres or volts are shown as counts
-    """
-
-    def escaped(value: object) -> object:
-        is_text = isinstance(value, str) and not hasattr(value, "__html__")
-        return printable(in_counts(str(value), counted)) if is_text else value
-
-    environment = Environment(
-        loader=FunctionLoader(_template),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=escaped,
-    )
-    # The policy allows this style and script and no network.
-    style, script = _template("style.css"), _template("figures.js")
-    return environment.get_template("page.html.j2").render(
-        title=title,
-        alarm=alarm,
-        sections=sections,
-        style=Markup(style),
-        script=Markup(script),
-        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; "
-        "base-uri 'none'; form-action 'none'",
-        good_percent=GOOD_PERCENT,
-        near_noise=NEAR_NOISE,
-    )
-
-
-def _hash(text: str) -> str:
-    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-
-
-def _template(name: str) -> str:
-    return (files_of("piezoid_reports") / "templates" / name).read_text(encoding="utf-8")
 
 
 def with_report(

@@ -253,43 +253,34 @@ def _lateral_task(
         design_recommended = partial(design, {recommended: family})
         return raise_bandwidth(base, family, default, design_recommended, form=recommended)
 
-    default = _between_converters(name, task.specification, lab)
-    return default, partial(design, task.families), raise_recommended
-
-
-def _between_converters(name: str, default: Specification, lab: Lab) -> Specification:
-    """Limit the voltages of a default to the converter's codes, and set its step.
-
-    Raises ``LabFileError`` if the recorded drive exceeds the range of the converter: it was then
-    recorded elsewhere, for example behind the amplifier.
-    """
-    converters = converters_of(lab, name)
+    # The voltages lie between the converter's codes; the step of the converter rounds them.
+    default, converters = task.specification, converters_of(lab, name)
     slews = [v for v in (default.voltage_slew_V_per_s, converters.command_slew_V_per_s) if v]
-    stepped = replace(
+    default = replace(
         default,
         voltage_step_V=converters.command_step_V,
         voltage_slew_V_per_s=min(slews, default=None),
     )
     range_V = command_range_V(lab, name)
-    if range_V is None or converters.command_V is None:
-        return stepped
-    if exceeds_range((default.voltage_min_V, default.voltage_max_V), range_V):
-        raise LabFileError(
-            f"axis {name}: its drive was recorded from {default.voltage_min_V:.6g} to "
-            f"{default.voltage_max_V:.6g} V, converter and amplifier take commands from "
-            f"{range_V[0]:.6g} to {range_V[1]:.6g} V",
-            needed="recordings of the controller's output, the command at the amplifier's input, "
-            "not of the high voltage at the ceramic",
-            remedy="If they were taken behind the amplifier, write "
-            f"{amplifier_scale(lab, name)} into their [[recording]] and fit again; else correct "
-            f"input_range_V or [amplifier] in {lab.place}.",
+    if range_V is not None and converters.command_V is not None:
+        if exceeds_range((default.voltage_min_V, default.voltage_max_V), range_V):
+            raise LabFileError(
+                f"axis {name}: its drive was recorded from {default.voltage_min_V:.6g} to "
+                f"{default.voltage_max_V:.6g} V, converter and amplifier take commands from "
+                f"{range_V[0]:.6g} to {range_V[1]:.6g} V",
+                needed="recordings of the controller's output, the command at the amplifier's "
+                "input, not of the high voltage at the ceramic",
+                remedy="If they were taken behind the amplifier, write "
+                f"{amplifier_scale(lab, name)} into their [[recording]] and fit again; else "
+                f"correct input_range_V or [amplifier] in {lab.place}.",
+            )
+        low_V, high_V = converters.command_V
+        default = replace(
+            default,
+            voltage_min_V=max(default.voltage_min_V, low_V),
+            voltage_max_V=min(default.voltage_max_V, high_V),
         )
-    low_V, high_V = converters.command_V
-    return replace(
-        stepped,
-        voltage_min_V=max(default.voltage_min_V, low_V),
-        voltage_max_V=min(default.voltage_max_V, high_V),
-    )
+    return default, partial(design, task.families), raise_recommended
 
 
 def nothing_to_design(model: ActuatorModel) -> DesignError:

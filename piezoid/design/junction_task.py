@@ -16,9 +16,8 @@ from piezoid.design.design import AxisDesign, assemble_loop
 from piezoid.design.feasibility import refuse, severity
 from piezoid.design.plant import Plant, PlantFamily, sampled_plant
 from piezoid.design.sensitivity import Template, Violation
-from piezoid.design.shaping import shape
+from piezoid.design.shaping import optimise, shape
 from piezoid.design.specification import Specification, converters_of, default_specification
-from piezoid.design.youla import optimise
 from piezoid.errors import DesignError, LabFileError
 from piezoid.formatting import with_unit
 from piezoid.identification.loop_model import DECLARED_SPREAD

@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from piezoid.design.certificate import Certificate, Disturbances, certify
+from piezoid.design.certificate import Disturbances, certify
 from piezoid.design.design import AxisDesign, LoopDesign, assemble_loop
 from piezoid.design.feasibility import at_feasible_bandwidth, refuse, rounded_down, severity
 from piezoid.design.hysteresis_bounds import HysteresisBounds
@@ -157,25 +157,8 @@ def _design_loop(
     loop = assemble_loop(_LOOP_OF_FORM[form], family.fractions, bandwidth_Hz, tunings, _FIGURE)
     if bounds is None:
         return loop
-    certificate = _certificate(loop, family, bounds, disturbances, specification)
-    return replace(loop, certificate=certificate)
-
-
-def _methods(family: PlantFamily, specification: Specification) -> tuple[str, ...]:
-    is_damped = must_damp(family.nominal, specification.bandwidth_Hz)
-    return (*METHODS, DAMPED) if is_damped else METHODS
-
-
-def _certificate(
-    loop: LoopDesign,
-    family: PlantFamily,
-    bounds: HysteresisBounds,
-    disturbances: Disturbances,
-    specification: Specification,
-) -> Certificate:
-    """Certify a loop for references up to the speed of a full-range sine at the scan frequency,
-    and up to a share of the amplifier's slew rate.
-    """
+    # References may have the speed of a full-range sine at the scan frequency, up to a share of
+    # the amplifier's slew rate.
     gain = abs(family.nominal.gain)
     half_V = 0.5 * (specification.voltage_max_V - specification.voltage_min_V)
     amplitude_m = min(half_V, bounds.reach_V) * gain
@@ -183,7 +166,7 @@ def _certificate(
     if specification.voltage_slew_V_per_s is not None:
         amplifier_m_per_s = specification.voltage_slew_V_per_s * gain
         slew_m_per_s = min(slew_m_per_s, _SLEW_SHARE * amplifier_m_per_s)
-    return certify(
+    certificate = certify(
         *(family.members, loop.R, loop.S, loop.T),
         path=loop.reference,
         bounds=bounds,
@@ -192,6 +175,12 @@ def _certificate(
         sensor_noise_rms_m=specification.sensor_noise_rms,
         disturbances=disturbances,
     )
+    return replace(loop, certificate=certificate)
+
+
+def _methods(family: PlantFamily, specification: Specification) -> tuple[str, ...]:
+    is_damped = must_damp(family.nominal, specification.bandwidth_Hz)
+    return (*METHODS, DAMPED) if is_damped else METHODS
 
 
 def must_damp(plant: Fraction, bandwidth_Hz: float) -> bool:
@@ -284,10 +273,25 @@ def raise_bandwidth(
     def at_bandwidth(bandwidth_Hz: float) -> Specification:
         return replace(guarded, bandwidth_Hz=bandwidth_Hz, scan_frequency_Hz=bandwidth_Hz / 10.0)
 
+    def is_feasible(bandwidth_Hz: float) -> bool:
+        specification = at_bandwidth(bandwidth_Hz)
+        tuned = (
+            tune_observer(family, specification, form=form, method=method, until_met=True)
+            for method in (DAMPED, *METHODS)
+        )
+        return any(not solution.violations for solution in tuned)
+
     min_Hz = _MIN_RATIO * max(base.recommended.bandwidth_Hz, MODE_SHARE * mode.frequency_Hz)
-    bandwidth_Hz = _largest_Hz(family, at_bandwidth, min_Hz, mode.frequency_Hz, form)
+    if min_Hz >= mode.frequency_Hz or not is_feasible(min_Hz):
+        return base
+    # Bisect the largest feasible bandwidth to three digits.
+    low, high = np.log(min_Hz), np.log(mode.frequency_Hz)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if is_feasible(float(np.exp(middle))) else (low, middle)
+    bandwidth_Hz = max(rounded_down(float(np.exp(low))), min_Hz)
     for _ in range(_STEPS_DOWN):
-        if bandwidth_Hz is None or bandwidth_Hz < min_Hz:
+        if bandwidth_Hz < min_Hz:
             break
         try:
             candidate = design(at_bandwidth(bandwidth_Hz))
@@ -299,29 +303,3 @@ def raise_bandwidth(
             return base
         return replace(candidate, loops=(candidate.recommended, *base.loops[1:]))
     return base
-
-
-def _largest_Hz(
-    family: PlantFamily,
-    at_bandwidth: Callable[[float], Specification],
-    min_Hz: float,
-    max_Hz: float,
-    form: str,
-) -> float | None:
-    """Bisect the largest feasible bandwidth of a loop that damps the mode, to three digits."""
-
-    def meets(bandwidth_Hz: float) -> bool:
-        specification = at_bandwidth(bandwidth_Hz)
-        for method in (DAMPED, *METHODS):
-            tuned = tune_observer(family, specification, form=form, method=method, until_met=True)
-            if not tuned.violations:
-                return True
-        return False
-
-    if min_Hz >= max_Hz or not meets(min_Hz):
-        return None
-    low, high = np.log(min_Hz), np.log(max_Hz)
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if meets(float(np.exp(middle))) else (low, middle)
-    return max(rounded_down(float(np.exp(low))), min_Hz)

@@ -101,22 +101,39 @@ def lateral_task(
     families = {"inverse": inverse, "affine": with_sector(inverse, affine)}
     loop = loop_model(axis, sampling_rate_Hz)
     low_V, high_V = loop.drive_range_V
+    specification = default_specification(
+        inverse,
+        voltage_min_V=max(axis.voltage_V[0], low_V),
+        voltage_max_V=min(axis.voltage_V[1], high_V),
+        sensor_noise_rms=axis.quality.noise_rms_m,
+        disturbance_rms=axis.quality.held_out_rms_m,
+        voltage_slew_V_per_s=loop.slew_V_per_s if np.isfinite(loop.slew_V_per_s) else None,
+    )
+    # Limit the control effort in the frequency range without recordings. Small gain: if |Sup| is
+    # below 1 / (peak gain), no mode that adds at most peak times the gain at rest destabilises the
+    # loop.
+    unseen_modes, nyquist_Hz = unseen(axis), 0.5 * sampling_rate_Hz
+    if unseen_modes.from_Hz < nyquist_Hz:
+        min_gain = min(abs(member.gain) for member in inverse.members)
+        level_dB = -float(decibel(unseen_modes.peak * min_gain))
+        limit = Template(
+            name=BEYOND,
+            function="Sup",
+            frequency_Hz=np.array([unseen_modes.from_Hz, nyquist_Hz]),
+            upper_dB=np.array([level_dB, level_dB]),
+        )
+        bandwidth_Hz = min(specification.bandwidth_Hz, unseen_modes.fastest_Hz or np.inf)
+        specification = replace(
+            specification,
+            templates=(*specification.templates, limit),
+            bandwidth_Hz=bandwidth_Hz,
+            scan_frequency_Hz=min(specification.scan_frequency_Hz, bandwidth_Hz / 10.0),
+        )
     return LateralTask(
         families={form: family for form, family in families.items() if form in forms},
         # The error on the rows of the fit alone bounds no other error.
         bounds=bounds if axis.quality.is_tested else {},
-        specification=_guard_unseen_modes(
-            axis,
-            inverse,
-            default_specification(
-                inverse,
-                voltage_min_V=max(axis.voltage_V[0], low_V),
-                voltage_max_V=min(axis.voltage_V[1], high_V),
-                sensor_noise_rms=axis.quality.noise_rms_m,
-                disturbance_rms=axis.quality.held_out_rms_m,
-                voltage_slew_V_per_s=loop.slew_V_per_s if np.isfinite(loop.slew_V_per_s) else None,
-            ),
-        ),
+        specification=specification,
         disturbances=Disturbances(
             motions=tuple((e.motion_m, e.motion_m_per_s) for e in loop.effects if e.motion_m > 0),
             readings=tuple((e.reading_Hz, e.reading_m) for e in loop.effects if e.reading_m > 0),
@@ -191,39 +208,11 @@ def unseen(axis: AxisModel) -> Unseen:
     )
 
 
-def _guard_unseen_modes(
-    axis: AxisModel, family: PlantFamily, default: Specification
-) -> Specification:
-    """Limit the control effort of a default in the frequency range without recordings.
-
-    Small gain: if |Sup| < 1 / (peak gain), no mode that adds at most peak times the gain at rest
-    destabilises the loop.
-    """
-    unseen_modes, nyquist_Hz = unseen(axis), 0.5 * family.nominal.sampling_rate_Hz
-    if not unseen_modes.from_Hz < nyquist_Hz:
-        return default
-    min_gain = min(abs(member.gain) for member in family.members)
-    level_dB = -float(decibel(unseen_modes.peak * min_gain))
-    limit = Template(
-        name=BEYOND,
-        function="Sup",
-        frequency_Hz=np.array([unseen_modes.from_Hz, nyquist_Hz]),
-        upper_dB=np.array([level_dB, level_dB]),
-    )
-    bandwidth_Hz = min(default.bandwidth_Hz, unseen_modes.fastest_Hz or np.inf)
-    return replace(
-        default,
-        templates=(*default.templates, limit),
-        bandwidth_Hz=bandwidth_Hz,
-        scan_frequency_Hz=min(default.scan_frequency_Hz, bandwidth_Hz / 10.0),
-    )
-
-
 def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
     """Return the nominal plant of an axis, and the corners of its uncertainty.
 
-    The corners combine both ends of the gain's interval with the slow and the fast ends of all
-    poles, and with the smallest and largest damping of the modes. If the interval of a mode's
+    The corners combine both ends of the gain's 95 % interval with the slow and the fast ends of
+    all poles, and with the smallest and largest damping of the modes. If the interval of a mode's
     frequency is wider than the mode, members between its ends are added. Creep and a delayed
     irreversible part widen the interval of the gain.
 
@@ -233,7 +222,16 @@ def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
     if not has_pole(nominal, rate_Hz):
         raise _no_pole(axis, rate_Hz)
     gain = axis.polarity * axis.operator.middle_slope_m_per_V
-    low, high = _gain_interval(axis, nominal)
+    # The interval is limited to the slopes of the hysteresis at any state: if the recordings do
+    # not determine the end of the loading curve, the interval exceeds these slopes and includes
+    # zero. With a delayed irreversible part, a fast loop responds to the reversible slope alone.
+    uncertainty = axis.uncertainty  # of the loading curve's end
+    half = float(uncertainty.loading_half_m[-1] / abs(uncertainty.loading_m[-1]))
+    lowest, greatest = axis.operator.slope_sector_m_per_V
+    middle = 0.5 * (lowest + greatest)
+    reversible = lowest / middle if nominal.activation[0] > 0.0 else 1.0
+    low = max(1.0 - half, lowest / middle) * min(reversible, nominal.quick_gain, 1.0)
+    high = min(1.0 + half, greatest / middle) * max(nominal.slow_gain, nominal.quick_gain)
     # label, ``slower`` and ``sharper`` of each corner, and its number of gains
     corners = [("slow", 1.0, 0.0, 2), ("fast", -1.0, 0.0, 2)]
     half_widths = mode_half(axis)
@@ -306,23 +304,6 @@ def _no_pole(axis: AxisModel, rate_Hz: float) -> DesignError:
         needed="a pole that limits the speed of the stage: without it any gain would look safe",
         remedy=f"{remedy} that excites the dynamics (a small chirp) and fit again.",
     )
-
-
-def _gain_interval(axis: AxisModel, loop: LoopModel) -> tuple[float, float]:
-    """Return the ends of the gain's interval relative to the nominal gain.
-
-    This is the 95 % interval, limited to the slopes of the hysteresis at any state: if the
-    recordings do not determine the end of the loading curve, the interval exceeds these slopes and
-    includes zero. Creep widens the interval. With a delayed irreversible part, a fast loop
-    responds to the reversible slope alone.
-    """
-    uncertainty = axis.uncertainty  # of the loading curve's end
-    half = float(uncertainty.loading_half_m[-1] / abs(uncertainty.loading_m[-1]))
-    lowest, greatest = axis.operator.slope_sector_m_per_V
-    middle = 0.5 * (lowest + greatest)
-    reversible = lowest / middle if loop.activation[0] > 0.0 else 1.0
-    low = max(1.0 - half, lowest / middle) * min(reversible, loop.quick_gain, 1.0)
-    return low, min(1.0 + half, greatest / middle) * max(loop.slow_gain, loop.quick_gain)
 
 
 def assumptions_of(axis: AxisModel) -> tuple[str, ...]:

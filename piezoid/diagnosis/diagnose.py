@@ -69,7 +69,7 @@ from piezoid.identification.loop_shape_fit import errors_with_loop_shape_m
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_fitted_rows
 from piezoid.numerics.executor import Executor
-from piezoid.records.constant_drive import is_at_rest
+from piezoid.records.drive_signal import is_at_rest
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording, counted_in

@@ -1,4 +1,4 @@
-"""Export controllers: parameter file, C header, firmware bundle, simulator unit, shared library.
+"""Export controllers: parameter file, C header, firmware bundle.
 
 Start at parameter_file.py (the record and its sealed JSON), then export_stage.py, which
 fills it from a model and a design; bundle.py writes the folder that a firmware engineer copies.

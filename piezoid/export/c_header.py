@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from piezoid.export.parameter_file import AxisParameters, ParameterFile, used_values
+from piezoid.export.parameter_file import ParameterFile, used_values
 from piezoid.runtime.library import PRECISIONS, SEALED, library
 from piezoid.runtime.schema import PARAMETERS, VERSION
 
@@ -102,32 +102,30 @@ def c_header(file: ParameterFile, digest: str) -> str:
         tip_axes=sum(1 << i for i, axis in enumerate(file.axes) if axis.method == "rst"),
         **sealed,
     )
-    axes = "".join(_initialiser(axis) for axis in file.axes)
-    return top + axes + _BOTTOM.format(decoupling=decoupling)
-
-
-def _initialiser(axis: AxisParameters) -> str:
-    name = axis.axis.upper()
-    constants = ("PZ_SCHEMA_VERSION", "PIEZO_PARAMS_SIZE", f"PIEZO_CHECKSUM_{name}")
-    symbols = dict(zip(SEALED, constants, strict=True))
-    symbols["method"] = f"PZ_METHOD_{axis.method.upper()}"
-    lines = []
-    for parameter in PARAMETERS:
-        value = symbols.get(parameter.name)
-        if value is None:
-            used = used_values(parameter, axis.values[parameter.name])
-            value = str(int(used)) if parameter.kind == "integer" else _literal(used)
-        unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
-        lines.append(f"        /* {parameter.meaning}{unit} */")
-        lines += textwrap.wrap(
-            f".{parameter.name} = {value},",
-            width=99,
-            initial_indent=" " * 8,
-            subsequent_indent=" " * 12,
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-    return f"    [PIEZO_AXIS_{name}] = {{\n" + "\n".join(lines) + "\n    },\n"
+    axes = []
+    for axis in file.axes:
+        name = axis.axis.upper()
+        constants = ("PZ_SCHEMA_VERSION", "PIEZO_PARAMS_SIZE", f"PIEZO_CHECKSUM_{name}")
+        symbols = dict(zip(SEALED, constants, strict=True))
+        symbols["method"] = f"PZ_METHOD_{axis.method.upper()}"
+        lines = []
+        for parameter in PARAMETERS:
+            value = symbols.get(parameter.name)
+            if value is None:
+                used = used_values(parameter, axis.values[parameter.name])
+                value = str(int(used)) if parameter.kind == "integer" else _literal(used)
+            unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
+            lines.append(f"        /* {parameter.meaning}{unit} */")
+            lines += textwrap.wrap(
+                f".{parameter.name} = {value},",
+                width=99,
+                initial_indent=" " * 8,
+                subsequent_indent=" " * 12,
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+        axes.append(f"    [PIEZO_AXIS_{name}] = {{\n" + "\n".join(lines) + "\n    },\n")
+    return top + "".join(axes) + _BOTTOM.format(decoupling=decoupling)
 
 
 def _literal(value: Any) -> str:

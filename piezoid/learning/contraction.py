@@ -106,8 +106,16 @@ def learning_filter(
     share = gain * _SHARES[np.argmin(remaining, axis=0)]
     applied = share * relative
     worst_case = _remaining(applied, sector)
-    bands = [_contracting(applied, sector, usable & (worst_case <= limit)) for limit in _LIMITS]
-    learns = max(bands, key=np.count_nonzero)
+    # The lowest harmonics, as many as contract together, below the limit with the most of them.
+    learns = np.zeros(len(q), dtype=bool)
+    for limit in _LIMITS:
+        candidates = np.flatnonzero(usable & (worst_case <= limit))
+        errors = np.maximum.accumulate(np.abs(1.0 - applied[:, candidates]), axis=1)
+        sizes = np.maximum.accumulate(np.abs(applied[:, candidates]), axis=1)
+        together = candidates[(errors + sector * sizes).max(axis=0) <= _MAX_REMAINING]
+        if len(together) > np.count_nonzero(learns):
+            learns[:] = False
+            learns[together] = True
     if not learns[1]:
         raise _no_contraction(model.axis, applied, sector, harmonic_Hz, seen_Hz, members, gain)
     by_member = np.abs(1.0 - applied[:, learns]).max(axis=1)
@@ -177,19 +185,6 @@ def table_response(member: Plant, values: Values | None, q: Response) -> Respons
 def _remaining(applied: Response, sector: float) -> Array:
     """Return the remaining share of the error after a period on the worst plant, (harmonics,)."""
     return np.asarray((np.abs(1.0 - applied) + sector * np.abs(applied)).max(axis=0))
-
-
-def _contracting(
-    applied: Response, sector: float, candidates: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Select the lowest candidate harmonics, as many as contract together."""
-    indices = np.flatnonzero(candidates)
-    remaining = np.maximum.accumulate(np.abs(1.0 - applied[:, indices]), axis=1)
-    largest = np.maximum.accumulate(np.abs(applied[:, indices]), axis=1)
-    contraction = (remaining + sector * largest).max(axis=0)
-    learns = np.zeros_like(candidates)
-    learns[indices[contraction <= _MAX_REMAINING]] = True
-    return learns
 
 
 def _no_contraction(

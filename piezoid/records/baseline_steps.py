@@ -16,7 +16,7 @@ from scipy.ndimage import median_filter
 
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.records.constant_drive import is_at_rest
+from piezoid.records.drive_signal import is_at_rest
 from piezoid.records.recording import Recording
 from piezoid.records.sample_statistics import robust_sigma, step_size
 from piezoid.statement import Statement, finding

@@ -25,12 +25,12 @@ from piezoid.errors import LabFileError, RecordingError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.columns import assign_columns
+from piezoid.records.drive_signal import noise_of, reversals_of
 from piezoid.records.ingest import ingest_table, parts_of
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table_in_chunks
-from piezoid.records.readers.source import open_source
+from piezoid.records.readers.reader import open_source
 from piezoid.records.recording import Quantity, Recording
-from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.records.table import RawTable
 from piezoid.statement import Statement, finding
 

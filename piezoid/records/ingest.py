@@ -48,6 +48,10 @@ from piezoid.statement import Statement, finding
 # Relative difference of the rates in lab.toml and in the time column: the error of a crystal is
 # smaller, a mistake larger.
 _RATE_TOLERANCE = 0.01
+# Smallest and largest range of a moving channel, in SI units.
+_POSSIBLE = {Quantity.DISPLACEMENT: (1e-13, 1.0), Quantity.VOLTAGE: (1e-6, 1e6)}
+_USUAL_m = (1e-8, 1e-3)
+_LENGTHS_m = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
 
 Part = tuple[RawTable, RecordingEntry]
 
@@ -145,7 +149,6 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry) -> Recording:
     rows = SampleRows.of(complete, breaks, bridged | after_single)
     rows = rows.selected(entry, clock.sampling_rate_Hz)
     channels, invalid = _make_channels(table, assignment, rows, statements)
-    _refuse_impossible_sizes(table, assignment, channels)
     quantities = {a.column.number: a.quantity for a in assignment.channels if a.quantity}
     reported = {(s.quantity, s.place) for s in statements}
     of_columns = check_columns(table, quantities)
@@ -168,7 +171,8 @@ def _make_channels(
 ) -> tuple[tuple[Channel, ...], list[int]]:
     """Return the channels, with invalid samples interpolated linearly, and the invalid samples.
 
-    Appends a statement for each column and kind of invalid samples.
+    Appends a statement for each column and kind of invalid samples. Raises ``UnitError`` for a
+    motion or voltage of impossible size.
     """
     columns = [a for a in assignment.channels if a.quantity is not None]
     values = [rows.values(a.column.values) for a in columns]  # in the file's units
@@ -205,21 +209,9 @@ def _make_channels(
         for assigned, mask in zip(columns, is_invalid, strict=True)
         if assigned.quantity is not None
     )
-    return channels, np.flatnonzero(np.any(is_invalid, axis=0)).tolist()
-
-
-# Smallest and largest range of a moving channel, in SI units.
-_POSSIBLE = {Quantity.DISPLACEMENT: (1e-13, 1.0), Quantity.VOLTAGE: (1e-6, 1e6)}
-_USUAL_m = (1e-8, 1e-3)
-_LENGTHS_m = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
-
-
-def _refuse_impossible_sizes(
-    table: RawTable, assignment: Assignment, channels: Sequence[Channel]
-) -> None:
-    """Refuse a motion or voltage of impossible size, which indicates a wrong unit."""
+    # An impossible size indicates a wrong unit.
     driven = {c.axis for c in channels if c.quantity is Quantity.VOLTAGE and np.ptp(c.values) > 0}
-    for assigned, channel in zip(assignment.channels, channels, strict=True):
+    for assigned, channel in zip(columns, channels, strict=True):
         low, high = _POSSIBLE.get(channel.quantity, (0.0, np.inf))
         size = float(np.ptp(channel.values))
         is_moved = channel.quantity is Quantity.VOLTAGE or channel.axis in driven
@@ -239,6 +231,7 @@ def _refuse_impossible_sizes(
             needed=f"a range from {low:g} to {high:g} {unit}",
             remedy=f"{instead}Write its unit under units of its [[recording]] in lab.toml.",
         )
+    return channels, np.flatnonzero(np.any(is_invalid, axis=0)).tolist()
 
 
 def _select_axis(

@@ -13,6 +13,7 @@ from piezoid.records.checks import check_set
 from piezoid.records.checks.columns import check_columns
 from piezoid.records.column_roles import meaning_of
 from piezoid.records.columns import Assignment, assign_columns
+from piezoid.records.drive_signal import noise_of, reversals_of
 from piezoid.records.frequency_response import ResponseSummary, summary_of
 from piezoid.records.ingest import Part, ingest_table, parts_of, with_checks
 from piezoid.records.lab import Lab, RecordingEntry
@@ -25,7 +26,6 @@ from piezoid.records.response_columns import (
     unit_in_heading,
 )
 from piezoid.records.response_ingest import ingest_response
-from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.records.sample_statistics import (
     clipped_samples,
     is_noise_hidden,
@@ -212,7 +212,21 @@ def _inspect_table(
         )
         curve = finding("approach_curve", text, place=table.independent)
         return replace(refused, refusal=None, statements=(curve, *refused.statements)), None
-    reversals, levels_V = _drive_turns(recording)
+    # The drive turns at a few levels, or its turns are spread continuously.
+    reversals: int | None = None
+    levels_V: tuple[float, ...] = ()
+    drive = recording.find(Quantity.VOLTAGE, recording.axis)
+    if drive is not None:
+        drive_V, range_V = drive.values, float(np.ptp(drive.values))
+        ignored_V = max(_TURN_SHARE * range_V, noise_of(drive_V))
+        turns = [drive_V[p][list(reversals_of(drive_V[p], ignored_V))] for p in recording.pieces]
+        turns_V = np.sort(np.concatenate(turns))
+        reversals = len(turns_V)
+        gaps = np.flatnonzero(np.diff(turns_V) > _LEVEL_SHARE * range_V)
+        groups = np.split(turns_V, gaps + 1) if reversals else []
+        is_wide = any(np.ptp(group) > _WIDE * _LEVEL_SHARE * range_V for group in groups)
+        if not is_wide and len(groups) <= _MAX_LEVELS:
+            levels_V = tuple(float(group.mean()) for group in groups)
     headings = [meaning_of(channel.column.heading) for channel in assignment.channels]
     inspection = replace(
         _table_summary(table),
@@ -272,32 +286,3 @@ def _summarise(
         clipped=0.0 if is_empty else float(is_clipped.mean()),
         missing=int(np.count_nonzero(~np.isfinite(column.values))),
     )
-
-
-def _drive_turns(recording: Recording) -> tuple[int | None, tuple[float, ...]]:
-    """Return the number of reversals of the drive, without small turns, and their levels.
-
-    Returns:
-        The number of reversals, None without a drive; the distinct voltages, ascending, empty if
-        they are spread continuously.
-    """
-    drive = recording.find(Quantity.VOLTAGE, recording.axis)
-    if drive is None:
-        return None, ()
-    range_V = float(np.ptp(drive.values))
-    ignored_V = max(_TURN_SHARE * range_V, noise_of(drive.values))
-    turns_V = np.sort(
-        np.concatenate(
-            [
-                drive.values[piece][list(reversals_of(drive.values[piece], ignored_V))]
-                for piece in recording.pieces
-            ]
-        )
-    )
-    if not len(turns_V):
-        return 0, ()
-    groups = np.split(turns_V, np.flatnonzero(np.diff(turns_V) > _LEVEL_SHARE * range_V) + 1)
-    is_wide = any(np.ptp(group) > _WIDE * _LEVEL_SHARE * range_V for group in groups)
-    if is_wide or len(groups) > _MAX_LEVELS:
-        return len(turns_V), ()
-    return len(turns_V), tuple(float(group.mean()) for group in groups)

@@ -75,7 +75,17 @@ def find_invalid_readings(
     step = step_size(values)
     noise = max(white_noise_rms(values), 0.5 * step)
     range_ = _robust_range(values)
-    driven = _driven_change(values, drive, range_)
+    # Deviation from a straight line that the drive causes within a few samples.
+    driven = np.zeros(len(values))
+    if drive is not None and np.ptp(drive) > 0.0:
+        bend = np.abs(np.diff(drive, 2, prepend=drive[0], append=drive[-1]))
+        padded = np.pad(bend, (MAX_RESPONSE, 1), mode="edge")
+        windows = np.lib.stride_tricks.sliding_window_view(padded, MAX_RESPONSE + 2)
+        largest_bend, drive_range = windows.max(axis=1), _robust_range(drive)
+        # Pulses alone do not show how far they move the stage.
+        driven = np.where(largest_bend > 0.0, np.inf, 0.0)
+        if drive_range > 0.0:
+            driven = np.asarray(largest_bend * range_ / drive_range)
     # A sensor that scatters by no more than a step repeats a value while the stage stands.
     scatters = noise > max(step, MIN_SCATTER * float(np.ptp(values)))
     scatters &= white_noise_rms(values, spacing=2) < MAX_NOISE_GROWTH * noise
@@ -142,19 +152,6 @@ def _find_constant(values: Array, drive: Array | None) -> tuple[Mask, Mask]:
             stuck[start:stop] = np.ptp(drive[start:stop]) > min_range
     stuck = stuck if stuck.mean() < MAX_CLIPPED else no_samples
     return clipped, stuck & ~clipped
-
-
-def _driven_change(values: Array, drive: Array | None, range_: float) -> Array:
-    """Return the deviation from a straight line that the drive causes within a few samples."""
-    if drive is None or np.ptp(drive) == 0.0:
-        return np.zeros(len(values))
-    bend = np.abs(np.diff(drive, 2, prepend=drive[0], append=drive[-1]))
-    padded = np.pad(bend, (MAX_RESPONSE, 1), mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, MAX_RESPONSE + 2)
-    largest_bend, drive_range = windows.max(axis=1), _robust_range(drive)
-    if drive_range == 0.0:  # pulses alone do not show how far they move the stage
-        return np.where(largest_bend > 0.0, np.inf, 0.0)
-    return np.asarray(largest_bend * range_ / drive_range)
 
 
 def _robust_range(values: Array) -> float:

@@ -32,7 +32,7 @@ from piezoid.records.lab_tables import (
     check_range,
     lab_error,
 )
-from piezoid.records.readers.source import TextFormat, regular_size
+from piezoid.records.readers.reader import TextFormat, regular_size
 from piezoid.toml_files import read_toml
 
 __all__ = (

@@ -87,7 +87,19 @@ def select_common_rows(
     Returns:
         The table of every n-th row with a statement, or the unchanged table.
     """
-    intervals = [_measured_interval(channel.column.values) for channel in assignment.channels]
+    # First row and interval of the cells with numbers; (0, 1) if they are irregular.
+    intervals: list[tuple[int, int]] = []
+    for channel in assignment.channels:
+        measured = np.flatnonzero(np.isfinite(channel.column.values))
+        first, step = 0, 1
+        if MIN_ROWS <= len(measured) <= table.rows / 2 + 1:
+            first, step = int(measured[0]), int(np.median(np.diff(measured)))
+            is_on_grid = bool(((measured - first) % step == 0).all())
+            expected = 1 + (table.rows - 1 - first) // step
+            is_regular = len(measured) >= (1 - MAX_IRREGULAR) * expected
+            if step == 1 or not (is_on_grid and is_regular):
+                first, step = 0, 1
+        intervals.append((first, step))
     first, step = max(intervals, key=lambda interval: interval[1], default=(0, 1))
     if step == 1 or any(step % interval for _, interval in intervals):
         return table, ()
@@ -112,20 +124,6 @@ def select_common_rows(
         ),
         (finding("slower_channel", text, place=labels[0]),),
     )
-
-
-def _measured_interval(values: np.ndarray) -> tuple[int, int]:
-    """Return first row and interval of the cells with numbers; (0, 1) if they are irregular."""
-    measured = np.flatnonzero(np.isfinite(values))
-    if not MIN_ROWS <= len(measured) <= len(values) / 2 + 1:
-        return 0, 1
-    steps = np.diff(measured)
-    step = int(np.median(steps))
-    first = int(measured[0])
-    is_on_grid = bool(((measured - first) % step == 0).all())
-    expected = 1 + (len(values) - 1 - first) // step
-    is_regular = len(measured) >= (1 - MAX_IRREGULAR) * expected
-    return (first, step) if step > 1 and is_on_grid and is_regular else (0, 1)
 
 
 def unique_rows(table: RawTable, assignment: Assignment, statements: list[Statement]) -> Rows:

@@ -1,31 +1,25 @@
 """Names of the targets of `piezoid export`, and the files of each."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
+from piezoid.design.design import Design
 from piezoid.errors import ParameterFileError
-from piezoid.export.fmu import controller_units, fmu_files
-from piezoid.export.shared_library import shared_library_files
-from piezoid.targets.fmu_plant import plant_units
+from piezoid.export.parameter_file import ParameterFile
+from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.records.lab import Lab
+from piezoid.targets.fmu import controller_units, fmu_files, plant_units
+from piezoid.targets.library import shared_library_files
 from piezoid.targets.nanonis import nanonis_files
-from piezoid.targets.pid_files import pid_files
-from piezoid.targets.target_inputs import TargetInputs
+from piezoid.targets.pid import pid_files
+from piezoid.targets.target_inputs import ControllerHardware, TargetInputs
 from piezoid.targets.waveform import waveform_files
+from piezoid.verification.verify_stage import stage_plants
 
 BUNDLE = "bundle"
 RENAMED = {"pi-pid": "pid", "biquad": "pid"}
 
 FilesAndNotes = tuple[Mapping[str, bytes], tuple[str, ...]]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TargetFiles:
-    """Files of the targets, by name below the stage folder, and notes for the user."""
-
-    files: Mapping[str, bytes]
-    notes: tuple[str, ...]
-
 
 # The name of a target is also that of its folder.
 _WRITERS: dict[str, Callable[[TargetInputs], FilesAndNotes]] = {
@@ -64,8 +58,40 @@ def check_targets(names: Iterable[str]) -> tuple[str, ...]:
     return requested
 
 
-def target_files(inputs: TargetInputs, targets: Iterable[str]) -> TargetFiles:
-    """Return the files of all targets but the bundle; the same input gives the same bytes."""
+def inputs_of(
+    file: ParameterFile,
+    model: ActuatorModel,
+    design: Design,
+    lab: Lab | None = None,
+    *,
+    hardware: ControllerHardware | None = None,
+) -> TargetInputs:
+    """Return the inputs of the targets: exported parameters with the plants of their stage.
+
+    design    from which the file was exported
+    hardware  limits of the hardware for which targets are made; None: the defaults
+    """
+    declared = lab or Lab()
+    plants, variations = stage_plants(file, model, declared)
+    axes = [plant.axis for plant in plants]
+    gains = {axis.axis: declared.amplifier_of(axis.axis).gain_V_per_V for axis in file.axes}
+    return TargetInputs(
+        file=file,
+        plants=plants,
+        drawn=dict(zip(axes, variations, strict=True)),
+        models={axis.axis: model[axis.axis] for axis in file.axes if axis.method != "rst"},
+        designs={axis.axis: axis for axis in design.axes},
+        converter_V=declared.acquisition.input_range_V,
+        amplifier_V_per_V={axis: gain for axis, gain in gains.items() if gain is not None},
+        hardware=hardware or ControllerHardware(),
+    )
+
+
+def target_files(inputs: TargetInputs, targets: Iterable[str]) -> FilesAndNotes:
+    """Return the files of all targets but the bundle; the same input gives the same bytes.
+
+    returned  files by name below the stage folder, and notes for the user
+    """
     files: dict[str, bytes] = {}
     notes: list[str] = []
     for target in targets:
@@ -73,4 +99,4 @@ def target_files(inputs: TargetInputs, targets: Iterable[str]) -> TargetFiles:
             contents, target_notes = _WRITERS[target](inputs)
             files |= {f"{target}/{name}": content for name, content in contents.items()}
             notes.extend(target_notes)
-    return TargetFiles(files=MappingProxyType(files), notes=tuple(notes))
+    return MappingProxyType(files), tuple(notes)

@@ -194,7 +194,18 @@ def _trial_verdicts(
     recovers_from_s = ends_s if reset_s is None else reset_s
     duration_s = recovers_from_s + (1.5 * _LATCHED_AFTER_s if trial.cause else 1.1 * allowed_s)
     samples = round(duration_s * rate_Hz)
-    height_m, fault = _height_and_fault(axis, junction, trial, step_m, samples, rate_Hz)
+    # Height of the surface, and fault of the sensor.
+    time_s = np.arange(samples) / rate_Hz
+    height_m = trial.drift_m_per_s * time_s
+    height_m[round(_EVENT_s / (time_s[1] - time_s[0])) :] += step_m
+    if trial.away_m:
+        low_V, high_V = (float(axis.values[f"voltage_{e}_V"]) for e in ("minimum", "maximum"))
+        range_m = (high_V - low_V) * junction.gain_nepers_per_V / junction.decay_per_m
+        height_m -= min(trial.away_m, _MAX_APPROACH * range_m)
+    fault = np.zeros(samples)
+    start = round((_EVENT_s + (_FAULT_DELAY_s if any(trial.steps_m) else 0.0)) * rate_Hz)
+    duration = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
+    fault[start : start + duration] = trial.fault
     run = AxisRun(
         axis=axis,
         plant=plant,
@@ -241,29 +252,6 @@ def _plant(plant: AxisPlant, axis: AxisParameters, trial: TipTrial) -> AxisPlant
         reading_zero=_OFFSET_A,
         rest_voltage_V=retracted_V if trial.away_m else plant.rest_voltage_V,
     )
-
-
-def _height_and_fault(
-    axis: AxisParameters,
-    junction: Junction,
-    trial: TipTrial,
-    step_m: float,
-    samples: int,
-    rate_Hz: float,
-) -> tuple[Array, Array]:
-    """Return the height of the surface, m, and the fault of the sensor, (samples,) each."""
-    time_s = np.arange(samples) / rate_Hz
-    height_m = trial.drift_m_per_s * time_s
-    height_m[round(_EVENT_s / (time_s[1] - time_s[0])) :] += step_m
-    if trial.away_m:
-        low_V, high_V = (float(axis.values[f"voltage_{e}_V"]) for e in ("minimum", "maximum"))
-        range_m = (high_V - low_V) * junction.gain_nepers_per_V / junction.decay_per_m
-        height_m -= min(trial.away_m, _MAX_APPROACH * range_m)
-    fault = np.zeros(samples)
-    start = round((_EVENT_s + (_FAULT_DELAY_s if any(trial.steps_m) else 0.0)) * rate_Hz)
-    duration = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
-    fault[start : start + duration] = trial.fault
-    return height_m, fault
 
 
 def _junction(plant: AxisPlant) -> Junction:

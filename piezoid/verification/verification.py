@@ -258,7 +258,13 @@ def _check_pictures(verification: Verification) -> None:
     for motion in verification.motions:
         if motion.axis not in verification.methods:
             raise ValueError(f"a motion is of axis {motion.axis}, which does not ship")
-        sizes_m += map(abs, _positions_m(motion))
+        count, n_uncompensated = len(motion.reference_m), len(motion.uncompensated_m)
+        if not 1.0 / _FASTEST_Hz <= motion.duration_s <= 1.0 / _SLOWEST_Hz:
+            raise ValueError(f"duration_s is {motion.duration_s}")
+        if not (len(motion.shipped_m) == count > 1 and n_uncompensated in (0, count)):
+            raise ValueError(f"reference_m has {count} points, other arrays differ")
+        positions_m = (*motion.reference_m, *motion.shipped_m, *motion.uncompensated_m)
+        sizes_m += map(abs, positions_m)
     if verification.traces and not verification.radius_m >= _SMALLEST_m:
         raise ValueError(f"radius_m is {verification.radius_m}")
     largest_m = max([verification.radius_m, *sizes_m])
@@ -266,13 +272,3 @@ def _check_pictures(verification: Verification) -> None:
         raise ValueError(f"a path reaches {largest_m} m")
     if max((abs(verdict.limit) for verdict in verification.verdicts), default=0.0) > _FASTEST_Hz:
         raise ValueError(f"a limit is larger than {_FASTEST_Hz:g}")
-
-
-def _positions_m(motion: Motion) -> tuple[float, ...]:
-    """Return all positions of a motion; raise ``ValueError`` if their numbers differ."""
-    count, n_uncompensated = len(motion.reference_m), len(motion.uncompensated_m)
-    if not 1.0 / _FASTEST_Hz <= motion.duration_s <= 1.0 / _SLOWEST_Hz:
-        raise ValueError(f"duration_s is {motion.duration_s}")
-    if not (len(motion.shipped_m) == count > 1 and n_uncompensated in (0, count)):
-        raise ValueError(f"reference_m has {count} points, other arrays differ")
-    return (*motion.reference_m, *motion.shipped_m, *motion.uncompensated_m)

@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from piezoid.formatting import Scale
+from piezoid.formatting import Scale, count_of
 from piezoid_reports.chart import Axis, Canvas, axis_over
 from piezoid_reports.fleet.records import (
     CRASHED,
@@ -25,9 +25,8 @@ from piezoid_reports.fleet.statistics import (
     Distribution,
     compare_stages,
 )
-from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table, count_of
+from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table, html
 from piezoid_reports.quantities import number, significant, with_half_width
-from piezoid_reports.render import html
 
 NEGLIGIBLE = 1e-3  # of its interval: a smaller slope is rounding
 MAX_DOTS = 1000  # stages drawn one by one

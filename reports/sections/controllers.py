@@ -7,6 +7,7 @@ from piezoid.design.design_statements import error_parts_m, guaranteed_error_m, 
 from piezoid.design.lateral import describe_mode
 from piezoid.design.lateral_task import assumptions_of
 from piezoid.design.sensitivity import delay_limit, sensitivities
+from piezoid.formatting import count_of
 from piezoid.numerics.polynomial import decibel
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
@@ -19,7 +20,6 @@ from piezoid_reports.parts import (
     Prose,
     Section,
     Table,
-    count_of,
     folded,
 )
 from piezoid_reports.quantities import MINUS, number, significant

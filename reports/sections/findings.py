@@ -4,13 +4,12 @@ import math
 from collections.abc import Sequence
 
 from piezoid.diagnosis.coordinate_descriptions import CONTROL_ADVICE
-from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis
 from piezoid.diagnosis.diagnosis_statements import largest_first
 from piezoid.diagnosis.effects import effect_named, thermal_drift
 from piezoid.formatting import p_value, words
 from piezoid.identification.fit_statements import ZERO_DRIFT
-from piezoid_reports.effect_comparison import compare_effects
-from piezoid_reports.effect_figures import figure_of, unnamed_figure
+from piezoid_reports.effect_figures import compare_effects, figure_of, unnamed_figure
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Heading, Part, Prose, Section, Table, with_rows
 from piezoid_reports.quantities import number, percent, size_of
@@ -42,7 +41,16 @@ def render(page: Page) -> Section | None:
                 parts.append(figure)
             elif of_effect:
                 parts.append(Prose(text=NO_FIGURE))
-            parts += _explanation(page, finding, described.get(effect))
+            earlier_axis = described.get(effect)
+            if is_unnamed:  # the statements contain its explanation and experiment
+                parts += [] if earlier_axis else [Prose(text=f"For control: {CONTROL_ADVICE}")]
+            elif earlier_axis:
+                parts.append(Prose(text=f"Described under axis {earlier_axis}."))
+            else:
+                control = effect_named(effect).control
+                parts.append(Prose(text=f"{finding.explanation} For control: {control}"))
+                if not any(finding.next_experiment in fact.text for fact in page.statements):
+                    parts.append(Prose(text=f"To confirm: {finding.next_experiment}"))
         described = {**{f.effect: diagnosis.axis for f in diagnosis.findings}, **described}
     parts.append(Heading(text="Not detected"))
     return Section(
@@ -52,19 +60,6 @@ def render(page: Page) -> Section | None:
         "of a stage with this effect alone, at the estimated size.",
         parts=(*parts, *_not_detected_tables(page)),
     )
-
-
-def _explanation(page: Page, finding: Finding, earlier_axis: str | None) -> list[Part]:
-    """Return explanation and advice; refer to an earlier axis that has described the effect."""
-    if finding.effect == SOMETHING_ELSE:  # the statements contain its explanation and experiment
-        return [] if earlier_axis else [Prose(text=f"For control: {CONTROL_ADVICE}")]
-    if earlier_axis:
-        return [Prose(text=f"Described under axis {earlier_axis}.")]
-    control = effect_named(finding.effect).control
-    parts: list[Part] = [Prose(text=f"{finding.explanation} For control: {control}")]
-    if not any(finding.next_experiment in fact.text for fact in page.statements):
-        parts.append(Prose(text=f"To confirm: {finding.next_experiment}"))
-    return parts
 
 
 def findings_table(diagnoses: Sequence[Diagnosis]) -> Table | Prose:

@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from piezoid.formatting import count_of
 from piezoid.identification.model import AxisModel
 from piezoid_reports.chart import Canvas, axis_over
 from piezoid_reports.page import Page, Trace, rms
-from piezoid_reports.parts import Figure, Part, Section, Table, axis_heading, count_of, folded
+from piezoid_reports.parts import Figure, Part, Section, Table, axis_heading, folded
 from piezoid_reports.quantities import number
 
 SMALL_POINTS = 900  # of a curve in the summary

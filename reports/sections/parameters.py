@@ -55,7 +55,26 @@ def render(page: Page) -> Section | None:
         return None
     parts.append(Heading(text="All axes"))
     usable = [b for b in budgets if has_usable_intervals(page.model.axes[b.axis])]
-    parts += [*_errors(page, budgets), *_contributions(usable), _quantities(page)]
+    parts += _errors(page, budgets)
+    if usable:
+        ranked = sorted(usable[0].budget.contributions, key=lambda c: -c.standard)
+        columns = []
+        for expected in (budget.budget for budget in usable):
+            cells = dict.fromkeys((c.name for c in ranked), "")
+            for c in expected.contributions:
+                share = percent(expected.share(c))
+                cells[c.name] = f"{number(c.standard, 'm')} ({share})" if c.standard else ""
+            columns.append(cells)
+        together = [{"together": number(b.budget.combined, "m")} for b in usable]
+        parts.append(
+            Table(
+                caption="Uncertainty budget of a predicted position at the end of the range: "
+                "standard uncertainty and share.",
+                columns=("source", *(f"axis {b.axis}" for b in usable)),
+                rows=(*side_by_side(columns), *side_by_side(together)),
+            )
+        )
+    parts.append(_quantities(page))
     missing = dict.fromkeys(name for budget in budgets for name in budget.unknown)
     if missing:
         names = ", ".join(f"{DECLARATIONS[name]} ({name})" for name in missing)
@@ -138,49 +157,23 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
     )
 
 
-def _contributions(budgets: Sequence[DisplacementBudget]) -> list[Part]:
-    """Return the uncertainty budgets of all axes, largest contribution of the first axis first."""
-    if not budgets:
-        return []
-    ranked = sorted(budgets[0].budget.contributions, key=lambda c: -c.standard)
-    columns = []
-    for expected in (budget.budget for budget in budgets):
-        cells = dict.fromkeys((c.name for c in ranked), "")
-        for c in expected.contributions:
-            share = percent(expected.share(c))
-            cells[c.name] = f"{number(c.standard, 'm')} ({share})" if c.standard != 0.0 else ""
-        columns.append(cells)
-    together = [{"together": number(b.budget.combined, "m")} for b in budgets]
-    return [
-        Table(
-            caption="Uncertainty budget of a predicted position at the end of the range: standard "
-            "uncertainty and share.",
-            columns=("source", *(f"axis {b.axis}" for b in budgets)),
-            rows=(*side_by_side(columns), *side_by_side(together)),
-        )
-    ]
-
-
-def _lag(axis: AxisModel) -> str:
-    uncertainty = axis.uncertainty
-    if axis.quality.is_lag_ambiguous and axis.lag.kind != "none":
-        return "not separable from the loop width at a single speed"
-    if "lag_s" not in uncertainty.names:
-        return with_half_width(axis.lag.time_s, math.nan, "s")
-    k = uncertainty.names.index("lag_s")
-    quantile = float(student_quantile(0.975, max(uncertainty.blocks - 1, 1)))
-    half_s = quantile * float(np.sqrt(max(uncertainty.covariance[k, k], 0.0)))
-    return with_half_width(float(uncertainty.values[k]), half_s, "s")
-
-
 def _quantities(page: Page) -> Table:
     columns = []
     for axis in page.axes:
         low_V, high_V = axis.voltage_V
         amplifier_Hz, sensor_Hz = axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz
+        uncertainty = axis.uncertainty
+        lag = with_half_width(axis.lag.time_s, math.nan, "s")
+        if axis.quality.is_lag_ambiguous and axis.lag.kind != "none":
+            lag = "not separable from the loop width at a single speed"
+        elif "lag_s" in uncertainty.names:
+            k = uncertainty.names.index("lag_s")
+            quantile = float(student_quantile(0.975, max(uncertainty.blocks - 1, 1)))
+            half_s = quantile * float(np.sqrt(max(uncertainty.covariance[k, k], 0.0)))
+            lag = with_half_width(float(uncertainty.values[k]), half_s, "s")
         column = {
             "width of the full loop": _loop_width(axis),
-            "lag": _lag(axis),
+            "lag": lag,
             "voltage offset": number(axis.hysteresis.voltage_offset_V, "V", 4),
             "displacement offset": number(axis.hysteresis.displacement_offset_m, "m", 4),
             "valid drive": f"{number(low_V, 'V')} to {number(high_V, 'V')}",

@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from piezoid.formatting import count_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import runs_of
 from piezoid_reports.chart import Canvas, axis_over, bins_of
 from piezoid_reports.page import Page, Trace, rms
-from piezoid_reports.parts import Figure, Part, Section, axis_heading, count_of, folded
+from piezoid_reports.parts import Figure, Part, Section, axis_heading, folded
 from piezoid_reports.quantities import number, percent
 
 SIGMAS = 2.0

@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
-from piezoid.formatting import words
+from piezoid.formatting import count_of, words
 from piezoid.identification.fit_statements import Grade, grade_of
 from piezoid.identification.model import AxisModel
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.statement import Level
 from piezoid_reports.page import Page, SPIRAL_Hz, guarantee, tracking_error
-from piezoid_reports.parts import Card, Figure, Overview, Section, count_of, worst_tone
+from piezoid_reports.parts import Card, Figure, Overview, Section, worst_tone
 from piezoid_reports.quantities import number, percent, significant, with_interval
 from piezoid_reports.sections import loops, residuals, tunnelling
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from piezoid.formatting import count_of
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
 from piezoid.identification.tunnelling.barrier_fit import GapLaw
 from piezoid.identification.tunnelling.closed_loop import LoopPlant, LoopSummary
@@ -21,7 +22,6 @@ from piezoid_reports.parts import (
     Prose,
     Section,
     Table,
-    count_of,
     side_by_side,
     with_rows,
 )

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezoid.design.design_statements import guaranteed_error_m
+from piezoid.formatting import count_of
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.verification.criteria import SHAPE_ERROR, Limits, Verdict
 from piezoid.verification.scenarios import spiral_speed_m_per_s
@@ -12,7 +13,7 @@ from piezoid.verification.tracking import SpiralTrace, rms_from
 from piezoid.verification.verification import ComparisonRow, Verification
 from piezoid_reports.chart import Canvas, axis_over, decades_over
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Figure, Part, Section, Table, count_of, folded, with_rows
+from piezoid_reports.parts import Figure, Part, Section, Table, folded, with_rows
 from piezoid_reports.quantities import number, significant
 
 MAX_VERDICTS = 10  # in the table, which also shows every failed verdict
@@ -255,9 +256,10 @@ def spiral(trace: SpiralTrace, verification: Verification) -> Figure:
     y_label = f"axis {trace.axes[1]}" if len(trace.axes) > 1 else "reference of a second axis"
     x, y = axis_over(x_label, [reach_m], "m"), axis_over(y_label, [reach_m], "m")
     canvas = Canvas(x=x, y=y, width=SQUARE, height=SQUARE)
-    limit_m = _shape_limit_m(verification, trace.frequency_Hz)
-    if limit_m is None:
-        limit_m = Limits().aligned_percent / 100.0 * 2.0 * verification.radius_m
+    # Above ``Limits.judged_Hz`` the only limit is relative to the error without compensation.
+    check = SHAPE_ERROR, f"spiral, {trace.frequency_Hz:g} Hz"
+    limits = (v.limit for v in verification.verdicts if (v.name, v.scenario) == check)
+    limit_m = next(limits, Limits().aligned_percent) / 100.0 * 2.0 * verification.radius_m
     # The shade of a sample depends on the fraction of the limit that its error reaches.
     edges_m = [limit_m * share if np.isfinite(share) else np.inf for share in SHADES.values()]
     shade = np.searchsorted(edges_m, error_m)
@@ -278,18 +280,6 @@ def spiral(trace: SpiralTrace, verification: Verification) -> Figure:
         canvas=canvas,
         layers=tuple(layers),
     )
-
-
-def _shape_limit_m(verification: Verification, frequency_Hz: float) -> float | None:
-    """Return the limit of the shape error on the spiral of a rate, or None without one.
-
-    Above ``Limits.judged_Hz`` the only limit is relative to the error without compensation.
-    """
-    scenario = f"spiral, {frequency_Hz:g} Hz"
-    for verdict in verification.verdicts:
-        if (verdict.name, verdict.scenario) == (SHAPE_ERROR, scenario):
-            return verdict.limit / 100.0 * 2.0 * verification.radius_m
-    return None
 
 
 def motions(verification: Verification) -> tuple[Figure, ...]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid.calibration.axis_jobs import AxisJob, jobs_of
+from piezoid.calibration.calibrate import AxisJob, jobs_of
 from piezoid.records.collection import collect
 from piezoid.records.lab import Lab, read_lab
 from piezoid_cli.calibration import calibrate

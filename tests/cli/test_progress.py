@@ -2,7 +2,7 @@
 
 import time
 
-from piezoid_cli.progress import VERBOSE, Log, REPEAT_s, show_progress
+from piezoid_cli.terminal import VERBOSE, Log, REPEAT_s, show_progress
 
 
 def test_a_log_has_at_most_a_line_per_period():

@@ -6,8 +6,7 @@ import numpy as np
 
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import Template, margins
-from piezoid.design.shaping import shape
-from piezoid.design.youla import optimise
+from piezoid.design.shaping import optimise, shape
 from tests.design.rig import vertical_family, vertical_specification
 
 

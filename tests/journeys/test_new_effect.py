@@ -16,7 +16,7 @@ from piezoid.formatting import words
 from piezoid.identification.store import read_model, write_model
 from piezoid.operators.linear import sample
 from piezoid.verification.plant import lateral_plant
-from piezoid_reports.effect_comparison import compare_effects
+from piezoid_reports.effect_figures import compare_effects
 from piezoid_reports.page import rms, traces_of
 from tests.diagnosis.bench import effects_of, thinned
 from tests.plays_alone import fit_one_order, fit_plays_alone

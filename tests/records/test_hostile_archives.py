@@ -17,9 +17,9 @@ from scipy.io import savemat
 from piezoid.errors import UnreadableFileError
 from piezoid.records.chunked_reader import read_thinned
 from piezoid.records.lab import Acquisition, Lab
-from piezoid.records.readers import read_table, source
+from piezoid.records.readers import read_table, reader
 from piezoid.records.readers.hdf5 import SIGNATURE, check_trees
-from piezoid.records.readers.source import MAX_COLUMNS, MAX_GROWTH, growth_limit
+from piezoid.records.readers.reader import MAX_COLUMNS, MAX_GROWTH, growth_limit
 from tests.records.formats import hdf5, mat73
 from tests.records.tables import refusal_of
 
@@ -30,7 +30,7 @@ MANY = FREE_SIZE // 8 + 1  # a double more than a file may contain
 
 @pytest.fixture(autouse=True)
 def small_free_size(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(source, "FREE_SIZE", FREE_SIZE)
+    monkeypatch.setattr(reader, "FREE_SIZE", FREE_SIZE)
 
 
 def test_a_gzip_bomb_is_refused_in_proportion_to_its_size(tmp_path):

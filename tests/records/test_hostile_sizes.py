@@ -12,10 +12,9 @@ import pytest
 
 from piezoid.errors import PiezoidError, UnreadableFileError
 from piezoid.records.inspection import inspect_files
-from piezoid.records.readers import read_table, source
+from piezoid.records.readers import read_table, reader
 from piezoid.records.readers.numpy_files import NPY
-from piezoid.records.readers.reader import library_errors
-from piezoid.records.readers.source import open_source, text_of
+from piezoid.records.readers.reader import library_errors, open_source, text_of
 from tests.records.tables import refusal_of
 
 ROWS = "".join(f"{k / 1000},{k % 7},{k % 5}\n" for k in range(60))
@@ -91,11 +90,11 @@ def test_a_long_run_of_characters_is_answered_within_2_s(run, text, tmp_path):
 def test_a_recording_beyond_the_memory_states_its_need_and_stream(tmp_path, monkeypatch):
     path = tmp_path / "run.csv"
     path.write_text(HEADED + ROWS * 20)
-    monkeypatch.setattr(source, "available_bytes", lambda: 20_000)
+    monkeypatch.setattr(reader, "available_bytes", lambda: 20_000)
     with pytest.raises(UnreadableFileError, match=r"takes about .* GB of memory.*--stream"):
         read_table(path)
     monkeypatch.undo()
-    assert source.available_bytes() is not None
+    assert reader.available_bytes() is not None
 
 
 def test_a_command_without_memory_exits_with_3_and_names_stream(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from piezoid.records.constant_drive import has_response, is_mostly_driven
+from piezoid.records.drive_signal import has_response, is_mostly_driven
 
 
 def ringing(drive: np.ndarray, quality: float) -> np.ndarray:

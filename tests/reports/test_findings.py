@@ -12,7 +12,7 @@ from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.records.recording import Channel, Quantity, Recording
-from piezoid_reports.effect_comparison import EffectSimulation, compare_effects
+from piezoid_reports.effect_figures import EffectSimulation, compare_effects
 from piezoid_reports.page import Page, rms, traces_of
 from piezoid_reports.render import render, render_diagnosis
 from piezoid_reports.sections.findings import NO_FIGURE

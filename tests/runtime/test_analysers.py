@@ -37,7 +37,7 @@ def sources(tmp_path_factory):
     folder = tmp_path_factory.mktemp("shipped")
     files = dict(bundle(stage("x")))
     inputs = TargetInputs(file=stage("x"), plants=(PLANTS[0],))
-    for path, content in target_files(inputs, ["fmu", "library"]).files.items():
+    for path, content in target_files(inputs, ["fmu", "library"])[0].items():
         if path.startswith("library/"):
             files[path.removeprefix("library/")] = content
         elif path.endswith(".fmu"):

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.export.fmu import fmu_files
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.model import Discrepancy
 from piezoid.operators.linear import first_order
 from piezoid.operators.preisach_plays import PreisachPlays
-from piezoid.targets.fmu_plant import plant_units
+from piezoid.targets.fmu import fmu_files, plant_units
 from piezoid.targets.target_inputs import TargetInputs
 from piezoid.targets.targets import target_files
 from piezoid.verification.closed_loop import run_axis
@@ -77,7 +76,7 @@ def unit_folder(tmp_path_factory):
         plant_units("other", (complete_plant(), complete_plant_with_functions(), withdrawn_tip()))
     )
     files = {
-        f"rig/{name}": content for name, content in target_files(exported, ["fmu"]).files.items()
+        f"rig/{name}": content for name, content in target_files(exported, ["fmu"])[0].items()
     }
     files |= {f"other/fmu/{name}": content for name, content in other_files.items()}
     return write_files(folder, files)

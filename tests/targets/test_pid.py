@@ -14,8 +14,7 @@ from piezoid.design.sensitivity import Template, margins, sensitivities
 from piezoid.design.specification import default_specification
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
-from piezoid.targets.pid import Notch, pid_law, tuned_pid
-from piezoid.targets.pid_files import pid_files, pid_of
+from piezoid.targets.pid import Notch, pid_files, pid_law, pid_of, tuned_pid
 from piezoid.targets.target_inputs import ControllerHardware
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.plant import CustomResponse

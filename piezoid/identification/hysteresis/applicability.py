@@ -29,8 +29,7 @@ from piezoid.identification.quality import Limit
 from piezoid.numerics.arrays import Array, Samples, freeze
 from piezoid.numerics.robust import white_noise_rms
 from piezoid.operators.filters import later
-from piezoid.records.constant_drive import is_mostly_driven
-from piezoid.records.reversals import noise_of, reversals_of
+from piezoid.records.drive_signal import is_mostly_driven, noise_of, reversals_of
 
 MAX_ROWS = 3000  # of all pieces together: enough for three parameters
 MAX_SAMPLES = 6000  # of one piece

@@ -24,7 +24,7 @@ from piezoid.identification.hysteresis.gauss_newton import HysteresisFit
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Piece
 from piezoid.numerics.arrays import Array, Samples
 from piezoid.operators.play import forgetting_sample
-from piezoid.records.reversals import noise_of, reversals_of
+from piezoid.records.drive_signal import noise_of, reversals_of
 
 FACTOR = 8.0  # robust standard deviations: one of 1e15 normal residuals
 WIDTH = 9  # samples of the median, of which four may be wrong

@@ -12,9 +12,8 @@ from piezoid.numerics.arrays import Array, Samples, freeze
 from piezoid.numerics.executor import Once
 from piezoid.operators.filters import relaxed
 from piezoid.operators.play import turns_of
-from piezoid.records.constant_drive import is_at_rest
+from piezoid.records.drive_signal import is_at_rest, noise_of, reversals_of
 from piezoid.records.recording import Quantity, Recording
-from piezoid.records.reversals import noise_of, reversals_of
 
 MINIMUM_SAMPLES = 20
 MIN_DRIFT = 5e-4  # of the range: a smaller drift of the zero does not matter to a controller

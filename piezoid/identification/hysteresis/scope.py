@@ -11,8 +11,8 @@ import numpy as np
 
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.quality import Limit
+from piezoid.records.drive_signal import noise_of, reversals_of
 from piezoid.records.recording import Recording
-from piezoid.records.reversals import noise_of, reversals_of
 
 LARGE = 0.2  # of the largest span: a branch that shows a loop
 SMALL = 0.02  # of the largest span: a smaller branch is no reversal

@@ -22,8 +22,8 @@ import numpy as np
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import white_noise_rms
+from piezoid.records.drive_signal import noise_of, reversals_of
 from piezoid.records.recording import Quantity, Recording
-from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.statement import Statement, finding
 from piezoid.toml_files import toml_string
 

@@ -248,39 +248,22 @@ def inconsistency(
 ) -> tuple[Statement, str]:
     """Return the statement about one recording, and the line of lab.toml that would correct it."""
     ratio = gain.gain_m_per_V / typical.gain_m_per_V
+    size, sign = abs(ratio), "-" if ratio < 0.0 else ""
     spans_V = [g.voltage_V[1] - g.voltage_V[0] for g in (gain, typical)]
     # If the range of the drive differs by the same factor as the gain, the drive is wrong.
-    is_drive = abs(math.log(abs(ratio) * spans_V[0] / spans_V[1])) < abs(
+    is_drive = abs(math.log(size * spans_V[0] / spans_V[1])) < abs(
         math.log(spans_V[0] / spans_V[1])
     )
-    cause, line = likely_cause(ratio, is_drive=is_drive)
-    if _is_alike(abs(ratio)):
-        comparison = "opposite sign"
-    else:
-        factor = significant(max(abs(ratio), 1.0 / abs(ratio)))
-        comparison = f"{factor} times {'larger' if abs(ratio) > 1.0 else 'smaller'}"
-        comparison += ", opposite sign" if ratio < 0.0 else ""
-    text = (
-        f"{gain.name} moves {gain.text}, {typical.name} {typical.text}: {comparison}. "
-        f"Likely cause: {cause}."
-    )
-    statement = finding(
-        "does_not_fit", text, axis=axis, recording=gain.name, value=ratio, unit="1"
-    )
-    return statement, line
-
-
-def likely_cause(ratio: float, *, is_drive: bool) -> tuple[str, str]:
-    """Return the cause of a ratio of gains, and the line of lab.toml that corrects it."""
-    size, sign = abs(ratio), "-" if ratio < 0.0 else ""
-    if _is_alike(size):
-        line = "scale = { voltage = -1 }   # or displacement = -1"
-        return "opposite polarity of drive or sensor", line
+    comparison = f"{significant(max(size, 1.0 / size))} times "
+    comparison += "larger" if size > 1.0 else "smaller"
     thousands = math.log10(size) / 3.0
     distances = {monitor: abs(math.log(size / monitor)) for monitor in MONITORS}
     monitors = [m for m in MONITORS if distances[m] < MONITOR_TOLERANCE]
     monitors = monitors or [m for m in MONITORS if distances[m] < LOOP_TOLERANCE]
-    if round(thousands) and abs(thousands - round(thousands)) < UNIT_TOLERANCE:
+    if _is_alike(size):
+        comparison, cause = "opposite sign", "opposite polarity of drive or sensor"
+        line = "scale = { voltage = -1 }   # or displacement = -1"
+    elif round(thousands) and abs(thousands - round(thousands)) < UNIT_TOLERANCE:
         factor = 10.0 ** (3 * round(thousands))
         cause, line = "another unit of the drive", f"scale = {{ voltage = {sign}{factor:g} }}"
         if not is_drive:
@@ -299,7 +282,17 @@ def likely_cause(ratio: float, *, is_drive: bool) -> tuple[str, str]:
     else:
         cause = "another axis, stage or range of the sensor"
         line = 'axis = "..."   # or scale = { displacement = ... }'
-    return f"{cause}{' and opposite polarity' if ratio < 0.0 else ''}", line
+    if ratio < 0.0 and not _is_alike(size):
+        comparison += ", opposite sign"
+        cause += " and opposite polarity"
+    text = (
+        f"{gain.name} moves {gain.text}, {typical.name} {typical.text}: {comparison}. "
+        f"Likely cause: {cause}."
+    )
+    statement = finding(
+        "does_not_fit", text, axis=axis, recording=gain.name, value=ratio, unit="1"
+    )
+    return statement, line
 
 
 # A copy differs only in its digits or its unit; two recordings of one drive differ by the noise. A

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezoid.formatting import with_unit
-from piezoid.records.constant_drive import is_mostly_driven
+from piezoid.records.drive_signal import is_mostly_driven
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.sample_statistics import MIN_MOTION_NOISE, noise_rms

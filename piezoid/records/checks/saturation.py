@@ -13,8 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from piezoid.records.drive_signal import noise_of, reversals_of
 from piezoid.records.recording import Recording
-from piezoid.records.reversals import noise_of, reversals_of
 from piezoid.records.sample_statistics import noise_rms, step_size
 from piezoid.statement import Statement, finding
 

@@ -25,8 +25,14 @@ from piezoid.records.readers import (
     tdms,
     text_table,
 )
-from piezoid.records.readers.reader import Reader, library_errors
-from piezoid.records.readers.source import Source, TextFormat, open_source, unreadable
+from piezoid.records.readers.reader import (
+    Reader,
+    Source,
+    TextFormat,
+    library_errors,
+    open_source,
+    unreadable,
+)
 from piezoid.records.table import RawTable
 from piezoid.records.units import Dimension
 

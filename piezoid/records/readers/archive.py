@@ -3,8 +3,7 @@
 import re
 import zipfile
 
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_growth, unreadable
+from piezoid.records.readers.reader import Reader, Source, check_growth, unreadable
 from piezoid.records.table import RawTable
 
 ZIP = b"PK\x03\x04"

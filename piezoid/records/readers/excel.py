@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from piezoid.errors import UnreadableFileError
 from piezoid.records.readers.archive import check_unpacked_size, members
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, unreadable
+from piezoid.records.readers.reader import Reader, Source, unreadable
 from piezoid.records.readers.text_layout import HEAD_LINES, find_table
 from piezoid.records.readers.text_table import read_text
 from piezoid.records.table import RawTable

@@ -7,8 +7,7 @@ The format of data recorders of Physik Instrumente controllers. ``SEPARATOR`` is
 import re
 from dataclasses import replace
 
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, text_of, unreadable
+from piezoid.records.readers.reader import Reader, Source, text_of, unreadable
 from piezoid.records.readers.text_numbers import Layout, count_of, number_of
 from piezoid.records.readers.text_table import table_under
 from piezoid.records.table import RawTable, rate_of

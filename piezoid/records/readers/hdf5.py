@@ -10,8 +10,7 @@ from itertools import pairwise
 from typing import Any, BinaryIO
 
 from piezoid.records.readers.named_arrays import commonest_length, table_of
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import MAX_COLUMNS, Source, check_growth
+from piezoid.records.readers.reader import MAX_COLUMNS, Reader, Source, check_growth
 from piezoid.records.table import RawTable
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from piezoid.records.readers.named_arrays import table_of
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_columns, unreadable
+from piezoid.records.readers.reader import Reader, Source, check_columns, unreadable
 from piezoid.records.table import RawTable, rate_of
 from piezoid.records.units import Dimension, unit_of
 

@@ -11,8 +11,7 @@ import numpy as np
 from piezoid.numerics.arrays import Array
 from piezoid.records.readers.archive import check_unpacked_size, members
 from piezoid.records.readers.named_arrays import table_of
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, unreadable
+from piezoid.records.readers.reader import Reader, Source, unreadable
 from piezoid.records.table import RawTable
 
 

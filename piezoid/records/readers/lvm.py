@@ -11,8 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, text_of, unreadable
+from piezoid.records.readers.reader import Reader, Source, text_of, unreadable
 from piezoid.records.readers.text_numbers import (
     Layout,
     NumberTable,
@@ -48,48 +47,36 @@ def read(source: Source) -> RawTable:
     first_rows = "\n".join(lines[header_ends[1] + 2 : header_ends[1] + 50])
     has_commas = separator == "\t" and re.search(r"\d,\d", first_rows)
     decimal = header.get("Decimal_Separator") or ("," if has_commas else ".")
-    layout = Layout(separator=separator, decimal=decimal, fields=0)
     starts = [
         next(
             (row for row in range(end, begin, -1) if lines[row].startswith("Channels")), begin + 1
         )
         for begin, end in pairwise(header_ends)
     ]
-    segments = [
-        _read_segment(source.name, lines[:stop], start, end, layout)
-        for start, end, stop in zip(
-            starts, header_ends[1:], [*starts[1:], len(lines)], strict=True
-        )
-    ]
+    segments: list[_Segment] = []
+    stops = [*starts[1:], len(lines)]
+    for start, end, stop in zip(starts, header_ends[1:], stops, strict=True):
+        rows = [line for line in lines[end + 2 : stop] if line.strip()]
+        if not rows:
+            raise unreadable(
+                source.name,
+                f"no rows after the header that ends on line {end + 1}",
+                needed="a heading and rows of numbers",
+                remedy="Write the file again from LabVIEW.",
+                line=end + 1,
+            )
+        labels = [label.strip() for label in lines[end + 1].split(separator)]
+        labels = labels[:-1] if labels[-1] in ("Comment", "") else labels
+        # The comments in a further column are cut off before the numbers are parsed.
+        width = len(labels)
+        if any(line.count(separator) >= width for line in rows):
+            rows = [separator.join(line.split(separator)[:width]) for line in rows]
+        layout = Layout(separator=separator, decimal=decimal, fields=width)
+        block = parse_numbers("\n".join(rows), layout, source.name, end + 3)
+        pairs = [line.split(separator) for line in lines[start:end] if line.strip()]
+        fields = {key.strip(): [cell.strip() for cell in cells] for key, *cells in pairs}
+        segments.append((fields, labels, block, end + 3))
     return _join_segments(source.name, header, segments)
-
-
-def _read_segment(name: str, lines: list[str], start: int, end: int, layout: Layout) -> _Segment:
-    """Read the segment to the end of the lines.
-
-    start, end  first and last line of its header
-    """
-    separator = layout.separator
-    rows = [line for line in lines[end + 2 :] if line.strip()]
-    if not rows:
-        raise unreadable(
-            name,
-            f"no rows after the header that ends on line {end + 1}",
-            needed="a heading and rows of numbers",
-            remedy="Write the file again from LabVIEW.",
-            line=end + 1,
-        )
-    labels = [label.strip() for label in lines[end + 1].split(separator)]
-    labels = labels[:-1] if labels[-1] in ("Comment", "") else labels
-    # The comments in a further column are cut off before the numbers are parsed.
-    width = len(labels)
-    if any(line.count(separator) >= width for line in rows):
-        rows = [separator.join(line.split(separator)[:width]) for line in rows]
-    layout = Layout(separator=separator, decimal=layout.decimal, fields=width)
-    block = parse_numbers("\n".join(rows), layout, name, end + 3)
-    pairs = [line.split(separator) for line in lines[start:end] if line.strip()]
-    header = {key.strip(): [cell.strip() for cell in cells] for key, *cells in pairs}
-    return header, labels, block, end + 3
 
 
 def _join_segments(name: str, header: dict[str, str], segments: Sequence[_Segment]) -> RawTable:

@@ -11,8 +11,7 @@ import numpy as np
 
 from piezoid.records.readers.hdf5 import SIGNATURE, checked_datasets
 from piezoid.records.readers.named_arrays import table_of
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_growth, unreadable
+from piezoid.records.readers.reader import Reader, Source, check_growth, unreadable
 from piezoid.records.table import RawTable
 from piezoid.statement import finding
 

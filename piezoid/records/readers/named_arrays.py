@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
+from piezoid.records.readers.reader import Source, check_columns, check_growth, unreadable
 from piezoid.records.table import Column, RawTable
 from piezoid.statement import Statement, finding
 
@@ -81,6 +81,8 @@ def _columns_of(
     """Return the labelled columns of one array, and statements about unusual shapes.
 
     shapes  of all arrays of the file
+
+    Raises ``UnreadableFileError`` for a matrix whose rows may be samples or channels.
     """
     # Paths of a response of several outputs and inputs, of shape (outputs, inputs, lines) as in
     # MATLAB, or (lines, outputs, inputs) as mostly in NumPy.
@@ -104,7 +106,22 @@ def _columns_of(
         return [], [finding("axes", text, place=name)]
     statements = []
     rows, columns_count = array.shape
-    if _is_transposed(source, name, array, shapes):
+    # Other vectors, or else the shape, show whether the rows of a matrix are its channels.
+    lengths = {max(s) for k, s in shapes.items() if k != name and s and max(s) == np.prod(s) > 1}
+    if rows > columns_count and not (columns_count in lengths and rows not in lengths):
+        is_transposed = False
+    elif columns_count in lengths - {rows} or columns_count >= MIN_TRANSPOSED_RATIO * rows:
+        is_transposed = True
+    elif rows in lengths - {columns_count}:
+        is_transposed = False
+    else:
+        raise unreadable(
+            source.name,
+            f"{name or 'the array'} has {rows} rows and {columns_count} columns",
+            needed="a row for each sample and a column for each channel, so more rows",
+            remedy="Transpose the array before saving it.",
+        )
+    if is_transposed:
         array = array.T
         text = (
             f"{name or 'the array'} has {rows} rows and {columns_count} columns: read as {rows} "
@@ -123,26 +140,3 @@ def complex_statement(subject: str, place: str) -> Statement:
         "response, and of no recording over time"
     )
     return finding("complex", text, place=place)
-
-
-def _is_transposed(
-    source: Source, name: str, array: NDArray[Any], shapes: Mapping[str, tuple[int, ...]]
-) -> bool:
-    """Return whether the rows of a matrix are channels, by other vectors or by its shape.
-
-    Raises ``UnreadableFileError`` for an ambiguous matrix.
-    """
-    rows, columns = array.shape
-    lengths = {max(s) for k, s in shapes.items() if k != name and s and max(s) == np.prod(s) > 1}
-    if rows > columns and not (columns in lengths and rows not in lengths):
-        return False
-    if columns in lengths - {rows} or columns >= MIN_TRANSPOSED_RATIO * rows:
-        return True
-    if rows in lengths - {columns}:
-        return False
-    raise unreadable(
-        source.name,
-        f"{name or 'the array'} has {rows} rows and {columns} columns",
-        needed="a row for each sample and a column for each channel, so more rows",
-        remedy="Transpose the array before saving it.",
-    )

@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 from piezoid.records.column_roles import meaning_of
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import HEAD_SIZE, Source, text_of, unreadable
+from piezoid.records.readers.reader import HEAD_SIZE, Reader, Source, text_of, unreadable
 from piezoid.records.readers.text_numbers import Layout
 from piezoid.records.readers.text_table import metadata_of, table_under
 from piezoid.records.table import RawTable

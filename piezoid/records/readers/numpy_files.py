@@ -4,8 +4,7 @@ import numpy as np
 
 from piezoid.records.readers.archive import ZIP, check_unpacked_size, members
 from piezoid.records.readers.named_arrays import table_of
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_columns, unreadable
+from piezoid.records.readers.reader import Reader, Source, check_columns, unreadable
 from piezoid.records.table import RawTable
 
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, text_of, unreadable
+from piezoid.records.readers.reader import Reader, Source, text_of, unreadable
 from piezoid.records.readers.text_numbers import Layout, number_of, split
 from piezoid.records.readers.text_table import read_text, table_under
 from piezoid.records.table import RawTable, rate_of

@@ -4,8 +4,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from piezoid.records.readers.named_arrays import table_of
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_columns, check_growth
+from piezoid.records.readers.reader import Reader, Source, check_columns, check_growth
 from piezoid.records.table import Column, RawTable
 
 _BUFFER = 1 << 20  # bytes of a column chunk in memory while reading in chunks; 0: all of it

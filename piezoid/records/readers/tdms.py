@@ -5,8 +5,7 @@ from itertools import pairwise
 from typing import Any
 
 from piezoid.records.readers.named_arrays import commonest_length, table_of
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
+from piezoid.records.readers.reader import Reader, Source, check_columns, check_growth, unreadable
 from piezoid.records.table import RawTable, rate_of
 
 

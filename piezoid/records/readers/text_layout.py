@@ -11,7 +11,7 @@ from piezoid.errors import LabFileError
 from piezoid.numerics.arrays import Array
 from piezoid.records.column_roles import meaning_of
 from piezoid.records.lab_tables import entry_text
-from piezoid.records.readers.source import TextFormat, check_columns, unreadable
+from piezoid.records.readers.reader import TextFormat, check_columns, unreadable
 from piezoid.records.readers.text_numbers import Layout, cells_of, number_of, refuse_prefix, split
 from piezoid.records.units import heading_of, unit_of
 

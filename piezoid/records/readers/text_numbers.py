@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from piezoid.errors import UnreadableFileError
 from piezoid.numerics.arrays import Array
-from piezoid.records.readers.source import check_columns, unreadable
+from piezoid.records.readers.reader import check_columns, unreadable
 from piezoid.statement import Statement, finding
 
 if TYPE_CHECKING:
@@ -177,13 +177,24 @@ def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> Numbe
 
     Raises ``UnreadableFileError`` if more than a quarter of the rows have text or surplus cells.
     """
+    import pandas as pd
+
     rows, lines, fields = _split_rows(text, layout, first_line)
     numbers = np.empty((len(lines), layout.fields))
     is_text = np.zeros(numbers.shape, dtype=bool)
     stamped = set()
     for k in range(layout.fields):
         cells = rows[k].str.strip()
-        numbers[:, k], is_text[:, k] = _parse_column(cells, layout)
+        # At once without marks of thousands, then cell by cell where that gives no number.
+        column, texts = np.full(len(cells), np.nan), cells.tolist()
+        if not layout.grouped:
+            points = cells.str.replace(",", ".") if layout.decimal == "," else cells
+            column = pd.to_numeric(points, errors="coerce").to_numpy(dtype=np.float64, copy=True)
+        for row in np.flatnonzero(np.isnan(column)).tolist():
+            value = number_of(texts[row], layout.decimal, grouped=layout.grouped)
+            is_text[row, k] = value is None
+            column[row] = np.nan if value is None else value
+        numbers[:, k] = column
         if 2 * is_text[:, k].sum() > len(cells) and (seconds := _parse_times(cells)) is not None:
             numbers[:, k], is_text[:, k] = seconds, False
             stamped.add(k)
@@ -253,22 +264,6 @@ def _split_rows(
         np.array([line for line, _ in rows]),
         np.array([len(row) if any(row[layout.fields :]) else 0 for _, row in rows]),
     )
-
-
-def _parse_column(cells: "Series[str]", layout: Layout) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the numbers of a column, NaN for empty cells and text, and which cells are text."""
-    import pandas as pd
-
-    numbers, is_text = np.full(len(cells), np.nan), np.zeros(len(cells), dtype=bool)
-    texts = cells.tolist()
-    if not layout.grouped:
-        points = cells.str.replace(",", ".") if layout.decimal == "," else cells
-        numbers = pd.to_numeric(points, errors="coerce").to_numpy(dtype=np.float64, copy=True)
-    for row in np.flatnonzero(np.isnan(numbers)).tolist():
-        value = number_of(texts[row], layout.decimal, grouped=layout.grouped)
-        is_text[row] = value is None
-        numbers[row] = np.nan if value is None else value
-    return numbers, is_text
 
 
 def _parse_times(cells: "Series[str]") -> "Series[float] | None":

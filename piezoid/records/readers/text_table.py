@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from piezoid.records.readers.named_arrays import complex_statement
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import (
+from piezoid.records.readers.reader import (
     FREE_SIZE,
+    Reader,
     Source,
     check_growth,
     encoding_of,
@@ -39,7 +39,7 @@ from piezoid.records.readers.text_numbers import (
     without_comments,
 )
 from piezoid.records.table import Column, RawTable
-from piezoid.statement import Statement, finding
+from piezoid.statement import finding
 
 TESTED_LINES = 10  # at the end of the head, below comments and headings
 
@@ -134,7 +134,7 @@ def _tables(source: Source, start: TableStart, bodies: Iterable[str]) -> Iterato
     line = start.row + 1
     for body in bodies:
         block, segment_starts = parse_rows(body, start, source.name, line)
-        statements = block.statements
+        statements = list(block.statements)
         if block.stamped and not source.in_memory:
             raise unreadable(
                 source.name,
@@ -147,7 +147,16 @@ def _tables(source: Source, start: TableStart, bodies: Iterable[str]) -> Iterato
         if textual is None:
             start = with_headings_beside_row_numbers(start, block.columns[0])
             textual = block.textual
-            statements = (*statements, *_statements_of_file(start, block))
+            if start.strays:
+                text = (
+                    f"{len(start.strays)} lines above the table hold numbers, but not "
+                    f"{start.layout.fields} of them; they are not read"
+                )
+                location = f"line {start.strays[0]}"
+                statements.append(finding("rows_above", text, place=location))
+            for k in sorted(block.textual):
+                text = f"column {k + 1} {start.labels[k]!r} holds text and is not read"
+                statements.append(finding("text_column", text, place=f"column {k + 1}"))
         columns = tuple(
             Column(
                 number=k + 1,
@@ -165,7 +174,7 @@ def _tables(source: Source, start: TableStart, bodies: Iterable[str]) -> Iterato
             first_line=0 if has_other_lines or segment_starts else line,
             segment_starts=segment_starts,
             metadata=metadata_of(start.above),
-            statements=statements,
+            statements=tuple(statements),
         )
         line += body.count("\n")
 
@@ -184,22 +193,6 @@ def table_under(
         for k, ((label, unit), values) in enumerate(zip(headings, block.columns, strict=False))
     )
     return RawTable(columns=columns, first_line=line, statements=block.statements)
-
-
-def _statements_of_file(start: TableStart, block: NumberTable) -> list[Statement]:
-    """Report lines of numbers above the table, and columns of text."""
-    statements = []
-    if start.strays:
-        text = (
-            f"{len(start.strays)} lines above the table hold numbers, but not "
-            f"{start.layout.fields} of them; they are not read"
-        )
-        location = f"line {start.strays[0]}"
-        statements.append(finding("rows_above", text, place=location))
-    for k in sorted(block.textual):
-        text = f"column {k + 1} {start.labels[k]!r} holds text and is not read"
-        statements.append(finding("text_column", text, place=f"column {k + 1}"))
-    return statements
 
 
 def parse_rows(

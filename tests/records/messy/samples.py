@@ -4,8 +4,7 @@ import tempfile
 from pathlib import Path
 
 from piezoid.records.readers import READERS, archive
-from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import open_source
+from piezoid.records.readers.reader import Reader, open_source
 from tests.records.formats import DESCRIBED, UNDESCRIBED
 from tests.records.messy.outcomes import FILES
 from tests.records.messy.writers import Write
