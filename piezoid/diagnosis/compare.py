@@ -17,8 +17,6 @@ from piezoid.errors import RecordingError
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.extended_fit import fit_extended
 from piezoid.identification.extensions.gain_change import GainChange
-from piezoid.identification.extensions.mains_lines import MainsLines
-from piezoid.identification.extensions.thermal_drift import ThermalDrift
 from piezoid.identification.hysteresis.coordinates import Structure
 from piezoid.identification.hysteresis.excluded_rows import outlying_samples
 from piezoid.identification.model import AxisModel
@@ -29,7 +27,6 @@ from piezoid.statement import Kind, Level, Statement
 
 FIXED_OPERATOR = Structure(operator=False)
 STUDENT_95_FIVE_FOLDS = 2.8
-RECORDING_EFFECTS = (GainChange, MainsLines, ThermalDrift)  # belong to the recordings of the fit
 MIN_GAIN = 0.05  # relative reduction of the error below which nothing has changed
 # Error over that of the fit: another excitation of the same stage doubles it (Preisach ceramics:
 # 0.08 % on a similar sweep and 0.15 % on a staircase), a lag or a load multiplies it.
@@ -200,7 +197,7 @@ def compare(
         )
     progress("simulating the earlier model")
     model = model.without_loop_shape()  # plays with dead zones are refitted
-    stage_effects = tuple(e for e in model.extensions if not isinstance(e, RECORDING_EFFECTS))
+    stage_effects = tuple(e for e in model.extensions if not e.is_of_recordings)
     start = replace(model, extensions=stage_effects, starts=())
     unchanged = fit_extended(start, recordings, stage_effects, structure=FIXED_OPERATOR)
     cleaned = [_without_outliers(unchanged.model, recording) for recording in recordings]

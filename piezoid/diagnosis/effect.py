@@ -337,6 +337,8 @@ class Effect:
                         (``python -m benchmarks.zoo.sizes``)
     may_be_absorbed     whether the nuisance class can follow the effect, so that its columns are
                         computed from a response without it
+    may_be_loop_shape   whether the widest class of hysteresis can follow the effect along one
+                        loop; a single recording then does not separate it from loop shape
     inject              (recording, share) -> the recording with the effect, a share of the stroke
     extend              (estimate, setting) -> extensions of the model with start values of a refit
     structural          test of an effect that is part of the nuisance class
@@ -372,6 +374,7 @@ class Effect:
     model_error: float = 0.02
     minimum_gain: float = 0.05
     may_be_absorbed: bool = False
+    may_be_loop_shape: bool = False
     detectable_share: float = 2e-3
 
     @property

@@ -138,6 +138,7 @@ EFFECT = Effect(
     ),
     tangent=Tangent(columns=_tangent),
     confounded=("thermal_drift",),
+    may_be_loop_shape=True,
     untestable=lambda view: (
         ""
         if view.longest_s >= MIN_DURATION_s

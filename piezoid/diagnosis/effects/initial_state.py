@@ -82,6 +82,7 @@ EFFECT = Effect(
     shows=OVER_TIME,
     tangent="its remedy is to cycle the drive first, as every planned drive does",
     confounded=("creep", "thermal_drift", "gain_change", "amplifier_saturation"),
+    may_be_loop_shape=True,
     trials=_trials,
     structural=Structural(
         # one initial state shared by all recordings

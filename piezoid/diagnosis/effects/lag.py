@@ -51,6 +51,7 @@ BEHIND = Effect(
     shows=OVER_SPEED,
     tangent=delay_tangent(_lagged, "time_s"),
     confounded=("delay", "rate_dependence", "resonance"),
+    may_be_loop_shape=True,
     trials=lambda view: delay_trials(
         view, _lagged, [("time_s", time_s) for time_s in trial_times_s(view, LONGEST_s, TRIALS)]
     ),

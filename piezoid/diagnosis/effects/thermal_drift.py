@@ -73,6 +73,7 @@ EFFECT = Effect(
         per_drive=True,
     ),
     confounded=("creep",),
+    may_be_loop_shape=True,
     untestable=lambda view: (
         ""
         if view.longest_s >= DEGREES_s[0]

@@ -111,17 +111,21 @@ class Extension:
 
     Design and verification use only the ``loop_effect`` of an extension, which each must define.
 
-    kind     name in model.json
-    is_fast  whether ``response`` acts within samples: derivatives are then filtered by it as well
+    kind                name in model.json
+    is_fast             whether ``response`` acts within samples: derivatives are then filtered by
+                        it as well
     is_prior_in_metres  whether the relations of ``prior`` are in metres
-    fitted   names of the fields that hold the numbers of ``free``, each one number
-    limits   name in messages, lowest and highest value of fields, which are checked
-    std      standard errors of the numbers of ``free`` from the fit; empty: not fitted
+    is_of_recordings    whether the effect belongs to the recordings of the fit, not to the stage;
+                        a comparison with other recordings leaves it out
+    fitted              names of the fields that hold the numbers of ``free``, each one number
+    limits              name in messages, lowest and highest value of fields, which are checked
+    std                 standard errors of the numbers of ``free`` from the fit; empty: not fitted
     """
 
     kind: ClassVar[str] = ""
     is_fast: ClassVar[bool] = False
     is_prior_in_metres: ClassVar[bool] = False
+    is_of_recordings: ClassVar[bool] = False
     fitted: ClassVar[tuple[str, ...]] = ()
     limits: ClassVar[Mapping[str, tuple[str, float, float]]] = {}
 

@@ -38,6 +38,7 @@ class GainChange(Extension):
     """
 
     kind: ClassVar[str] = "gain_change"
+    is_of_recordings: ClassVar[bool] = True
     fitted: ClassVar[tuple[str, ...]] = ("ratio", "offset_m")
     limits: ClassVar[Mapping[str, tuple[str, float, float]]] = {
         "instant_s": ("instant_s", 0.0, 1e9),

@@ -93,6 +93,7 @@ class MainsLines(Extension):
 
     kind: ClassVar[str] = "mains_lines"
     is_prior_in_metres: ClassVar[bool] = True
+    is_of_recordings: ClassVar[bool] = True
 
     frequency_Hz: float
     hums: tuple[Hum, ...]

@@ -47,6 +47,7 @@ class ThermalDrift(Extension):
 
     kind: ClassVar[str] = "thermal_drift"
     is_prior_in_metres: ClassVar[bool] = True
+    is_of_recordings: ClassVar[bool] = True
 
     curves: tuple[DriftCurve, ...]
 
