@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import piezoid.diagnosis.effects as folder
-from piezoid.diagnosis.candidate import evaluate, structural_candidate
+from piezoid.diagnosis.candidate import MINIMUM_Z, evaluate, structural_candidate
 from piezoid.diagnosis.effect import HEADINGS, Effect, Filter
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.refinement import initial_guess, refine
@@ -25,19 +25,28 @@ INJECTABLE = [effect for effect in EFFECTS if effect.name not in CLASS_EFFECTS]
 CAMPAIGN_EFFECTS = ("non_congruence",)
 
 
-def is_named(effect: Effect, view) -> bool:
+def reason_against(effect: Effect, view) -> str:
+    """Return why an effect is not named; empty if it is named."""
     if effect.fault is not None:
-        return effect.fault.find(view) is not None
+        return "" if effect.fault.find(view) is not None else "the fault is not found"
     test = score_test(effect, view)
     if test is None:
-        return False
+        return "no physical trial has columns that are not zero"
     if effect.structural is not None:
-        _, structure = structural_candidate(effect, view)
-        return structure.is_significant
-    selected, refitted = refine(
-        initial_guess(effect, test.trial, float(test.cv.coefficient[0])), view, []
+        _, candidate = structural_candidate(effect, view)
+    else:
+        selected, refitted = refine(
+            initial_guess(effect, test.trial, float(test.cv.coefficient[0])), view, []
+        )
+        candidate = evaluate(selected, refitted, view, test=test)
+    if candidate.is_significant:
+        return ""
+    gain, z = candidate.cv.gain, candidate.cv.z
+    return (
+        f"gain {gain:.3g} of {effect.minimum_gain}, z {z:.3g} of {MINIMUM_Z}, physical: "
+        f"{candidate.physical}, above its placebo: {candidate.beats_placebo}, absorption "
+        f"{test.absorption:.3g}"
     )
-    return evaluate(selected, refitted, view, test=test).is_significant
 
 
 def test_every_file_of_the_folder_is_registered_under_its_name():
@@ -74,7 +83,7 @@ def test_a_filter_takes_signals_of_any_length(samples):
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=NAMES)
 def test_an_effect_is_not_named_on_a_healthy_stage(effect):
-    assert not is_named(effect, healthy_view())
+    assert reason_against(effect, healthy_view()), f"{effect.name} is named"
 
 
 @pytest.mark.parametrize("effect", INJECTABLE, ids=[e.name for e in INJECTABLE])
@@ -82,7 +91,7 @@ def test_an_effect_is_named_at_twice_its_detectable_size(effect):
     if effect.name in CAMPAIGN_EFFECTS:
         percent = {effect.name: 200.0 * effect.detectable_share}
         campaign = draw_campaign(20, truth="preisach", plans=("sweep", "check"), effects=percent)
-        assert is_named(effect, view_of_recordings(*read_campaign(campaign)))
+        assert reason_against(effect, view_of_recordings(*read_campaign(campaign))) == ""
         return
     recordings, lab = healthy()
     widest_V = max(float(np.ptp(r.voltage_V())) for r in recordings)
@@ -93,7 +102,7 @@ def test_an_effect_is_named_at_twice_its_detectable_size(effect):
         is_affected = {"amplifier_saturation": is_full_range, "gain_change": k == 0}
         if is_affected.get(effect.name, True):
             faulty[k] = effect.inject(recording, 2.0 * effect.detectable_share)
-    assert is_named(effect, view_of_recordings(tuple(faulty), lab))
+    assert reason_against(effect, view_of_recordings(tuple(faulty), lab)) == ""
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=NAMES)
