@@ -263,10 +263,10 @@ def _candidate_of_test(test: ScoreTest, view: View) -> Candidate:
 
 
 def is_consistent(selected: SelectedEffect, view: View) -> bool:
-    """Tell whether the time constants of single recordings agree with the fitted time constant.
+    """Tell whether single recordings agree with the first free parameter of a response filter.
 
     A filter of the signal chain is the same in every recording that can show it. Each track gets a
-    deviation d_k from the fitted time tau,
+    deviation d_k from the fitted parameter tau, for most filters a time,
 
         y = h(t - tau) + sum_k d_k dh/dtau [track k],
 

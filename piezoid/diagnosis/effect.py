@@ -153,10 +153,11 @@ class Trial:
 
     columns              (rows, columns)  predicted contribution to the response; zeros: no
                          prediction, the trial is only a start value of refits
-    parameters           nonlinear parameters, by name with unit
+    parameters           nonlinear parameters, by name with unit; a name without unit is a number
+                         in half strokes or half ranges of the drive
     physical             False: a placebo with the same freedom
-    coefficient_range    physically possible range of the first coefficient; the tangent of a
-                         filter is off by factors, so that only its sign is tested
+    coefficient_range    physically possible range of the first coefficient; of a filter only the
+                         sign is tested, because its tangent is off by factors
     minimum_coefficient  size below which the first coefficient counts as zero
     needs_time           whether the effect only changes the loop width if all branches have one
                          speed, as a lag does
@@ -217,7 +218,9 @@ class Tangent:
                      the fitted model
     per_drive        whether every drive has separate coefficients
     lags             whether the effect is a lag, which a fitted lag would absorb
-    scale            in s or Hz, if the shape of the effect depends on its size; else 0
+    scale            where a finding states none, in the unit of ``scale_parameter``, if the shape
+                     of the effect depends on its size; else 0. A lag has a scale below 1, and the
+                     time at which it has its size replaces it
     scale_parameter  name of the parameter of a finding that is this scale, or empty
     """
 
@@ -319,11 +322,14 @@ class Effect:
     confounded          names of effects that resemble it
     untestable          (view) -> why these recordings cannot show the effect; empty if they can
     trials              (view) -> physical trials and placebos
-    columns             (view, parameters) -> contribution of the selected effect, (rows, columns)
+    columns             (view, parameters) -> contribution of the selected effect, (rows, columns),
+                        linear in its coefficients; ignored beside a filter
     covariates          (view) -> columns that accompany the effect and are no evidence of it
     drive_filter        (drive, rate_Hz, parameters) -> drive of the stage, for effects in front of
-                        the hysteresis
-    response_filter     (response, rate_Hz, parameters) -> reading, for filters of the response
+                        the hysteresis; in half ranges
+    response_filter     (response, rate_Hz, parameters) -> reading, for effects behind the
+                        hysteresis without coefficients; in half strokes. The first parameter of
+                        ``free`` must agree between recordings
     other_side          the same cause on the other side of the hysteresis
     between_recordings  the same cause if it acts between two recordings
     fault               detection, for faults of the data

@@ -194,7 +194,8 @@ Refined = tuple[SelectedEffect, View]  # an effect, and the view with it and all
 def initial_guess(effect: Effect, trial: Trial, coefficient: float) -> SelectedEffect:
     """Return an effect with the parameters of its best tangent.
 
-    For a filter of the response the time constant is multiplied by the coefficient.
+    The tangent of a filter of the response is proportional to its free parameters: they are
+    multiplied by the coefficient.
     """
     parameters = dict(trial.parameters)
     if effect.response_filter is not None:

@@ -39,7 +39,7 @@ Source
     Fleming & Leang (2014)
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -47,14 +47,22 @@ import numpy as np
 from piezoid.diagnosis.effect import (
     Appearance,
     Effect,
+    Parameters,
     Tangent,
     Trial,
     unsigned,
     without_part,
 )
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import filtered_change, with_extension
-from piezoid.identification.extensions.extension import Extension, free
-from piezoid.identification.extensions.extension import LoopEffect
+from piezoid.identification.extensions.extension import (
+    Extension,
+    Free,
+    LoopEffect,
+    Where,
+    free,
+)
+from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import relaxed
 from piezoid.operators.linear import ContinuousSystem
 
@@ -66,39 +74,42 @@ class ChargeLeak(Extension):
     """y = m + c (m - x),  tau dx/dt = m - x."""
 
     kind: ClassVar[str] = "charge_leak"
+    fitted: ClassVar[tuple[str, ...]] = ("share", "time_s")
+
     share: float
     time_s: float
 
-    def response(self, moved, where):
-        return moved + self.share * quick(moved, self.time_s, where.rate_Hz)
+    def response(self, displacement: Array, where: Where) -> Array:
+        """Return the response with its quick part."""
+        return displacement + self.share * quick_part(displacement, self.time_s, where.rate_Hz)
 
-    def loop_effect(self, rate_Hz):
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return the high-pass part in series with the stage."""
         c, per_s = np.array([[self.share]]), np.array([[1.0 / self.time_s]])
         return LoopEffect(system=ContinuousSystem(A=-per_s, B=per_s, C=-c, D=1.0 + c))
 
-    def free(self):
+    def free(self) -> Free:
+        """Return share and time, with bounds and steps."""
         return free((self.share, self.time_s), (0.0, 0.01), (0.5, 10.0), (1e-4, 1e-3))
 
-    def moved_to(self, value):
-        return replace(self, share=float(value[0]), time_s=float(value[1]))
+
+def quick_part(signal: Array, time_s: float, rate_Hz: float) -> Array:
+    """Return the part of a signal that a high-pass filter lets pass."""
+    return np.asarray(signal - relaxed(signal, time_s, rate_Hz))
 
 
-def quick(moved, time_s, rate_Hz):
-    return moved - relaxed(moved, time_s, rate_Hz)
+def _leaking(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
+    return response + quick_part(response, parameters["time_s"], rate_Hz)
 
 
-def passed(response, rate_Hz, way):
-    return response + quick(response, way["time_s"], rate_Hz)
+def _columns(view: View, parameters: Parameters) -> Array:
+    return filtered_change(view, _leaking, parameters)
 
 
-def columns(view, way):
-    return filtered_change(view, passed, way)
-
-
-def trials(view):
+def _trials(view: View) -> list[Trial]:
     return [
         Trial(
-            columns=columns(view, {"time_s": time_s}),
+            columns=_columns(view, {"time_s": time_s}),
             parameters={"time_s": time_s},
             coefficient_range=(0.002, 0.3),
             free={"time_s": 1.3},
@@ -109,7 +120,7 @@ def trials(view):
 
 EFFECT = Effect(
     name="charge_leak",
-    explanation=__doc__,
+    explanation=__doc__ or "",
     unit="percent of a step",
     experiment="Record steps over the range, held for ten times the time in which they return.",
     control="A quick inverse overshoots: let the feedforward carry the same leak.",
@@ -117,13 +128,15 @@ EFFECT = Effect(
         label="quick part of the drive",
         unit="V",
         kind="classes",
-        along=lambda r: unsigned(quick(r.voltage_V(), 0.4, r.sampling_rate_Hz)),
+        along=lambda r: unsigned(quick_part(r.voltage_V(), 0.4, r.sampling_rate_Hz)),
         reading="A leak: a straight line through zero.",
     ),
-    tangent=Tangent(columns=lambda drive, _: quick(drive.static_m, 0.4, drive.rate_Hz)[:, None]),
-    trials=trials,
-    columns=columns,
-    size=lambda view, way, coefficient: 100.0 * float(coefficient[0]),
+    tangent=Tangent(
+        columns=lambda drive, _: quick_part(drive.static_m, 0.4, drive.rate_Hz)[:, None]
+    ),
+    trials=_trials,
+    columns=_columns,
+    size=lambda _, __, coefficient: 100.0 * float(coefficient[0]),
     inject=lambda recording, share: with_extension(recording, ChargeLeak(share=share, time_s=0.4)),
     extend=lambda estimate, _: (
         ChargeLeak(share=estimate.first_coefficient, time_s=estimate.parameters["time_s"]),

@@ -3,7 +3,12 @@
     command -> drive -> reversible + irreversible part -> dead zones -> response -> + added
             -> reading
 
-An extension acts in one or more of these stages. All numbers are in SI units.
+An extension overrides the method of one or more of these stages: ``drive``, ``irreversible``,
+``response``, ``added``, ``reading``. All numbers are in SI units.
+
+``response`` is linear: if ``is_fast``, the derivatives by the hysteresis pass through it. If it is
+a factor at each sample, ``gain`` returns that factor for these derivatives. A nonlinear effect
+behind the hysteresis, with or without memory, is a ``reading``; the derivatives ignore its slope.
 """
 
 from collections.abc import Mapping
@@ -166,7 +171,7 @@ class Extension:
         return None
 
     def reading(self, position_m: Array, where: Where) -> Array:  # noqa: ARG002
-        """Return the reading of the sensor at a position."""
+        """Return the reading of the sensor along positions, (samples,), with or without memory."""
         return position_m
 
     def group_delay_s(self, rate_Hz: float) -> float:  # noqa: ARG002
