@@ -4,7 +4,7 @@
 
 Recordings are cut short, so that the walk takes two minutes; the commands are unchanged. The walk
 ends with status 1 at the first command that fails. It is too slow for the test suite: the gate
-runs it after ``make demo``, which runs ``piezoid demo``.
+runs it beside the documentation. Its ``make demo`` runs ``piezoid demo``.
 """
 
 import re
@@ -23,7 +23,7 @@ ROWS = 2500
 SHORT_ROWS = 1200  # of recordings of the virtual laboratory and of a batch
 # The gate makes the environment itself, and installs the wheel in a clean one.
 EXCLUDED = ("make ", "python3 -m venv", ".venv/bin/pip")
-# `make demo`, the previous step of the gate, calibrates the whole bundled stage.
+# `make demo`, another step of the gate, calibrates the whole bundled stage.
 DEMO = "piezoid demo "
 
 
