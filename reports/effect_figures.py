@@ -219,8 +219,8 @@ def figure_of(finding: Finding, simulations: tuple[EffectSimulation, ...]) -> Fi
     return Figure(
         title=f"{words(finding.effect).capitalize()}, {recording}: "
         f"residual against {appearance.label}",
-        caption=f"Residual, nothing refitted: {number(without_m, 'm')} rms without the effect, "
-        f"{number(with_m, 'm')} with it.",
+        caption=f"Residual of the final model: {number(with_m, 'm')} rms; with the effect taken "
+        f"out and nothing refitted: {number(without_m, 'm')}.",
         guide=appearance.reading,
         canvas=canvas,
         layers=layers,

@@ -55,8 +55,8 @@ def render(page: Page) -> Section | None:
         anchor="error-budget",
         title="Error budget",
         lead="Held-out error of the base model (hysteresis operator and lag), split into its "
-        "causes. The squares of the parts add up: a bar is a step of the total, its number the "
-        "rms of that part.",
+        "causes. Each number is the rms of one part. Squares add up, so a bar, which shows what "
+        "its part adds to the total, is shorter than its number.",
         parts=tuple(waterfalls),
     )
 
