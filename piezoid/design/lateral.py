@@ -196,8 +196,8 @@ def _describe_delay(plant: Fraction, mode: Mode) -> str:
     """
     delay_s = plant.rest_delay_s - mode.damping / (np.pi * mode.frequency_Hz)
     return (
-        f"hold, converters and filters delay the loop by {with_unit(delay_s, 's')}, which is "
-        f"{significant(360.0 * mode.frequency_Hz * delay_s)}° at this mode"
+        f"hold, converters and all other poles delay the loop by {with_unit(delay_s, 's')}, which "
+        f"is {significant(360.0 * mode.frequency_Hz * delay_s)}° at this mode"
     )
 
 

@@ -313,7 +313,7 @@ def _with_loop_shape(
         confounded, experiment = [*confounded, *LIKE_ONE_LOOP], ONE_LOOP_EXPERIMENT
     low, high = (sqrt(max(power + side * 1.96 * power_std, 0.0)) for side in (-1.0, 1.0))
     evidence = (
-        "The model also contains a wider class of hysteresis, for simulation only."
+        "The model also contains a wider class of hysteresis; the exported controller does not."
         if in_model
         else f"In sample the model reaches {with_unit(errors.explained_m, 'm')}, the widest "
         f"class of hysteresis {with_unit(errors.wide_m, 'm')}."

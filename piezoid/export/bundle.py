@@ -48,7 +48,8 @@ Methods: `mpi_dob` is a disturbance observer on the inverse hysteresis model, `d
 alone, `mpi` the inverse without feedback, `none` a static gain, `rst` a controller of the
 logarithm of a current. X and Y stand for every axis with another method than `rst`, Z for a tip.
 Memory on a Cortex-M4: about 14 kB of code and 200 bytes of stack (float), 19 kB and 520 (double).
-Each axis of this table needs {memory};
+Each axis of this table needs
+{memory};
 `piezo_params.h` contains the parameters of all axes, also of those that you do not use.
 Time of `pz_step`: the emulated axes X and Y of another stage took at most 2200 instructions on a
 Cortex-M7. It grows with plays and observer states; measure it on your core.
@@ -87,9 +88,9 @@ differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `
 
 - Switch on, X and Y: ramp the DAC until the reading lies within `reference` of the table; at 0 V
   it often lies outside. Then call `pz_start`, set the reference to the reading, start the
-  interrupt, and ramp the reference to the wanted position. Started with a reading outside, the
-  first output jumps, on some stages by half the range; only `reference_step_m`, which is large,
-  limits a jump. Z: the reference is always the set point.
+  interrupt, and ramp the reference to the wanted position. If the reading lies outside, the first
+  output jumps, on some stages by half the range; only `reference_step_m`, which is large, limits
+  a jump. The same holds for `pz_reset`. Z: the reference is always the set point.
 - `pz_start` needs the present output voltage of the DAC. NaN counts as 0 V and a voltage out of
   range as the nearest limit, and the first output starts from there: check it first. The reading
   may be NaN: the model's position is then used. Call `pz_start` again, with the interrupt

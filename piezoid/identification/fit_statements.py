@@ -172,7 +172,7 @@ def _intervals(axis: AxisModel) -> list[Statement]:
             "parameter is usable. The held-out error, "
             f"{with_unit(axis.quality.held_out_rms_m, 'm')} rms, still holds for similar drives."
         )
-        text += " For intervals, record full-range cycles several times at one speed."
+        text += " For narrower intervals, record full-range cycles several times at one speed."
         statements.append(_limit(axis, Level.WARNING, "loop_width", text, half_m, "m"))
     return statements
 

@@ -105,7 +105,8 @@ def loops_table(page: Page) -> Table:
     return Table(
         caption="The first loop of an axis is recommended and exported. Bandwidth: of the "
         "feedback, which rejects disturbances; the feedforward follows references faster. Modulus "
-        "margin: distance of the Nyquist curve from -1. Delay margin: tolerated additional delay.",
+        f"margin: smallest distance of the Nyquist curve from {MINUS}1. Delay margin: tolerated "
+        "additional delay.",
         columns=(
             *("axis", "loop", "bandwidth", "modulus margin", "delay margin"),
             "guaranteed error",

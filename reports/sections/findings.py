@@ -108,8 +108,8 @@ def _not_detected_tables(page: Page) -> list[Part]:
     tables = (
         (
             effects,
-            "Effects not detected. First number: 95 % upper bound of a size in addition to the "
-            "findings, rms. Second number: size that is detected in four of five cases.",
+            "Effects not detected. First number: 95 % upper bound of the effect, in addition to "
+            "the findings. Second number: size that is detected in four of five cases. Both: rms.",
         ),
         (faults, "Data faults not detected. Detection limit, height of a spike or step."),
     )

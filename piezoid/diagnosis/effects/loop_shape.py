@@ -44,8 +44,8 @@ EFFECT = Effect(
     unit="nm, rms",
     experiment="Record minor loops of five sizes at three biases, each twice: they decide between "
     "classes of hysteresis.",
-    control="The exported inverse has plays with dead zones only, so this error remains in open "
-    "loop. Feedback removes it, or a drive computed in advance from the whole model "
+    control="In open loop this error remains, because the exported inverse has plays with dead "
+    "zones only. Feedback removes it, or a drive computed in advance from the whole model "
     "(`piezoid export --target waveform`).",
     shows=OVER_DRIVE,
     tangent="its size is the difference of two classes of hysteresis, which no single drive sets",
