@@ -30,6 +30,10 @@ WRITTEN = (
     *("model.json", "diagnosis.json", "design.json", "params.json", "verification.json"),
     *("report.html", "bundle/README.md"),
 )
+LEGEND = (
+    "(table: error on held-out data; closure: error / noise; bandwidth of the feedback; "
+    "guaranteed: proven limit of the tracking error; ships: verified, in bundle/)"
+)
 UNDIAGNOSED = (
     "not diagnosed, because the recordings were read in chunks; for a diagnosis, fit a part that "
     "fits into memory (start_s and stop_s in lab.toml)"
@@ -149,8 +153,7 @@ def show(calibration: "Calibration") -> None:
 
     console, model, controllers = Console(), calibration.model, calibration.controllers
     console.print(_table(calibration))
-    legend = "; error: model on held-out data; closure: error / noise; guaranteed: loop, proven"
-    lines = budget_lines(calibration.diagnoses, legend)
+    lines = [*budget_lines(calibration.diagnoses), LEGEND]
     if (tip := model.tunnelling) is not None:
         of_tip = [] if tip.gap_law is None else [barrier_sentence(tip.gap_law)]
         of_tip += [] if tip.loop_plant is None else [loop_sentence(tip.loop_plant)]

@@ -43,6 +43,9 @@ def inspect(
 ) -> None:
     """Show the channels, units, clock, noise and problems of recordings.
 
+    noise rms: white noise, from differences of neighbouring samples; a fast signal raises it.
+    step: smallest difference of two values, such as one step of the converter.
+
     If a file cannot be used as a recording, the reason is shown, and the exit status is 3 after
     all files.
 

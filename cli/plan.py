@@ -38,6 +38,9 @@ def plan(
 ) -> None:
     """Plan the next experiment: write drive.csv and plan.json.
 
+    The plan answers an open question of the diagnosis, such as an effect that the recordings
+    cannot show. `piezoid fit` states which gaps of the recordings limit the model.
+
     [bold]Examples[/bold]
 
     piezoid plan stage42/ sweep.csv steps.csv --lab lab.toml --out next/
@@ -134,9 +137,11 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
     question = planned.question
     title = f"axis {planned.axis}: {' against '.join(question.effects)}"
     if question.kind == "detect":
-        title += f", if it has {with_unit(question.suspects[0].rms_m, 'm')} rms"
+        title += f", assumed size {with_unit(question.suspects[0].rms_m, 'm')} rms"
     source = "with the recordings" if planned.recorded is not None else "without the recordings"
-    last_heading = f"expected standard error, % of the size, {source}"
+    last_heading = f"expected standard error of the size, {source}"
     console.print(table(title, (*headings, last_heading), rows, n_words=1))
-    console.print(rich_text("The shortest of the drives nearly as good as the best is chosen."))
+    is_best = planned.drive.name == planned.alternatives[0].name
+    why = "the best drive" if is_best else "the shortest drive of at least 90 % of the best score"
+    console.print(rich_text(f"Chosen: {planned.drive.name}, {why}."))
     console.print(rich_text(f"drive: {drive}"))

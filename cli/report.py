@@ -27,7 +27,7 @@ def report(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Write report.html again from the sealed files, for example after `piezoid verify`.
+    """Write report.html again from the JSON files of a stage, for example after `piezoid verify`.
 
     Name the recordings of the fit to plot loops and residuals; other files are rejected.
 

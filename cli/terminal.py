@@ -192,7 +192,7 @@ def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" =
         console.print(rich_text(f"  {omitted} more in the report and with --verbose"))
 
 
-def budget_lines(diagnoses: "Sequence[Diagnosis]", legend: str = "") -> list[str]:
+def budget_lines(diagnoses: "Sequence[Diagnosis]") -> list[str]:
     """Return the error budget of each diagnosed axis as a line, followed by a legend."""
     from piezoid.formatting import with_unit
     from piezoid.raw_counts import in_counts
@@ -206,12 +206,12 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]", legend: str = "") -> list[str
         )
         total = with_unit(diagnosis.baseline.rms_m, "m")
         name = "simulation" if diagnosis.model is None else "base model"
-        line = f"error budget {diagnosis.axis}: {name} {total}; of this {terms}"
+        line = f"error budget {diagnosis.axis}: {name} {total}, from {terms}"
         lines.append(in_counts(line, diagnosis.counted))
     if any("*" in line for line in lines):
         lines.append(
-            "(rms, squares add up; * removed by the final model, the others are its held-out error"
-            f"{legend})"
+            "(budget: held-out rms; squares add up; base model: hysteresis and lag; the final "
+            "model removes the parts with *, the others make up its error)"
         )
     return lines
 

@@ -54,7 +54,8 @@ def verify(
 ) -> None:
     """Run the compiled controller of params.json on the simulated stage: write verification.json.
 
-    Exit status 1 means that a verdict failed; verification.json is still written.
+    Exit status 1 means that a verdict failed; verification.json is still written. It contains
+    only the results of this run: repeat --rebuild, --prove and --bounds to keep theirs.
 
     [bold]Examples[/bold]
 
@@ -169,15 +170,21 @@ def show(page: "Page", verification: "Verification") -> None:
     for table in tables:
         if table.rows:
             console.print(report_table(table))
+    if verification.bounds:
+        heading = (
+            "Largest tracking error within half a second, by the speed of the reference, on "
+            "stages that are consistent with the recordings:"
+        )
+        console.print(rich_text(heading))
     for row in verification.bounds:
-        bounded = "none" if row.bound_m is None else with_unit(row.bound_m, "m")
+        bounded = "no useful bound" if row.bound_m is None else with_unit(row.bound_m, "m")
         if row.is_exceeded:
             bounded += " (exceeded on stages that are farther from the model class)"
         probable_m, share = with_unit(row.probable_m, "m"), 100.0 * row.probability
         line = (
-            f"axis {row.axis}, references up to {with_unit(row.slew_m_per_s, 'm/s')}: proven "
-            f"bound {bounded}; with {share:g} % probability below {probable_m}; worst run of a "
-            f"search {with_unit(row.worst_found_m, 'm')}; median run "
+            f"axis {row.axis}, up to {with_unit(row.slew_m_per_s, 'm/s')}, guaranteed: {bounded}; "
+            f"with {share:g} % probability: below {probable_m}; worst found by a search: "
+            f"{with_unit(row.worst_found_m, 'm')}; median on the identified stage: "
             f"{with_unit(row.simulated_m, 'm')}"
         )
         console.print(rich_text(line))

@@ -219,8 +219,8 @@ def figure_of(finding: Finding, simulations: tuple[EffectSimulation, ...]) -> Fi
     return Figure(
         title=f"{words(finding.effect).capitalize()}, {recording}: "
         f"residual against {appearance.label}",
-        caption=f"Residual, nothing refitted: {number(without_m, 'm')} rms without the effect, "
-        f"{number(with_m, 'm')} with it.",
+        caption=f"Residual of the samples drawn: {number(with_m, 'm')} rms with the final model, "
+        f"{number(without_m, 'm')} after removal of the effect without a new fit.",
         guide=appearance.reading,
         canvas=canvas,
         layers=layers,

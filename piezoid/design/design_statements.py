@@ -111,9 +111,10 @@ def _error_bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     largest = max(parts_m, key=lambda name: parts_m[name])
     error_m = certificate.guaranteed_error_m
     text = (
-        f"No useful bound of the error: the proven bound of {with_unit(error_m, 'm')} is more "
-        f"than a tenth of the {with_unit(axis.quality.range_m, 'm')} range; most of it, "
-        f"{with_unit(parts_m[largest], 'm')}, comes from {largest}."
+        f"No useful guaranteed error: the proven limit, {with_unit(error_m, 'm')}, exceeds a "
+        f"tenth of the {with_unit(axis.quality.range_m, 'm')} range. Most of it, "
+        f"{with_unit(parts_m[largest], 'm')}, comes from {largest}. It adds up worst cases; the "
+        "expected error is the simulated one."
     )
     return [_statement(design.axis, Level.WARNING, "guaranteed_error", text, error_m, "m")]
 
@@ -125,9 +126,9 @@ def error_parts_m(certificate: Certificate) -> dict[str, float]:
     """
     is_inverted = certificate.form == "inverse"
     return {
-        "the uncertainty of the hysteresis model at the largest amplification by the loop"
+        "the uncertainty of the hysteresis model, multiplied by the largest gain of the loop"
         if is_inverted
-        else "the hysteresis at the largest amplification by the loop": (
+        else "the hysteresis, multiplied by the largest gain of the loop": (
             certificate.hysteresis_error_m
         ),
         "the delay of the reference": certificate.reference_error_m,

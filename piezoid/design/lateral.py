@@ -151,7 +151,7 @@ def _design_loop(
                 f"{significant(modes[0].damping)}. It lies anywhere from "
                 f"{with_unit(min(frequencies_Hz), 'Hz', 4)} to "
                 f"{with_unit(max(frequencies_Hz), 'Hz', 4)}, and "
-                f"{_describe_delay(plant, modes[0])}, which the feedback must lead"
+                f"{_describe_delay(plant, modes[0])}; the feedback must lead this phase"
             )
         refuse(axis, specification, smallest, smallest_violations, because=because)
     loop = assemble_loop(_LOOP_OF_FORM[form], family.fractions, bandwidth_Hz, tunings, _FIGURE)
@@ -196,8 +196,8 @@ def _describe_delay(plant: Fraction, mode: Mode) -> str:
     """
     delay_s = plant.rest_delay_s - mode.damping / (np.pi * mode.frequency_Hz)
     return (
-        f"hold, converters and filters, {with_unit(delay_s, 's')}, delay it by "
-        f"{significant(360.0 * mode.frequency_Hz * delay_s)}°"
+        f"hold, converters and all other poles delay the loop by {with_unit(delay_s, 's')}, which "
+        f"is {significant(360.0 * mode.frequency_Hz * delay_s)}° at this mode"
     )
 
 

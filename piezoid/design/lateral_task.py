@@ -189,7 +189,7 @@ def unseen(axis: AxisModel) -> Unseen:
             from_Hz=from_Hz,
             peak=_HIGHER_MODE,
             assumption=f"above {with_unit(from_Hz, 'Hz')}, where recordings no longer show the "
-            f"response, no mode adds more to it than {_HIGHER_MODE:g} times the gain at rest",
+            f"response, no mode adds more than {_HIGHER_MODE:g} times the static gain",
         )
     lowest_Hz, reason = _UNDECLARED_Hz, "no recording shows it and no data sheet was declared"
     if bandwidth is not None and bandwidth.stated_Hz is not None:
@@ -204,7 +204,7 @@ def unseen(axis: AxisModel) -> Unseen:
         from_Hz=lowest_Hz,
         peak=FIRST_MODE,
         assumption=f"the first mode lies above {with_unit(lowest_Hz, 'Hz')}, with at most "
-        f"{FIRST_MODE:g} times the gain at rest: {reason}",
+        f"{FIRST_MODE:g} times the static gain: {reason}",
     )
 
 

@@ -251,7 +251,7 @@ def _remaining_part(
                 "The model predicts data that were left out of the fit worse "
                 f"({with_unit(held_out_m, 'm')} rms) than the data of the fit "
                 f"({with_unit(in_sample_m, 'm')} rms). Record every amplitude and speed at least "
-                "twice."
+                "twice, in one recording or in several."
             )
     elif name == SOMETHING_ELSE:
         text = (
@@ -313,7 +313,7 @@ def _with_loop_shape(
         experiment = ONE_LOOP_EXPERIMENT
     low, high = (sqrt(max(power + side * 1.96 * power_std, 0.0)) for side in (-1.0, 1.0))
     evidence = (
-        "The model simulates with the wider class."
+        "The model also contains a wider class of hysteresis; the exported controller does not."
         if in_model
         else f"In sample the model reaches {with_unit(errors.explained_m, 'm')}, the widest "
         f"class of hysteresis {with_unit(errors.wide_m, 'm')}."

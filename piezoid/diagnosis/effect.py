@@ -74,14 +74,16 @@ IN_SPECTRUM = Appearance(
     decades=True,
     kind="spectrum",
     along=lambda recording: unsigned(recording.time_s),
-    reading="A mode: a hill where the stage rings. Hum: needles at 50 or 60 Hz and multiples.",
+    reading="A mode appears as a hill at its frequency, hum as needles at 50 or 60 Hz and "
+    "multiples.",
 )
 OVER_DRIVE = Appearance(
     label="drive",
     unit="V",
     kind="classes",
     along=lambda recording: unsigned(recording.voltage_V()),
-    reading="Saturation: nothing, then steep at an end. Asymmetry: one side bends.",
+    reading="Saturation is flat, then steep at one end. Asymmetry bends one side. Loop shape "
+    "waves over the whole range.",
 )
 
 

@@ -32,7 +32,7 @@ from piezoid.diagnosis.residual_structure import SearchResult
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import ScoreTest
 from piezoid.diagnosis.structure_findings import noise_finding, noise_level, structure_finding
-from piezoid.formatting import with_unit, words
+from piezoid.formatting import significant, with_unit, words
 from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.records.recording import Recording
 
@@ -274,14 +274,17 @@ def _bounded(test: ScoreTest, outcome: Outcome) -> NotDetected:
             dismissal = (
                 f": not named, because it is not significant beside the other effects{residue}"
             )
-    placebo = "" if test.placebo is None else f", its placebo {100 * test.placebo.gain:.2g} %"
+    change = significant(-100.0 * test.cv.gain, 2)
+    placebo = ""
+    if test.placebo is not None:
+        placebo = f", its placebo by {significant(-100.0 * test.placebo.gain, 2)} %"
     return NotDetected(
         effect=effect.name,
         upper_bound_m=bound_m,
         detection_limit_m=limit_m,
         reason=(
-            f"at most {with_unit(bound_m, 'm')} rms; it reduces the held-out error by "
-            f"{100 * test.cv.gain:.2g} % ({test.cv.z:.2g} standard errors)"
+            f"at most {with_unit(bound_m, 'm')} rms; it changes the held-out error by "
+            f"{change} % ({test.cv.z:.2g} standard errors)"
             f"{placebo}{dismissal}"
         ),
         next_experiment=effect.experiment,

@@ -96,9 +96,9 @@ def with_modes(
         rms_percent=100.0 * (before_m * gain / diagnosis.stroke_m),
         size=Size(value=frequency_Hz, unit=effect.unit, ci95=(low_Hz, high_Hz)),
         not_separable_from=(),
-        explanation=f"{effect.summary} It is "
-        f"identified from {names}; the errors are those of these recordings without and with the "
-        "mode, behind the hysteresis fitted to the other recordings.",
+        explanation=f"{effect.summary} It is identified from {names}; the errors in the table are "
+        "those on this data alone, without and with the mode. The hysteresis is that of the other "
+        "recordings.",
         next_experiment=effect.experiment,
         parameters={
             "frequency_Hz": frequency_Hz,
@@ -141,8 +141,9 @@ def _with_rising_gain(
         size=Size(value=frequency_Hz, unit=effect.unit, ci95=(peak_Hz, high_Hz)),
         not_separable_from=(),
         explanation=f"{effect.summary} The gain at {with_unit(peak_Hz, 'Hz')} is {ratio:.2g} "
-        f"times that at rest, and the recordings end at {with_unit(bandwidth.highest_Hz, 'Hz')}: "
-        "a mode lies near or beyond that and is not resolved.",
+        "times the static gain, and the recordings end at "
+        f"{with_unit(bandwidth.highest_Hz, 'Hz')}: a mode lies near or beyond that and is not "
+        "resolved.",
         next_experiment="Record a small chirp to at least "
         f"{with_unit(2.0 * frequency_Hz, 'Hz', 2)}, at the rate of the controller or faster.",
         parameters={"frequency_Hz": frequency_Hz},

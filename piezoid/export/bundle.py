@@ -39,27 +39,35 @@ _README = """\
 `piezoid_runtime.h` and `.c` are the controller in C99, as it was verified; `piezo_params.h` has
 the parameters; `example_main.c` tests your build with {samples} samples per axis.
 
-| axis | index | method | rate, Hz | preview | reference | output, V | LSB, V | codes |
+| axis | index | method | rate, Hz | preview, samples | reference | output, V | LSB, V \
+| codes |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- |
 {axes}
 {unshipped}
 Methods: `mpi_dob` is a disturbance observer on the inverse hysteresis model, `dob` an observer
-alone, `mpi` the inverse without feedback, `rst` a controller of the logarithm of a current.
-Memory: about 14 kB of code (Cortex-M4, float). Each axis of this table needs
+alone, `mpi` the inverse without feedback, `none` a static gain, `rst` a controller of the
+logarithm of a current. X and Y stand for every axis with another method than `rst`, Z for a tip.
+Memory on a Cortex-M4: about 14 kB of code and 200 bytes of stack (float), 19 kB and 520 (double).
+Each axis of this table needs
 {memory};
 `piezo_params.h` contains the parameters of all axes, also of those that you do not use.
+Time of `pz_step`: the emulated axes X and Y of another stage took at most 2200 instructions on a
+Cortex-M7. It grows with plays and observer states; measure it on your core.
 
 ## 1. Build and check
 
     cc -std=c99 -O2 -ffp-contract=off example_main.c piezoid_runtime.c -o example
     ./example < golden.csv
 
-must end with `0 differ`; add `-DPZ_REAL_FLOAT` for single precision. On a target without standard
-input, compile rows of `golden.csv` into your test (`nan` is `NAN` in C): call `pz_start` with 0 V
-and the first `measured` of the axis, then `pz_step` with each row, and compare voltage and status.
-(This first reading does not belong to 0 V; `pz_start` treats the difference as a shift of the
-sensor's zero.)
-Not covered: approach, retract, stuck sensor, latch, `pz_reset`, feedforward.
+must end with `0 differ`; add `-DPZ_REAL_FLOAT` for single precision. The expected outputs belong
+to these inputs: after any change of a reference or reading in `golden.csv`, rows differ. To try
+your own references, call `pz_step` from your own `main` as in section 2.
+
+On a target without standard input, compile rows of `golden.csv` into your test (`nan` is `NAN` in
+C). Call `pz_start` with 0 V and the first `measured` of the axis, then `pz_step` with each row,
+and compare voltage and status. (This first reading does not belong to 0 V; `pz_start` treats the
+difference as a shift of the sensor's zero.) The table does not test approach, retract, stuck
+sensor, latch, `pz_reset` and feedforward.
 
 A build that contracts products and sums (FMA) rounds differently and exits with 1: rows then
 differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `-ffp-contract=off`.
@@ -78,37 +86,40 @@ differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `
         write_dac(pz_step(&state, p, reference, read_sensor()));
     }}
 
-- X, Y: at `pz_start` and `pz_reset` the reading must lie within `reference` of the table, and the
-  reference must be the reading; then ramp it. At 0 V the reading often lies outside: ramp the DAC
-  until it is inside, then call `pz_start`. From outside, the first output jumps, on some stages
-  by half the range; only `reference_step_m`, which is large, limits a jump. Z: the reference is
-  always the set point.
+- Switch on, X and Y: ramp the DAC until the reading lies within `reference` of the table; at 0 V
+  it often lies outside. Then call `pz_start`, set the reference to the reading, start the
+  interrupt, and ramp the reference to the wanted position. If the reading lies outside, the first
+  output jumps, on some stages by half the range; only `reference_step_m`, which is large, limits
+  a jump. The same holds for `pz_reset`. Z: the reference is always the set point.
 - `pz_start` needs the present output voltage of the DAC. NaN counts as 0 V and a voltage out of
   range as the nearest limit, and the first output starts from there: check it first. The reading
   may be NaN: the model's position is then used. Call `pz_start` again, with the interrupt
-  stopped, after a pause and after you have moved the DAC yourself. To park, ramp the reference
-  to the position and stop the interrupt; the DAC keeps its last voltage.
+  stopped, after a pause and after you have moved the DAC yourself.
+- Park: ramp the reference to the parking position and stop the interrupt; the DAC keeps its last
+  voltage. Switch off: park, then ramp the DAC to 0 V yourself.
 - Read, step and write in the same call. The design includes the delay that the recordings show.
-  `report.html`, beside the folder `bundle/`, states how much more delay the exported loop,
-  `method` above, tolerates (Controllers: delay margin). Each extra sample costs accuracy.
-  Another rate or missed calls are not detected.
-- A reference that another thread writes must be read at once: on a 32-bit core, stop the interrupt
-  for the copy of a double. Axes that share an interrupt can be stepped in any order; to restart
-  one of them, skip its `pz_step` until its `pz_start` has returned.
-- `reference` is the position wanted `preview` samples ahead. If you do not know the future, give
-  the present one: the motion is then late by so many samples, otherwise the same.
+  The delay margin of the exported loop (`method` of the table) is the additional delay at which it
+  becomes unstable; `report.html`, beside `bundle/`, states it under Controllers. Each additional
+  sample of delay costs accuracy. Another rate or missed calls are not detected.
+- If another thread writes the reference, no interrupt may see half of it: on a 32-bit core, stop
+  the interrupt while you copy a double. Axes that share an interrupt can be stepped in any order;
+  to restart one of them, skip its `pz_step` until its `pz_start` has returned.
+- `reference` is the position wanted `preview` samples later. If you do not know it, pass the
+  present position wanted: the motion is the same, `preview` samples late.
 
 ## 3. Units and DAC codes
 
 {voltage_note}
 - X, Y: reading and reference in m, with the scale, zero and sign of the recordings. Do not zero
   the sensor at power-up: a small shift is taken for hysteresis and costs accuracy.
-- Z: both in A. If your bias makes the current negative, negate every reading.
+- Z: reading and reference in A. If your bias makes the current negative, negate every reading.
 - `output / LSB`, rounded, is the code of a two's-complement DAC, within the column `codes`; an
   offset-binary DAC of n bits adds 2^(n-1). Clamp the code; masking wraps a code above full scale
-  to the opposite end. An LSB of 0: lab.toml declares no `dac_bits`, outputs are not rounded, and
-  your firmware converts volts to codes with the scale of its DAC.
-- Another DAC rounds once more; keep `lsb_V`. A smaller range: narrow the voltages (section 6).
+  to the opposite end.
+- An LSB of 0 and no `codes` mean that lab.toml declares no `dac_bits`. Outputs are then not
+  rounded, and your firmware converts volts to codes with the scale of its DAC.
+- A DAC with other steps rounds once more; keep `lsb_V`. For a DAC with a smaller range, narrow the
+  voltages (section 6).
 
 ## 4. Bad readings and limits
 
@@ -117,15 +128,17 @@ differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `
 {guards}
 
 - Pass `NAN` for a reading that you do not trust (timeout, checksum, out of range).
-- X, Y: unusable are NaN, infinity, and a value that does not change for `stuck_samples` although
-  the voltage moves by `stuck_voltage_V`. The model then continues alone, with the last estimate of
-  the disturbance. After `blind_samples` unusable readings in a row the output latches: it holds
-  its last value until `pz_reset`, which counts anew; if the reading is still unusable, it latches
-  again. If it lies outside `reference`, ramp the DAC and call `pz_start` as in section 2.
-- X, Y: a saturated sensor reading is used, and drives the output to its limit; a reading beyond
-  the displacement limits counts as the limit. If it is constant, it is detected as stuck, and the
-  output latches at that end. A noisy reading beyond the limits, a reversed sensor and a broken
-  cable are not detected: your firmware must do that.
+- X, Y: a reading is unusable if it is NaN or infinite, or if it does not change for
+  `stuck_samples` although the voltage moves by `stuck_voltage_V`. The model then continues alone,
+  with the last estimate of the disturbance. After `blind_samples` unusable readings in a row the
+  output latches: it holds its last value until `pz_reset`. After `pz_reset`, the same number of
+  unusable readings latches it again. If the reading then lies outside `reference`, ramp the DAC
+  and call `pz_start` as in section 2.
+- X, Y: a reading beyond the displacement limits is replaced by the limit, with the bit
+  `MEASUREMENT_LIMITED`, and the loop continues with it. A saturated sensor therefore drives the
+  output to one end. There a constant reading counts as stuck, and the output latches; a noisy
+  reading never does. A reversed sensor and a broken cable are not detected either. Your firmware
+  must detect these three faults.
 - X, Y: at a voltage limit the output is clipped, with the bit `VOLTAGE_LIMITED`. The observer uses
   the clipped voltage, so the loop does not wind up.
 - Z retracts at once from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or at
@@ -139,10 +152,11 @@ differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `
 
 `state.status` is 0, or bits `PZ_STATUS_...` (header) of what was limited, replaced or faulty in
 this sample. `status_ever` collects them; the first samples may set some, and only `pz_start`
-clears them. X, Y: the bit set before a latch, `BAD_MEASUREMENT` or `STUCK_SENSOR`, is its cause.
+clears them. X, Y: a latch sets `LATCHED` and `BLIND`. Its cause, `BAD_MEASUREMENT` or
+`STUCK_SENSOR`, is set until the sample of the latch, and remains in `status_ever`.
 After `RESTARTED` the loop goes on by itself. `UNCERTIFIED` is no fault: the reference moves faster
-than the guaranteed error covers, as fast scans do. A guaranteed error of `report.html` holds while
-`status` is 0 and the transient after a bit is over.
+than the guaranteed error covers, as fast scans do. If `report.html` states a guaranteed error, it
+holds while `status` is 0, after the transient that follows a bit.
 
 ## 6. Changing parameters
 
@@ -154,7 +168,7 @@ copy, and pass the same copy to every later `pz_step`; it must stay in RAM. You 
 `reference_step_m` further (0 is unlimited). The margins remain valid while no limit
 acts. Any other change voids margins, bounds and proofs. Do not edit gains: state limits
 in design.toml (`[x]`, then `bandwidth_Hz = 120` or `modulus_margin = 0.6`), then run
-`piezoid design --spec design.toml` and `piezoid export`.
+`piezoid design FOLDER --spec design.toml` and `piezoid export FOLDER`, the folder of the fit.
 {decoupled}
 ## 7. Provenance
 

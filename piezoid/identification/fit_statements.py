@@ -28,7 +28,8 @@ REMEDIES = {
     "loop": "Record at least two cycles, and some of smaller size.",
     "speed": "Repeat the same drive ten times slower: hysteresis keeps its width, a lag does not.",
     "amplitude": "Record reversals of decreasing size over the whole range.",
-    "recording": "Record a second, different drive: reversals of many sizes at another speed.",
+    "recording": "Record a second, different drive over this range: reversals of many sizes at "
+    "another speed.",
     "closed_loop": "Open the loop and record again with the drive free.",
     "leads": "Check the assignment of the columns, and that one clock stamps both channels.",
     "smoothed": "Use the file as it was recorded, without smoothing.",
@@ -167,11 +168,11 @@ def _intervals(axis: AxisModel) -> list[Statement]:
             f"The width of the loop, {with_unit(width_m, 'm')}, is known to "
             f"±{with_unit(half_m, 'm')} only."
             if has_usable_intervals(axis)
-            else "These recordings do not determine single parameters: their intervals are not "
-            "usable. For drives like the recorded ones the held-out error, "
-            f"{with_unit(axis.quality.held_out_rms_m, 'm')} rms, holds."
+            else "These recordings do not determine single parameters, so no interval of a "
+            "parameter is usable. The held-out error, "
+            f"{with_unit(axis.quality.held_out_rms_m, 'm')} rms, still holds for similar drives."
         )
-        text += " Record full-range cycles several times at one speed."
+        text += " For narrower intervals, record full-range cycles several times at one speed."
         statements.append(_limit(axis, Level.WARNING, "loop_width", text, half_m, "m"))
     return statements
 

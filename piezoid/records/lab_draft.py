@@ -26,7 +26,10 @@ from piezoid.records.response_ingest import ingest_response
 from piezoid.records.table import RawTable
 from piezoid.records.units import unit_of
 
-SCALE_NOTE = "If a recording has the high voltage, add the scale 1 / gain to its entry below."
+SCALE_NOTE = (
+    "If a recording has the high voltage, add a line to its entry below, for a gain of 15: "
+    "scale = { voltage = 0.06667 }"
+)
 HEAD = f"""\
 # Description of the rig, drafted by `piezoid init` from the recordings below. Lines that begin
 # with # are comments. Everything is optional: complete the values that you know, remove the #,

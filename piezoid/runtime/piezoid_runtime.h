@@ -274,7 +274,7 @@ enum {
     PZ_STATUS_APPROACHING = 2048,      /* Z: extending slowly until current flows */
     PZ_STATUS_NO_CURRENT = 4096,       /* Z: no current up to the end of the search or drive */
     PZ_STATUS_WRONG_SIGN = 8192,       /* Z: the current has the wrong sign */
-    PZ_STATUS_LATCHED = 16384,         /* waits for pz_reset; Z: the bits of the cause are set */
+    PZ_STATUS_LATCHED = 16384,         /* waits for pz_reset; cause: Z here, X, Y status_ever */
     PZ_STATUS_BLIND = 32768,           /* X, Y: latched, no usable reading for blind_samples */
     PZ_STATUS_UNCERTIFIED = 65536      /* X, Y: reference faster than certified_step_m */
 };
@@ -298,7 +298,7 @@ typedef struct {
 
     pz_real voltage_V;     /* u_a: last output */
     pz_real command_V;     /* clipped, before rounding */
-    pz_real reference_m;   /* after range and step; Z: A */
+    pz_real reference_m;   /* reference in use, within its range and step; Z: A */
     pz_real bias_m;        /* without feedback: zero shift that pz_start found */
     pz_real measured;      /* last usable reading, m or A */
     pz_real moved_V;       /* voltage when the measurement last changed */
@@ -377,10 +377,10 @@ void pz_schedule(pz_state *state, const pz_parameters *parameters, pz_real ratio
 
 /* ---- anywhere ------------------------------------------------------------------------------ */
 
-/* Continue after a latched fault, from the next step on; without one, nothing but the count of
- * retracts is cleared. Z approaches again from its retracted position, up to the end of the drive.
- * X, Y start at the latched voltage and the present reading, without a step if the reference is
- * that reading. One write of 32 bits. */
+/* Continue after a latched fault, from the next step on. Without a latched fault, only the count
+ * of retracts is cleared. Z approaches again from its retracted position, up to the end of the
+ * drive. X, Y start at the latched voltage and the present reading, without a step if the
+ * reference is that reading. One write of 32 bits. */
 void pz_reset(pz_state *state);
 
 /* ---- real time: from the interrupt, once per sample ---------------------------------------- */

@@ -69,11 +69,14 @@ def render(page: Page) -> Section | None:
             conditions += certificate.conditions
         conditions += assumptions_of(model)
     items = tuple(dict.fromkeys(conditions))
-    parts += folded("Conditions", [Listing(items=items)] if items else [])
+    parts += folded(
+        "Conditions of margins and guarantees", [Listing(items=items)] if items else []
+    )
     return Section(
         anchor="controllers",
         title="Controllers",
-        lead="Margins and bounds hold for every plant that is consistent with the recordings.",
+        lead="Margins and guaranteed errors hold for the plant family: all plants that are "
+        "consistent with the recordings.",
         parts=tuple(parts),
     )
 
@@ -100,8 +103,10 @@ def loops_table(page: Page) -> Table:
                 )
             )
     return Table(
-        caption="The first loop of an axis is recommended. Bandwidth: of the feedback, which "
-        "rejects disturbances; the feedforward follows references faster.",
+        caption="The first loop of an axis is recommended and exported. Bandwidth: of the "
+        "feedback, which rejects disturbances; the feedforward follows references faster. Modulus "
+        f"margin: smallest distance of the Nyquist curve from {MINUS}1. Delay margin: tolerated "
+        "additional delay.",
         columns=(
             *("axis", "loop", "bandwidth", "modulus margin", "delay margin"),
             "guaranteed error",
@@ -159,9 +164,8 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
     largest_dB = f"{round(float(worst_dB.max()), 2) + 0.0:.2f} dB".replace("-", MINUS)
     return Figure(
         title=f"Axis {axis.axis}: {name} |{function}|",
-        caption=f"Largest {largest_dB} at "
-        f"{number(float(frequency_Hz[worst_dB.argmax()]), 'Hz')}, of "
-        f"{count_of(len(loop.members), 'member')}.",
+        caption=f"Largest value of {count_of(len(loop.members), 'plant')}: {largest_dB} at "
+        f"{number(float(frequency_Hz[worst_dB.argmax()]), 'Hz')}.",
         guide=guide,
         canvas=canvas,
         layers=tuple(layers),

@@ -28,7 +28,7 @@ MAX_INTERVAL_RATIO = 100.0  # a wider interval is shown as unknown
 N_GAINS = 3  # frequencies at which the change of the gain is reported
 KINDS = {  # label of the axis, height of the figure in pixels, guide
     "gain": (
-        "gain [dB of 1 m/V]",
+        "gain [dB re 1 m/V]",
         Canvas.height,
         "Good: the model runs through the measured band. Bad: peaks that the model misses.",
     ),
@@ -103,8 +103,8 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
             "gain",
             f"Axis {axis.axis}: gain from the output of the hysteresis to the displacement",
             f"Fitted to coherent lines from {number(low_Hz, 'Hz')} to {number(high_Hz, 'Hz')}; "
-            f"the cost is {significant(dynamics.cost_ratio)} times the cost of noise alone. "
-            "Band: 95 % interval of the measurement.",
+            f"the squared residual is {significant(dynamics.cost_ratio)} times that of noise "
+            "alone (good: near 1 or below). Band: 95 % interval of the measurement.",
             decades,
             (mid_dB, decibel(np.abs(modelled))),
             band=(low_dB, high_dB),
@@ -276,7 +276,8 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
         for declared in dynamics.declared
     ]
     return Table(
-        caption=f"Axis {axis.axis}: poles, 95 % intervals for this structure.",
+        caption=f"Axis {axis.axis}: poles of the linear response, with 95 % intervals for this "
+        "number of poles.",
         columns=("type", "value", "from, to", "damping", "from, to"),
         rows=tuple(rows),
     )

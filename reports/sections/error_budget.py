@@ -55,8 +55,8 @@ def render(page: Page) -> Section | None:
         anchor="error-budget",
         title="Error budget",
         lead="Held-out error of the base model (hysteresis operator and lag), split into its "
-        "causes. The squares of the parts add up: a bar is a step of the total, its number the "
-        "rms of that part.",
+        "causes. Each number is the rms of one part; the squares of the parts add up. A bar shows "
+        "how much its part raises the total, which is less than its number.",
         parts=tuple(waterfalls),
     )
 

@@ -82,8 +82,8 @@ def findings_table(diagnoses: Sequence[Diagnosis]) -> Table | Prose:
     return Table(
         caption="Size with 95 % interval; held-out error of the model refitted without and with "
         "the effect; loop shape is added last. p: probability of such a result on a healthy "
-        "stage, from the rank among 52 simulated stages (0.019 at least); for data faults, "
-        "modes, loop shape and lines, from the scatter of the residual.",
+        "stage. It is a rank among 52 simulated stages, 0.019 at least. Data faults, modes, loop "
+        "shape and lines are compared with the scatter of the residual instead.",
         columns=("axis", "effect", "size", "error without", "with", "gain", "p"),
         rows=rows,
         is_open=True,
@@ -108,8 +108,8 @@ def _not_detected_tables(page: Page) -> list[Part]:
     tables = (
         (
             effects,
-            "Effects not detected. Upper bound (95 %) and detection limit (detected in four "
-            "of five cases), rms.",
+            "Effects not detected. First number: 95 % upper bound of the effect, in addition to "
+            "the findings. Second number: size that is detected in four of five cases. Both: rms.",
         ),
         (faults, "Data faults not detected. Detection limit, height of a spike or step."),
     )

@@ -140,8 +140,8 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
         column = {
             "held-out error, rms": held_out,
             f"{SPIRAL_Hz:g} Hz spiral with feedback, simulated, rms": tracked,
-            "95 % of positions at the end of the range": positions,
-            f"largest of {expected.positions} positions": largest,
+            "predicted position at the end of the range, 95 %": positions,
+            f"largest error of {expected.positions} predicted positions": largest,
             "bound of the hysteresis model alone, 95 %": bound,
             "guaranteed error with feedback": guarantee(page, axis),
         }
@@ -173,9 +173,11 @@ def _quantities(page: Page) -> Table:
             lag = with_half_width(float(uncertainty.values[k]), half_s, "s")
         column = {
             "width of the full loop": _loop_width(axis),
-            "lag": lag,
-            "voltage offset": number(axis.hysteresis.voltage_offset_V, "V", 4),
-            "displacement offset": number(axis.hysteresis.displacement_offset_m, "m", 4),
+            "lag of the base model": lag,
+            "centre of the model, voltage": number(axis.hysteresis.voltage_offset_V, "V", 4),
+            "centre of the model, displacement": number(
+                axis.hysteresis.displacement_offset_m, "m", 4
+            ),
             "valid drive": f"{number(low_V, 'V')} to {number(high_V, 'V')}",
             "polarity": "+1" if axis.polarity > 0 else f"{MINUS}1",
             "amplifier bandwidth": "" if amplifier_Hz is None else number(amplifier_Hz, "Hz"),

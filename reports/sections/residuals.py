@@ -40,7 +40,8 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="residuals",
         title="Residuals",
-        lead="Measured minus modelled displacement; each vertical line spans minimum and maximum.",
+        lead="Measured minus modelled displacement. A vertical line spans neighbouring samples, "
+        "from the smallest to the largest.",
         parts=tuple(parts),
     )
 

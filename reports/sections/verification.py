@@ -120,8 +120,8 @@ def comparison_table(page: Page, verification: Verification) -> Table:
             rows.append((f"guaranteed: {METHOD_NAMES[method]}", *bounds))
     return Table(
         caption="Simulated tracking error on a spiral of radius "
-        f"{number(verification.radius_m, 'm')}, rms, delay included, by turns per second. A "
-        "guaranteed error covers speeds up to the limit of its certificate.",
+        f"{number(verification.radius_m, 'm')}, rms, delay included, by turns per second. Not "
+        "covered: the spiral is faster than the guarantee allows.",
         columns=("method", *(number(rate_Hz, "Hz") for rate_Hz in rates_Hz)),
         rows=tuple(rows),
     )
@@ -131,7 +131,7 @@ def _bounds(verification: Verification) -> Table:
     """Return bounded, probable and simulated largest errors, if bounds were requested."""
     rows = []
     for row in verification.bounds:
-        bound = "none" if row.bound_m is None else number(row.bound_m, "m")
+        bound = "no useful bound" if row.bound_m is None else number(row.bound_m, "m")
         rows.append(
             (
                 row.axis,
@@ -144,11 +144,11 @@ def _bounds(verification: Verification) -> Table:
         )
     share = max((1.0 - row.probability for row in verification.bounds), default=0.0)
     return Table(
-        caption="Largest error within half a second. Bounded: proven under the conditions of the "
-        f"certificate. Probable: exceeded with a probability below {100.0 * share:.2g} % on "
-        "stages that are consistent with the recordings. Worst found: by search. Simulated: "
-        "median.",
-        columns=("axis", "speed limit", "bounded", "probable", "worst found", "simulated"),
+        caption="Largest error within half a second, by the speed of the reference. Guaranteed: "
+        f"proven under its conditions. Probable: exceeded with a probability below "
+        f"{100.0 * share:.2g} % on stages that are consistent with the recordings. Worst found: "
+        "by a search on such stages. Simulated: median on the identified stage.",
+        columns=("axis", "speed up to", "guaranteed", "probable", "worst found", "simulated"),
         rows=tuple(rows),
     )
 

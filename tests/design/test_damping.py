@@ -141,5 +141,5 @@ def test_a_mode_with_too_much_delay_is_refused_with_its_phase():
     mode = ringing_mode(plants.nominal)
     assert mode is not None
     assert mode.frequency_Hz == pytest.approx(4000.0)
-    with pytest.raises(TemplateError, match=r"75.0 µs, delay it by 108°.*bandwidth_Hz = "):
+    with pytest.raises(TemplateError, match=r"by 75.0 µs, which is 108°.*bandwidth_Hz = "):
         design(plants, replace(default_of(plants), bandwidth_Hz=900.0))

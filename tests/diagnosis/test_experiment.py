@@ -364,7 +364,7 @@ def test_the_files_of_a_plan_are_read_back(tmp_path):
 
 def test_no_drive_is_planned_for_a_fault_of_the_data_or_an_unknown_effect():
     case, diagnosis = _slow_case()
-    with pytest.raises(ExcitationError, match="No drive helps"):
+    with pytest.raises(ExcitationError, match="no drive can be planned"):
         plan(model_of(case), diagnosis, effect="outliers", clock_Hz=CLOCK_Hz)
     with pytest.raises(ExcitationError, match="Name one of these"):
         plan(model_of(case), diagnosis, effect="gremlins", clock_Hz=CLOCK_Hz)

@@ -105,7 +105,7 @@ def test_a_drive_waits_for_slower_axes():
 def test_a_plan_names_the_speed_limit_and_the_speed_that_it_needs():
     slow_plan = _slow_plan()
     assert not slow_plan.answers
-    assert "No drive answers this within these limits" in sentences(slow_plan)[1]
+    assert "No drive answers this question within these limits" in sentences(slow_plan)[1]
     match = re.search(
         r"The limit is the speed, 2 V/s .*slew_V_per_s.* leave (\d+) % .* not (\d+) %",
         slow_plan.forbids,

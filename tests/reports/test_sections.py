@@ -88,5 +88,5 @@ def test_intervals_contradicted_by_the_held_out_error_are_not_printed():
     page = page_of(wide)
     values = {row[0]: row[1] for row in rows(page) if len(row) == 2}
     assert values["width of the full loop"] == "5.10 µm (no usable interval)"
-    assert values["95 % of positions at the end of the range"] == "no usable interval"
+    assert values["predicted position at the end of the range, 95 %"] == "no usable interval"
     assert "± 7.2" not in page

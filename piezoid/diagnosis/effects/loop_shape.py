@@ -44,10 +44,11 @@ EFFECT = Effect(
     unit="nm, rms",
     experiment="Record minor loops of five sizes at three biases, each twice: they decide between "
     "classes of hysteresis.",
-    control="The inverse of plays with dead zones leaves this error in open loop; feedback or a "
-    "trajectory computed in advance with the wider class removes it.",
+    control="In open loop this error remains, because the exported inverse has plays with dead "
+    "zones only. Feedback removes it, or a drive computed in advance from the whole model "
+    "(`piezoid export --target waveform`).",
     shows=OVER_DRIVE,
-    tangent="the widest class of hysteresis is compared with the model, not a single column",
+    tangent="its size is the difference of two classes of hysteresis, which no single drive sets",
     inject=inject,
     without=lambda axis, _: (
         None if (plays_only := axis.without_loop_shape()) is axis else plays_only

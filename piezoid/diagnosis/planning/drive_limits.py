@@ -152,7 +152,7 @@ def _limits(axis: AxisModel, lab: Lab) -> tuple[DriveLimits, str, str]:
     low_V = max(axis.voltage_V[0], *(floor_V for floor_V, _ in declared.values()))
     high_V = min(axis.voltage_V[1], *(ceiling_V for _, ceiling_V in declared.values()))
     slew_V_per_s = axis.certificate.slew_V_per_s
-    speed_from = "as fast as it was driven before, for lab.toml declares no slew limit"
+    speed_from = "the fastest drive of the recordings, because lab.toml declares no slew limit"
     if amplifier.slew_V_per_s is not None:
         slew_V_per_s = amplifier.slew_V_per_s / abs(gain)
         speed_from = "as fast as lab.toml allows (slew_V_per_s)"

@@ -73,14 +73,14 @@ def questions_of(diagnosis: Diagnosis, effect: str | None) -> tuple[Question, ..
     tangent = _tangent_of(effect)
     if isinstance(tangent, str):
         raise ExcitationError(
-            f"a plan for {effect} was asked for",
-            needed="an effect that a drive can expose",
-            remedy=f"No drive helps: {tangent}.",
+            f"no drive can be planned for {effect}: {tangent}",
+            needed="an effect whose size one drive determines",
+            remedy="Follow its next_experiment in diagnosis.json.",
         )
     about = tuple(question for question in questions if question.effects[0] == effect)
     if not about:
         raise ExcitationError(
-            f"the diagnosis says nothing of {effect!r}",
+            f"the diagnosis has no effect {effect!r}",
             needed="one of " + ", ".join(sorted({q.effects[0] for q in questions})),
             remedy="Name one of these.",
         )

@@ -116,7 +116,7 @@ def sentences(plan: Plan) -> tuple[str, ...]:
             "reports: no recording is needed.",
             f"The best drive for a check is {drive}.",
         )
-    verdict = "No drive answers this within these limits; the best is"
+    verdict = "No drive answers this question within these limits; the best is"
     unanswered = "; ".join(map(_topic, plan.set_aside))
     texts = (
         _reason(question),

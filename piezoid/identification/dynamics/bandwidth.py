@@ -109,7 +109,7 @@ def decide_bandwidth(
     lowest_deg = float(np.degrees(np.abs(np.angle(relative[0]))))
     if lowest_deg >= STATIC_deg or (fallen is not None and f[fallen] <= LOW_BAND * f[0]):
         return unmeasured(
-            stated_Hz, f"lines from {with_unit(f[0], 'Hz')} do not show the gain at rest"
+            stated_Hz, f"lines from {with_unit(f[0], 'Hz')} do not show the static gain"
         )
     peak = int(np.argmax(gain[: None if fallen is None else fallen + 1]))
     peak_Hz, ratio = float(f[peak]), float(gain[peak])
@@ -127,7 +127,7 @@ def decide_bandwidth(
         kind = _kind(interval, bool(is_peak))
     stated, remedy = _declared_and_remedy(stated_Hz)
     text = (
-        f"{MEANING[kind]}: the largest gain is {ratio:.3g} times the gain at rest, at "
+        f"{MEANING[kind]}: the largest gain is {ratio:.3g} times the static gain, at "
         f"{with_unit(peak_Hz, 'Hz')}"
     )
     if fallen_Hz is not None and interval is not None:
@@ -141,7 +141,7 @@ def decide_bandwidth(
     else:
         text = (
             f"{UNDECIDED}: they end at {with_unit(f[-1], 'Hz')}, where the gain is still "
-            f"{gain[-1]:.2f} times that at rest. {remedy}"
+            f"{gain[-1]:.2f} times the static gain. {remedy}"
         )
     return BandwidthVerdict(
         kind=kind,
@@ -173,7 +173,7 @@ def unfitted(
     if verdict.resonance_Hz is not None:
         feature, feature_Hz = "a resonance", verdict.resonance_Hz
     if feature_Hz == verdict.peak_Hz:
-        size = f" ({verdict.peak_ratio:.3g} times the gain at rest)"
+        size = f" ({verdict.peak_ratio:.3g} times the static gain)"
     model = "takes the mode from the diagnosis" if has_mode else "keeps a pure lag"
     location, chirp = f"near {with_unit(feature_Hz or 0.0, 'Hz')}", "through it"
     peak_Hz = verdict.peak_Hz or 0.0

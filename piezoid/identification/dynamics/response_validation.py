@@ -168,7 +168,7 @@ def _describe(fit: FittedResponse, record: ResponseFit) -> str:
         f"a mode at {with_unit(float(f), 'Hz', 4)} ({_interval(modes_Hz[m], 'Hz', 5)}), quality "
         f"{significant(0.5 / float(dynamics.mode_damping[m]))} ({_interval(quality[m], '')}), "
         f"residue {with_unit(residues[m], 'm')}/V ({significant(100.0 * residues[m] / gain)} % of "
-        "the gain at rest)"
+        "the static gain)"
         for m, f in enumerate(dynamics.mode_frequency_Hz)
     ]
     lags = [

@@ -210,8 +210,8 @@ def remarks_on(fit: HysteresisFit, held_out_kind: str, rig: Rig) -> tuple[str, .
     remarks = []
     if held_out_kind == SECOND_HALF:
         remarks.append(
-            "The order was chosen by the error on the second half of the only recording that "
-            "determines the hysteresis."
+            "The numbers of plays and dead zones were chosen by the error on the second half of "
+            "the only recording that determines the hysteresis."
         )
     if held_out_kind == IN_SAMPLE:
         remarks.append(

@@ -93,7 +93,7 @@ class Scope:
                 self.recordings == 1,
                 "recording",
                 "only one recording determines the hysteresis: the model was not tested on "
-                "another drive of this size",
+                "a second drive over this range",
             ),
         )
         return tuple(
