@@ -111,7 +111,7 @@ def _error_bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     largest = max(parts_m, key=lambda name: parts_m[name])
     error_m = certificate.guaranteed_error_m
     text = (
-        f"No useful guaranteed error: the proven limit, {with_unit(error_m, 'm')}, exceeds a "
+        f"No useful bound of the error: the proven limit, {with_unit(error_m, 'm')}, exceeds a "
         f"tenth of the {with_unit(axis.quality.range_m, 'm')} range. Most of it, "
         f"{with_unit(parts_m[largest], 'm')}, comes from {largest}. It adds up worst cases; the "
         "expected error is the simulated one."
