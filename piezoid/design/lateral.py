@@ -150,7 +150,7 @@ def _design_loop(
                 f"{with_unit(frequencies_Hz[0], 'Hz', 4)}, damping ratio "
                 f"{significant(modes[0].damping)}. It lies anywhere from "
                 f"{with_unit(min(frequencies_Hz), 'Hz', 4)} to "
-                f"{with_unit(max(frequencies_Hz), 'Hz', 4)}, and "
+                f"{with_unit(max(frequencies_Hz), 'Hz', 4)}. "
                 f"{_describe_delay(plant, modes[0])}; the feedback must lead this phase"
             )
         refuse(axis, specification, smallest, smallest_violations, because=because)
@@ -196,7 +196,7 @@ def _describe_delay(plant: Fraction, mode: Mode) -> str:
     """
     delay_s = plant.rest_delay_s - mode.damping / (np.pi * mode.frequency_Hz)
     return (
-        f"hold, converters and all other poles delay the loop by {with_unit(delay_s, 's')}, which "
+        f"Hold, converters and all other poles delay the loop by {with_unit(delay_s, 's')}, which "
         f"is {significant(360.0 * mode.frequency_Hz * delay_s)}° at this mode"
     )
 
@@ -210,11 +210,11 @@ def describe_mode(loop: LoopDesign) -> str:
     if damping is None:
         return (
             f"The loop stays below the mode at {with_unit(mode.frequency_Hz, 'Hz', 4)} and leaves "
-            f"it as it is; {_describe_delay(nominal, mode)}."
+            f"it as it is. {_describe_delay(nominal, mode)}."
         )
     return (
         f"The mode at {with_unit(mode.frequency_Hz, 'Hz', 4)} is damped by state feedback, from a "
-        f"damping ratio of {significant(mode.damping)} to {significant(damping)}; "
+        f"damping ratio of {significant(mode.damping)} to {significant(damping)}. "
         f"{_describe_delay(nominal, mode)}."
     )
 

@@ -59,9 +59,9 @@ Cortex-M7. It grows with plays and observer states; measure it on your core.
     cc -std=c99 -O2 -ffp-contract=off example_main.c piezoid_runtime.c -o example
     ./example < golden.csv
 
-must end with `0 differ`; add `-DPZ_REAL_FLOAT` for single precision. The expected outputs belong
-to these inputs: after any change of a reference or reading in `golden.csv`, rows differ. To try
-your own references, call `pz_step` from your own `main` as in section 2.
+The output must end with `0 differ`; add `-DPZ_REAL_FLOAT` for single precision. The expected
+outputs belong to these inputs: after any change of a reference or reading in `golden.csv`, rows
+differ. To try your own references, call `pz_step` from your own `main` as in section 2.
 
 On a target without standard input, compile rows of `golden.csv` into your test (`nan` is `NAN` in
 C). Call `pz_start` with 0 V and the first `measured` of the axis, then `pz_step` with each row,
@@ -90,7 +90,8 @@ differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `
   it often lies outside. Then call `pz_start`, set the reference to the reading, start the
   interrupt, and ramp the reference to the wanted position. If the reading lies outside, the first
   output jumps, on some stages by half the range; only `reference_step_m`, which is large, limits
-  a jump. The same holds for `pz_reset`. Z: the reference is always the set point.
+  a jump. Before `pz_reset`, too, the reading must lie inside, and the reference must be the
+  reading. Z: the reference is always the set point.
 - `pz_start` needs the present output voltage of the DAC. NaN counts as 0 V and a voltage out of
   range as the nearest limit, and the first output starts from there: check it first. The reading
   may be NaN: the model's position is then used. Call `pz_start` again, with the interrupt
@@ -156,7 +157,7 @@ clears them. X, Y: a latch sets `LATCHED` and `BLIND`. Its cause, `BAD_MEASUREME
 `STUCK_SENSOR`, is set until the sample of the latch, and remains in `status_ever`.
 After `RESTARTED` the loop goes on by itself. `UNCERTIFIED` is no fault: the reference moves faster
 than the guaranteed error covers, as fast scans do. If `report.html` states a guaranteed error, it
-holds while `status` is 0, after the transient that follows a bit.
+holds while `status` is 0 and the transient after the last set bit is over.
 
 ## 6. Changing parameters
 
@@ -168,7 +169,8 @@ copy, and pass the same copy to every later `pz_step`; it must stay in RAM. You 
 `reference_step_m` further (0 is unlimited). The margins remain valid while no limit
 acts. Any other change voids margins, bounds and proofs. Do not edit gains: state limits
 in design.toml (`[x]`, then `bandwidth_Hz = 120` or `modulus_margin = 0.6`), then run
-`piezoid design FOLDER --spec design.toml` and `piezoid export FOLDER`, the folder of the fit.
+`piezoid design FOLDER --spec design.toml` and `piezoid export FOLDER`, where FOLDER is that of the
+fit.
 {decoupled}
 ## 7. Provenance
 
@@ -299,7 +301,7 @@ def _rows(index: int, axis: AxisParameters) -> tuple[str, str]:
     cells = (
         *(axis.axis, index, axis.method, f"{values['sampling_rate_Hz']:g}"),
         f"{values['preview_samples']:g}",
-        f"{values[low]:.4g} to {values[high]:.4g} {unit}",
+        f"{values[low]:.7g} to {values[high]:.7g} {unit}",
         *(f"{low_V:.7g} to {high_V:.7g}", f"{step_V:.12g}", codes),
     )
     blind_s = values["blind_samples"] / values["sampling_rate_Hz"]
