@@ -36,8 +36,11 @@ from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii, worst_case
+from piezoid.operators.prandtl_ishlinskii import (
+    ModifiedPrandtlIshlinskii,
+    PrandtlIshlinskii,
+    worst_case,
+)
 from piezoid.operators.preisach_plays import (
     PreisachPlays,
     farthest_apart_m,

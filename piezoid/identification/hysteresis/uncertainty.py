@@ -38,8 +38,7 @@ from piezoid.identification.quality import Certificate, Uncertainty
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import jackknife_half
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import worst_case
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, worst_case
 
 BLOCKS = 24
 POINTS = 41  # of the loading curve
