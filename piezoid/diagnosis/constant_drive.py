@@ -27,7 +27,6 @@ from piezoid.diagnosis.blocked_regression import (
 )
 from piezoid.diagnosis.budget import RemainingErrors, with_budget
 from piezoid.diagnosis.candidate import MINIMUM_Z
-from piezoid.diagnosis.coordinate_descriptions import NEXT_EXPERIMENTS, coordinate_profile
 from piezoid.diagnosis.coordinate_scores import strongest_peaks
 from piezoid.diagnosis.diagnosis import (
     NOT_EXCITED,
@@ -42,6 +41,7 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.effect import ConstantDriveData, Effect
 from piezoid.diagnosis.effects import effect_named, every_effect
+from piezoid.diagnosis.residual_coordinates import NEXT_EXPERIMENTS, coordinate_profile
 from piezoid.diagnosis.segments import Places
 from piezoid.diagnosis.signals import GRIDS_Hz, cubic, peak_Hz, waves
 from piezoid.formatting import significant, with_unit

@@ -4,7 +4,6 @@ The table of the findings contains their sizes; a statement is made only if a re
 more than a size.
 """
 
-from piezoid.diagnosis.coordinate_descriptions import coordinate_words
 from piezoid.diagnosis.diagnosis import (
     NOISE_RATIO,
     NOT_EXCITED,
@@ -14,6 +13,7 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
 from piezoid.diagnosis.null_distribution import ALPHA
+from piezoid.diagnosis.residual_coordinates import coordinate_words
 from piezoid.formatting import significant, with_unit, words
 from piezoid.statement import Kind, Level, Statement
 
