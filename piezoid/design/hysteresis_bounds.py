@@ -138,7 +138,8 @@ def affine_bounds(
         envelope_m = (
             gain / envelope_slope * static_difference(model.envelope, envelope_slope, reach_V)
         )
-        error_m = worst_case(scaled, line, reach).bound + envelope_m + zones_m
+        plays_m, _ = worst_case(scaled, line, reach)
+        error_m = plays_m + envelope_m + zones_m
     return HysteresisBounds(
         form="affine",
         gain_m_per_V=gain,

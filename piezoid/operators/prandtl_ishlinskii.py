@@ -103,26 +103,18 @@ class PrandtlIshlinskii:
         return np.asarray(self.slope * memory + tail)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WorstCase:
-    """Supremum of the difference over all inputs in a range, and an input that attains it.
-
-    bound    output unit; supremum over inputs |u| <= R and over time, from the virgin state
-    extrema  (count,)  alternating extrema of the input
-    """
-
-    bound: float
-    extrema: Array
-
-
-def worst_case(first: PrandtlIshlinskii, second: PrandtlIshlinskii, reach: float) -> WorstCase:
-    """Return the exact worst difference of two operators over all inputs with |u| <= reach.
+def worst_case(
+    first: PrandtlIshlinskii, second: PrandtlIshlinskii, reach: float
+) -> tuple[float, Array]:
+    """Return the exact worst difference over all inputs with |u| <= reach, and such an input.
 
         B(R) = integral_0^R |W_1(r) - W_2(r)| dr
 
     Both start in the same admissible memory with |z(r)| <= max(R - r, 0), for example virgin. The
     attaining input has the extrema u = lambda(c) + s c at the corners c of a memory curve of slope
     -sign(W_1 - W_2), from wide plays to narrow ones.
+
+    returned  supremum, in the unit of the output; (count,) alternating extrema of the input
     """
     # Between the edges both slopes are constant: that of the last play whose threshold is below.
     inner = np.concatenate([first.threshold, second.threshold])
@@ -152,7 +144,7 @@ def worst_case(first: PrandtlIshlinskii, second: PrandtlIshlinskii, reach: float
         corner += s * (edges[upper] - edges[lower])
         extrema.append(corner + s * edges[lower])
         upper = lower
-    return WorstCase(bound=bound, extrema=np.array(extrema))
+    return bound, np.array(extrema)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
