@@ -18,8 +18,7 @@ from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.identification.hysteresis.uncertainty import jackknife, loop_width_m
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 
 RATE_Hz = 500.0
 REACH_V = np.linspace(0.5, 5.0, 10)

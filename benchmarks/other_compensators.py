@@ -49,7 +49,7 @@ from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import polynomial_response, product, total, unit_circle
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller
 

@@ -22,8 +22,7 @@ from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.specification import Specification, default_specification
 from piezoid.errors import TemplateError
 from piezoid.operators.dead_zone import LINEAR
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 
 RATE_Hz = 20e3
 LATERAL_m_per_V = 15 * 235e-9

@@ -196,7 +196,7 @@ def show(calibration: "Calibration") -> None:
 
 
 def _table(calibration: "Calibration") -> "Table":
-    from piezoid.design.design_statements import guaranteed_error_m
+    from piezoid.design.certificate import guaranteed_error_m
     from piezoid.formatting import significant, with_unit
     from piezoid.identification.fit_statements import grade_of
     from piezoid.raw_counts import in_counts

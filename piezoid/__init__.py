@@ -43,7 +43,7 @@ _PUBLIC = {
     "Lab": "piezoid.records.lab",
     "Learned": "piezoid.learning.learn",
     "LoopDesign": "piezoid.design.design",
-    "LoopRecord": "piezoid.verification.closed_loop",
+    "LoopRecord": "piezoid.verification.tracking",
     "ParameterFile": "piezoid.export.parameter_file",
     "PeriodicData": "piezoid.identification.dynamics.frequency_response",
     "PiezoidError": "piezoid.errors",
@@ -103,7 +103,7 @@ if TYPE_CHECKING:  # at run time __getattr__ imports these names
     from piezoid.verbs import read as read
     from piezoid.verbs import read_lab as read_lab
     from piezoid.verbs import report as report
-    from piezoid.verification.closed_loop import LoopRecord as LoopRecord
+    from piezoid.verification.tracking import LoopRecord as LoopRecord
     from piezoid.verification.verification import Verification as Verification
     from piezoid.verification.verify_stage import Shipping as Shipping
     from piezoid.virtual_stage import VirtualStage as VirtualStage

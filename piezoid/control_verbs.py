@@ -23,9 +23,10 @@ from piezoid.raw_counts import refuse_counts
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.sealed_files import FilePath, digest_of, lab_of, path_of
-from piezoid.verification.closed_loop import LoopRecord, run_axis
+from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.criteria import limits_from_toml
 from piezoid.verification.plant import lateral_plant
+from piezoid.verification.tracking import LoopRecord
 from piezoid.verification.verification import Verification
 from piezoid.verification.verify_stage import Shipping, plant_of, verify_stage
 

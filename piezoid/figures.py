@@ -23,7 +23,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.raw_counts import in_counts
 from piezoid.records.recording import Quantity, Recording
 from piezoid.runtime.schema import METHOD_NAMES
-from piezoid.verification.closed_loop import LoopRecord
+from piezoid.verification.tracking import LoopRecord
 from piezoid.verification.verification import Verification
 
 if TYPE_CHECKING:

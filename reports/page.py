@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
+from piezoid.design.certificate import guaranteed_error_m
 from piezoid.design.design import AxisDesign, Design, LoopDesign
-from piezoid.design.design_statements import guaranteed_error_m
 from piezoid.diagnosis.compare import ModelComparison
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.actuator_model import ActuatorModel

@@ -27,8 +27,8 @@ from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.identification.minor_loops_fit import SHAPES, fit_rises, lattice_of, rise_columns
 from piezoid.numerics.arrays import Array
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.preisach_plays import PreisachPlays
 
 FOLDER = Path(__file__).parent

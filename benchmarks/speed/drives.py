@@ -6,9 +6,8 @@ from benchmarks.speed.solvers import Program
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones, from_slopes
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 
 PLAYS, ZONES = 16, 6  # moving plays; dead zones on each side
 NOISE = 0.005  # of the amplitude

@@ -14,8 +14,7 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 
 NO_NUMBA = "numba is not installed, so its figures are missing: pip install piezoid[benchmarks]."
 Zones = tuple[Array, Array, int]  # thresholds, weights, index of the threshold 0

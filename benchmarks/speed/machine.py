@@ -14,8 +14,7 @@ import numpy as np
 from benchmarks.speed.loops import zones_of
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 
 FOLDER = Path(__file__).parent
 PLAYS = 16  # as in the C source

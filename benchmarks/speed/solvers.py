@@ -6,11 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, nnls
 
-from piezoid.identification.hysteresis.convex_start import constraints_of, kuhnen_start, optimum_of
 from piezoid.identification.hysteresis.coordinates import Shape, vector_of
 from piezoid.identification.hysteresis.gauss_newton import Task, rms_of, simulate
 from piezoid.identification.hysteresis.pieces import Piece
-from piezoid.identification.hysteresis.search import Settings, task_for
+from piezoid.identification.hysteresis.search import (
+    Settings,
+    constraints_of,
+    kuhnen_start,
+    optimum_of,
+    task_for,
+)
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import bounded_step, empty_triangle, gather
 

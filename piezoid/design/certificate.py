@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +13,7 @@ from piezoid.design.plant import Fraction
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
 from piezoid.errors import UnstableLoopError
 from piezoid.formatting import with_unit
+from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import delayed, grid_Hz, product, response, spectral_radius, total
 from piezoid.operators.linear import recursive_filter
@@ -20,6 +22,7 @@ from piezoid.record_json import Unbounded
 _TAIL = 1e-12  # relative to the first sample, where an impulse response is truncated
 _MIN_SAMPLES, _MAX_SAMPLES = 500.0, 400_000
 _SIGMAS = 3.0
+_MAX_USEFUL_SHARE = 0.1  # of the displacement range: a larger bound excludes nothing in practice
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -275,3 +278,48 @@ def _member_bounds(
     )
     noise_gain = float(np.sqrt((impulse_response(numerator, P) ** 2).sum()))
     return speed_bound, converter_m, noise_gain
+
+
+def useful_bound_m(certificate: Certificate | None, axis: AxisModel) -> float | None:
+    """Return the guaranteed error of a loop, or None without a useful bound.
+
+    A bound above a tenth of the displacement range is of no use.
+    """
+    if certificate is None or not certificate.is_guaranteed:
+        return None
+    error_m = certificate.guaranteed_error_m
+    limit_m = _MAX_USEFUL_SHARE * axis.quality.range_m
+    return error_m if isfinite(error_m) and error_m <= limit_m else None
+
+
+def guaranteed_error_m(
+    certificate: Certificate | None, axis: AxisModel, *, is_verified: bool = True
+) -> float | str:
+    """Return the guaranteed error of a loop, or state why there is no useful one.
+
+    is_verified  whether the controller passed its verification
+    """
+    if certificate is None or not certificate.is_guaranteed:
+        return "none"
+    if not is_verified:
+        return "not verified"
+    bound_m = useful_bound_m(certificate, axis)
+    return "no useful bound" if bound_m is None else bound_m
+
+
+def error_parts_m(certificate: Certificate) -> dict[str, float]:
+    """Return the contributions to a guaranteed error by name, m; their sum is that error.
+
+    In the inverse form, the error of the hysteresis model takes the place of the hysteresis.
+    """
+    is_inverted = certificate.form == "inverse"
+    return {
+        "the uncertainty of the hysteresis model, multiplied by the largest gain of the loop"
+        if is_inverted
+        else "the hysteresis, multiplied by the largest gain of the loop": (
+            certificate.hysteresis_error_m
+        ),
+        "the delay of the reference": certificate.reference_error_m,
+        "the converter": certificate.converter_error_m,
+        "drift, coupling and hum": certificate.disturbance_error_m,
+    }

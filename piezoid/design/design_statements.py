@@ -1,8 +1,6 @@
 """Statements about controllers: limits of their bandwidth, and bounds that are not useful."""
 
-from math import isfinite
-
-from piezoid.design.certificate import Certificate
+from piezoid.design.certificate import error_parts_m, useful_bound_m
 from piezoid.design.design import AxisDesign, Design
 from piezoid.design.lateral_task import BEYOND, FIRST_MODE, unseen
 from piezoid.formatting import significant, with_unit
@@ -10,7 +8,6 @@ from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
 from piezoid.statement import Kind, Level, Statement
 
-_MAX_USEFUL_SHARE = 0.1  # of the displacement range: a larger bound excludes nothing in practice
 _MAX_CHIRP_SHARE = 0.4  # of the sampling rate: below the Nyquist frequency with some margin
 # Share of the largest bandwidth that is tried, above which it limits the loop: the limit of the
 # control effort costs up to half of the bandwidth.
@@ -30,33 +27,6 @@ def design_statements(design: Design, model: ActuatorModel) -> tuple[Statement, 
         level = Level.NOTE if remark == decoupling else Level.WARNING
         statements.append(_statement("", level, "design", remark))
     return tuple(sorted(statements, key=lambda statement: -statement.level))
-
-
-def useful_bound_m(certificate: Certificate | None, axis: AxisModel) -> float | None:
-    """Return the guaranteed error of a loop, or None without a useful bound.
-
-    A bound above a tenth of the displacement range is of no use.
-    """
-    if certificate is None or not certificate.is_guaranteed:
-        return None
-    error_m = certificate.guaranteed_error_m
-    limit_m = _MAX_USEFUL_SHARE * axis.quality.range_m
-    return error_m if isfinite(error_m) and error_m <= limit_m else None
-
-
-def guaranteed_error_m(
-    certificate: Certificate | None, axis: AxisModel, *, is_verified: bool = True
-) -> float | str:
-    """Return the guaranteed error of a loop, or state why there is no useful one.
-
-    is_verified  whether the controller passed its verification
-    """
-    if certificate is None or not certificate.is_guaranteed:
-        return "none"
-    if not is_verified:
-        return "not verified"
-    bound_m = useful_bound_m(certificate, axis)
-    return "no useful bound" if bound_m is None else bound_m
 
 
 def bandwidth_limit_Hz(design: AxisDesign, axis: AxisModel) -> float | None:
@@ -117,24 +87,6 @@ def _error_bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:
         "expected error is the simulated one."
     )
     return [_statement(design.axis, Level.WARNING, "guaranteed_error", text, error_m, "m")]
-
-
-def error_parts_m(certificate: Certificate) -> dict[str, float]:
-    """Return the contributions to a guaranteed error by name, m; their sum is that error.
-
-    In the inverse form, the error of the hysteresis model takes the place of the hysteresis.
-    """
-    is_inverted = certificate.form == "inverse"
-    return {
-        "the uncertainty of the hysteresis model, multiplied by the largest gain of the loop"
-        if is_inverted
-        else "the hysteresis, multiplied by the largest gain of the loop": (
-            certificate.hysteresis_error_m
-        ),
-        "the delay of the reference": certificate.reference_error_m,
-        "the converter": certificate.converter_error_m,
-        "drift, coupling and hum": certificate.disturbance_error_m,
-    }
 
 
 def _statement(

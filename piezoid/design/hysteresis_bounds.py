@@ -36,8 +36,11 @@ from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii, worst_case
+from piezoid.operators.prandtl_ishlinskii import (
+    ModifiedPrandtlIshlinskii,
+    PrandtlIshlinskii,
+    worst_case,
+)
 from piezoid.operators.preisach_plays import (
     PreisachPlays,
     farthest_apart_m,
@@ -135,7 +138,8 @@ def affine_bounds(
         envelope_m = (
             gain / envelope_slope * static_difference(model.envelope, envelope_slope, reach_V)
         )
-        error_m = worst_case(scaled, line, reach).bound + envelope_m + zones_m
+        plays_m, _ = worst_case(scaled, line, reach)
+        error_m = plays_m + envelope_m + zones_m
     return HysteresisBounds(
         form="affine",
         gain_m_per_V=gain,

@@ -8,8 +8,7 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.polynomial import Roots, roots_of
-from piezoid.numerics.zero_order_hold import SampledSystem, fraction, realised, sample
-from piezoid.operators.linear import ContinuousSystem
+from piezoid.operators.linear import ContinuousSystem, hold_matrices, split_delay
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,9 +119,8 @@ class Plant(Fraction):
         )
 
     def realised(self) -> tuple[Array, Array, Array]:
-        """Return A, B, C in which past inputs are states."""
-        system = SampledSystem(A=self.state_matrix, taps=self.input_taps, C=self.output_vector)
-        return realised(system)
+        """Return A, B, C in which past inputs are states, the newest first."""
+        return _realised(self.state_matrix, self.input_taps, self.output_vector)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,28 +151,72 @@ def sampled_plant(
     output_unit: str,
     position_row: Array | None = None,
 ) -> Plant:
-    """Sample a system of one input and one output behind its zero-order hold.
+    """Sample a system of one input and one output exactly behind its zero-order hold.
+
+        x[k+1] = A x[k] + sum_j taps[:, j] u[k - j],   y[k] = C x[k]
+
+    A delay of d + f periods (0 <= f < 1) splits each period: its first f has the input
+    u[k - d - 1], the remainder u[k - d].
 
     system        from the command to the reading, without direct term
     position_row  (states,)  the position in front of the sensor; None: it equals the reading
     """
-    A, B, C = system.A, system.B[:, 0], system.C[0]
-    sampled = sample(A, B, C, 1.0 / sampling_rate_Hz, system.delay_s)
-    numerator, denominator = fraction(sampled)
+    A, B, output_vector = system.A, system.B[:, 0], system.C[0]
+    period_s = 1.0 / sampling_rate_Hz
+    delay_samples, remainder_s = split_delay(system.delay_s, period_s)
+    state_matrix, _ = hold_matrices(A, B, period_s)
+    following, newest = hold_matrices(A, B, period_s - remainder_s)
+    columns = [np.zeros(len(B))] * delay_samples + [newest]
+    if remainder_s > 0.0:
+        columns.append(following @ hold_matrices(A, B, remainder_s)[1])
+    input_taps = np.stack(columns, axis=1)
+    numerator, denominator = _fraction(state_matrix, input_taps, output_vector)
     position = numerator
     if position_row is not None:
-        position, _ = fraction(replace(sampled, C=position_row))
+        position, _ = _fraction(state_matrix, input_taps, position_row)
     return Plant(
         label=label,
         sampling_rate_Hz=sampling_rate_Hz,
         output_unit=output_unit,
-        state_matrix=sampled.A,
-        input_taps=sampled.taps,
-        output_vector=sampled.C,
+        state_matrix=state_matrix,
+        input_taps=input_taps,
+        output_vector=output_vector,
         B=numerator,
         A=denominator,
         B_position=position,
     )
+
+
+def _realised(A: Array, taps: Array, C: Array) -> tuple[Array, Array, Array]:
+    """Return A, B, C of a state-space model with past inputs as states, the newest first.
+
+    returned  (n + m - 1, n + m - 1), (n + m - 1,), (n + m - 1,)
+    """
+    order, count = taps.shape
+    size = order + count - 1
+    transition, drive, output = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    transition[:order, :order], transition[:order, order:] = A, taps[:, 1:]
+    drive[:order], output[:order] = taps[:, 0], C
+    if count > 1:
+        drive[order] = 1.0
+        transition[order + 1 :, order:-1] = np.eye(count - 2)
+    return transition, drive, output
+
+
+def _fraction(A: Array, taps: Array, C: Array) -> tuple[Array, Array]:
+    """Return the transfer function B/A in q^-1; the delay is leading zeros of B.
+
+    A is the characteristic polynomial. B follows from A and the first samples of the impulse
+    response.
+    """
+    order, count = taps.shape
+    denominator = np.ascontiguousarray(np.poly(A).real)
+    transition, state, output = _realised(A, taps, C)
+    impulse = np.zeros(order + count)
+    for k in range(1, order + count):
+        impulse[k] = output @ state
+        state = transition @ state
+    return np.convolve(impulse, denominator)[: order + count], denominator
 
 
 def cascade(sections: Sequence[Section]) -> tuple[Array, Array, list[int]]:

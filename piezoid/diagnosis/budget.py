@@ -26,7 +26,6 @@ from types import MappingProxyType
 import numpy as np
 
 from piezoid.diagnosis.candidate import QUANTISATION
-from piezoid.diagnosis.coordinate_descriptions import coordinate_words, next_experiment
 from piezoid.diagnosis.diagnosis import (
     NOISE_RATIO,
     SOMETHING_ELSE,
@@ -41,6 +40,7 @@ from piezoid.diagnosis.diagnosis import (
 from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
 from piezoid.diagnosis.null_distribution import ALPHA
+from piezoid.diagnosis.residual_coordinates import coordinate_words, next_experiment
 from piezoid.formatting import with_unit, words
 
 RESONANCE = "resonance"  # an unresolved mode widens loops as another loop shape does

@@ -19,9 +19,9 @@ import numpy as np
 
 from piezoid.diagnosis.blocked_regression import SAME_ERROR, gain_on_blocks, held_out_residual
 from piezoid.diagnosis.candidate import MINIMUM_Z
-from piezoid.diagnosis.coordinate_descriptions import coordinate_profile
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size, with_finding
 from piezoid.diagnosis.effects import effect_named, every_effect
+from piezoid.diagnosis.residual_coordinates import coordinate_profile
 from piezoid.diagnosis.signals import cubic
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array

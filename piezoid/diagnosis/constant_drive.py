@@ -27,9 +27,9 @@ from piezoid.diagnosis.blocked_regression import (
 )
 from piezoid.diagnosis.budget import RemainingErrors, with_budget
 from piezoid.diagnosis.candidate import MINIMUM_Z
-from piezoid.diagnosis.coordinate_descriptions import NEXT_EXPERIMENTS, coordinate_profile
 from piezoid.diagnosis.coordinate_scores import strongest_peaks
 from piezoid.diagnosis.diagnosis import (
+    NOT_EXCITED,
     SOMETHING_ELSE,
     Diagnosis,
     Finding,
@@ -41,6 +41,7 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.effect import ConstantDriveData, Effect
 from piezoid.diagnosis.effects import effect_named, every_effect
+from piezoid.diagnosis.residual_coordinates import NEXT_EXPERIMENTS, coordinate_profile
 from piezoid.diagnosis.segments import Places
 from piezoid.diagnosis.signals import GRIDS_Hz, cubic, peak_Hz, waves
 from piezoid.formatting import significant, with_unit
@@ -53,7 +54,6 @@ JUMP, LINE = "jump", "line"  # not in the catalogue: findings of something else
 MIN_GAIN = 0.01  # of the error
 MIN_GAIN_JUMP = 0.05  # of the error: the best of all jumps reduces it by less at random
 LINE_P = 1e-4  # p-value of an unknown line: there are thousands of frequencies to try
-NOT_EXCITED = "the drive rests, and nothing in these recordings excites it"
 ROWS = 60_000  # of a recording: enough for a line of a ten-thousandth of the noise
 LOG_SCALES = (0.003, 0.03, 0.1)  # of the recording: scales of a logarithm of time
 MIN_PERIODS = 4  # of a line in the recording

@@ -29,7 +29,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from piezoid.diagnosis.blocked_regression import FOLDS, Null
-from piezoid.diagnosis.coordinate_bases import (
+from piezoid.diagnosis.null_distribution import rank_p_value
+from piezoid.diagnosis.residual_coordinates import (
     TIME_KNOTS,
     Basis,
     Signals,
@@ -40,7 +41,6 @@ from piezoid.diagnosis.coordinate_bases import (
     time_spline,
     wave_basis,
 )
-from piezoid.diagnosis.null_distribution import rank_p_value
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import GRIDS_Hz
 from piezoid.numerics.arrays import Array

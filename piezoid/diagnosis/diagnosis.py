@@ -8,6 +8,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.summary import Summarised, Summary
 
 SOMETHING_ELSE = "something_else"  # finding of a residual that no effect of the catalogue explains
+NOT_EXCITED = "the drive rests, and nothing in these recordings excites it"
 NOISE_RATIO = 1.3  # final error over noise above which the largest remaining part is named
 
 

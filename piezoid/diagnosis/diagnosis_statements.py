@@ -4,11 +4,16 @@ The table of the findings contains their sizes; a statement is made only if a re
 more than a size.
 """
 
-from piezoid.diagnosis.constant_drive import NOT_EXCITED
-from piezoid.diagnosis.coordinate_descriptions import coordinate_words
-from piezoid.diagnosis.diagnosis import NOISE_RATIO, SOMETHING_ELSE, Diagnosis, Finding
+from piezoid.diagnosis.diagnosis import (
+    NOISE_RATIO,
+    NOT_EXCITED,
+    SOMETHING_ELSE,
+    Diagnosis,
+    Finding,
+)
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
 from piezoid.diagnosis.null_distribution import ALPHA
+from piezoid.diagnosis.residual_coordinates import coordinate_words
 from piezoid.formatting import significant, with_unit, words
 from piezoid.statement import Kind, Level, Statement
 

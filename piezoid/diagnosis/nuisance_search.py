@@ -22,7 +22,7 @@ from operator import attrgetter, itemgetter
 import numpy as np
 
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.drive_history import Reversals, hypotheses, memory_after, shared_hypotheses
+from piezoid.diagnosis.nuisance import Reversals, hypotheses, memory_after, shared_hypotheses
 from piezoid.diagnosis.nuisance_columns import (
     REACH,
     SHARED,

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.candidate import Outcome
-from piezoid.diagnosis.coordinate_bases import Signals, displacement_basis
 from piezoid.diagnosis.coordinate_scores import (
     SURROGATES,
     CoordinateScore,
@@ -27,6 +26,7 @@ from piezoid.diagnosis.null_distribution import (
     structure_p_value,
 )
 from piezoid.diagnosis.refinement import SelectedEffect, with_effects
+from piezoid.diagnosis.residual_coordinates import Signals, displacement_basis
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.segments import Track
 from piezoid.numerics.arrays import Array

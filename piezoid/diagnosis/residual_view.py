@@ -10,8 +10,7 @@ from math import sqrt
 import numpy as np
 
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.drive_history import History, Reversals, hypotheses
-from piezoid.diagnosis.nuisance import NuisanceClass
+from piezoid.diagnosis.nuisance import History, NuisanceClass, Reversals, hypotheses
 from piezoid.diagnosis.nuisance_columns import BoucWenLaw
 from piezoid.diagnosis.segments import BLOCKS, Places, Track
 from piezoid.numerics.arrays import Array

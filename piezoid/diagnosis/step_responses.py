@@ -13,8 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from piezoid.diagnosis.drive_history import History
-from piezoid.diagnosis.nuisance import NuisanceClass
+from piezoid.diagnosis.nuisance import History, NuisanceClass
 from piezoid.diagnosis.refinement import SelectedEffect
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.segments import BLOCKS

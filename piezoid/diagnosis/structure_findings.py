@@ -20,12 +20,6 @@ from math import sqrt
 import numpy as np
 
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.coordinate_bases import signal_bases
-from piezoid.diagnosis.coordinate_descriptions import (
-    coordinate_profile,
-    coordinate_words,
-    next_experiment,
-)
 from piezoid.diagnosis.coordinate_scores import CoordinateScore, Residual
 from piezoid.diagnosis.diagnosis import (
     SOMETHING_ELSE,
@@ -33,6 +27,12 @@ from piezoid.diagnosis.diagnosis import (
     Finding,
     Size,
     held_out_gain,
+)
+from piezoid.diagnosis.residual_coordinates import (
+    coordinate_profile,
+    coordinate_words,
+    next_experiment,
+    signal_bases,
 )
 from piezoid.diagnosis.residual_structure import MAX_P_VALUE, ResidualStructure
 from piezoid.diagnosis.residual_view import View

@@ -21,9 +21,8 @@ from piezoid.numerics.executor import Once
 from piezoid.operators.chain import Chain, Following
 from piezoid.operators.dead_zone import LINEAR, DeadZones, from_slopes
 from piezoid.operators.filters import FirstOrder, lagged
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import thinned_drive
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 
 CHUNK = 1024  # rows written together: about the size of the L2 cache
 SPARSE = 3  # samples per row, above which computing from row to row is faster

@@ -17,7 +17,7 @@ from piezoid.identification.hysteresis.pieces import PieceStart
 from piezoid.identification.quality import FitQuality
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.fixed_point import damped_iteration
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.operators.wide_hysteresis import (
     CHUNK,

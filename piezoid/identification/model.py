@@ -22,8 +22,8 @@ from piezoid.identification.loop_shape import (
 from piezoid.identification.minor_loops import FunctionOrder, MinorLoops
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.records.recording import Recording
 from piezoid.summary import Summarised, Summary

@@ -13,8 +13,7 @@ from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
 from piezoid.identification.model import SCHEMA, AxisModel
 from piezoid.identification.quality import FitQuality
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from piezoid.record_json import RecordLayout, fields_of, from_fields, read_sealed, to_json
 
 MAX_OPERATORS = 256  # plays, or dead zones; the controller has at most 32, the fit at most 16

@@ -11,9 +11,10 @@ from piezoid.numerics.polynomial import Response
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller, Status
 from piezoid.runtime.library import Values
-from piezoid.verification.closed_loop import LoopRecord, approach_path, run_law
+from piezoid.verification.closed_loop import approach_path, run_law
 from piezoid.verification.loop_plant import SettledPlant
 from piezoid.verification.plant import AxisPlant
+from piezoid.verification.tracking import LoopRecord
 
 _SETTLING_s = 0.1  # before the period that is returned: ten time constants of a loop of 16 Hz
 LIMITED = Status.VOLTAGE_LIMITED | Status.VOLTAGE_STEP | Status.REFERENCE_LIMITED

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
 
 from piezoid.numerics.arrays import Array, ComplexArray, expect_shapes, freeze
-from piezoid.numerics.zero_order_hold import hold_matrices, split_delay
 
 EQUAL_POLES = 1e-5  # relative difference of poles that are treated as equal
 BLOCK_SAMPLES = 64  # of run(): smaller blocks cost time in Python, larger ones in the products
@@ -142,6 +142,28 @@ def _transfer(
     resolvent = v[:, None, None] * np.eye(len(A)) - A
     inner = np.linalg.solve(resolvent, np.broadcast_to(B, (len(v), *B.shape)))
     return np.asarray(C @ inner + D)
+
+
+def hold_matrices(A: Array, B: Array, duration_s: float) -> tuple[Array, Array]:
+    """Return exp(A t) and the integral of exp(A s) B over [0, t], from one exponential.
+
+        exp([A B; 0 0] t) = [Ad Bd; 0 I]                                    [Van Loan 1978]
+
+    A  (n, n)    B, Bd  (n,) or (n, inputs)
+    """
+    order, inputs = len(A), B.shape[1] if B.ndim == 2 else 1
+    block = np.zeros((order + inputs, order + inputs))
+    block[:order, :order], block[:order, order:] = A, B.reshape(order, inputs)
+    exponential = expm(block * duration_s)
+    held = exponential[:order, order:]
+    return exponential[:order, :order], held if B.ndim == 2 else held[:, 0]
+
+
+def split_delay(delay_s: float, period_s: float) -> tuple[int, float]:
+    """Return a delay as whole samples and the remaining seconds, 0 below rounding."""
+    delay_samples = int(np.floor(delay_s / period_s + 1e-9))
+    remainder_s = delay_s - delay_samples * period_s
+    return delay_samples, (remainder_s if remainder_s > 1e-9 * period_s else 0.0)
 
 
 def sample(system: ContinuousSystem, sampling_rate_Hz: float) -> DiscreteSystem:

@@ -7,10 +7,8 @@ import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
@@ -18,10 +16,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
 from piezoid.verification.loop_plant import LoopRun, SettledPlant, loop_library
 from piezoid.verification.plant import AxisPlant, Junction
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
+from piezoid.verification.tracking import LoopRecord
 
 _REACH = 0.7  # of the distance from the middle of the references to their ends
 _APPROACH_s, _PAUSE_s = 0.4, 0.2  # nine periods of the slowest loop (45 Hz) of simulated stages
@@ -38,69 +33,6 @@ class Fault(IntEnum):
     DEAD = 2  # offset and noise only
     REVERSED = 3  # current of the wrong sign
     FULL = 4  # end of the range
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LoopRecord:
-    """Signals of one axis in closed loop.
-
-    reference  (samples,)  m (junction: A)
-    position   (samples,)  m (junction: A), in front of the sensor
-    measured   (samples,)  reading of the controller
-    voltage_V  (samples,)  output of the controller
-    status     (samples,)  the runtime's bits
-    driven     (samples,)  largest input of the response in a sample: V behind the amplifier
-               (junction: nepers, the tip's extension times the decay)
-    unit       of reference, position and measured: ``m`` or ``A``
-    """
-
-    axis: str
-    sampling_rate_Hz: float
-    reference: Array
-    position: Array
-    measured: Array
-    voltage_V: Array
-    status: NDArray[np.uint32]
-    driven: Array
-    unit: str = "m"
-
-    @property
-    def time_s(self) -> Array:
-        """Time of every sample from the first, (samples,)."""
-        return np.asarray(np.arange(len(self.reference)) / self.sampling_rate_Hz)
-
-    @property
-    def error(self) -> Array:
-        """Reference less position, (samples,), m (junction: A)."""
-        return np.asarray(self.reference - self.position)
-
-    @property
-    def rms_error(self) -> float:
-        """Root of the mean squared error."""
-        return float(np.sqrt(np.mean(self.error**2)))
-
-    def after(self, samples: int) -> "LoopRecord":
-        """Return the record without its first samples.
-
-        >>> reference_m = np.full(4000, model["x"].zero_m)
-        >>> loop = piezoid.simulate_loop(model, reference_m, shipping)
-        >>> len(loop.after(1000).error)
-        3000
-        """
-        names = ("reference", "position", "measured", "voltage_V", "status", "driven")
-        return replace(self, **{name: getattr(self, name)[samples:] for name in names})
-
-    def to_frame(self) -> "DataFrame":
-        """Return a pandas DataFrame, a row for each sample; positions in m (junction: A).
-
-        >>> loop = piezoid.simulate_loop(model, np.full(4000, model["x"].zero_m), shipping)
-        >>> list(loop.to_frame())[:3]
-        ['time_s', 'reference', 'position']
-        """
-        from pandas import DataFrame
-
-        names = ("time_s", "reference", "position", "measured", "voltage_V", "error", "status")
-        return DataFrame({name: getattr(self, name) for name in names})
 
 
 def run_axis(

@@ -13,8 +13,7 @@ from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Status
 from piezoid.toml_files import read_toml
-from piezoid.verification.closed_loop import LoopRecord
-from piezoid.verification.tracking import Tracking
+from piezoid.verification.tracking import LoopRecord, Tracking
 
 SHAPE_ERROR = "shape error of the controller"
 HOLD_TIME = "time without sensor until the output is held"

@@ -11,7 +11,7 @@ from piezoid.identification.model import AxisModel, Discrepancy
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import ContinuousSystem, cascade, first_order, recursive_filter
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.preisach_plays import PreisachPlays
 
 Respond = Callable[[float], float]

@@ -9,11 +9,11 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
-from piezoid.verification.closed_loop import LoopRecord, reference_range, run_axis, run_path
+from piezoid.verification.closed_loop import reference_range, run_axis, run_path
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction
 from piezoid.verification.scenarios import Path, Scenario
-from piezoid.verification.tracking import SpiralTrace, Tracking, track
+from piezoid.verification.tracking import LoopRecord, SpiralTrace, Tracking, track
 from piezoid.verification.verification import ComparisonRow, CurrentRow, SpiralRow
 
 

@@ -18,11 +18,12 @@ from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
-from piezoid.verification.closed_loop import Fault, LoopRecord
+from piezoid.verification.closed_loop import Fault
 from piezoid.verification.criteria import Verdict, none_of, verdict
 from piezoid.verification.plant import AxisPlant, Junction
 from piezoid.verification.scenario_runner import AxisRun, ScenarioRunner
 from piezoid.verification.scenarios import Path, Scenario
+from piezoid.verification.tracking import LoopRecord
 from piezoid.verification.verification import CurrentRow
 
 _WAVES = 40

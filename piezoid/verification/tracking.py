@@ -1,18 +1,21 @@
-"""Tracking errors of a run, and its traces for the report.
+"""Signals of a run in closed loop, its tracking errors, and its traces for the report.
 
 The errors are rms, largest error, and shape error after the best common delay. The traces of
 spirals, rasters and steps are thinned to a few hundred points.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
-from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.scenarios import Path
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 _LONGEST_DELAY_s = 5e-3
 _QUARTER = 0.25  # of a turn, beyond which the best delay is not unique
@@ -25,6 +28,69 @@ SPIRAL_POINTS = 300
 SPIRALS_Hz = (10.0, 100.0)  # compared spirals that are plotted
 UNCOMPENSATED = "none"  # method plotted with the shipped method
 _DECIMALS = 12  # a picometre
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopRecord:
+    """Signals of one axis in closed loop.
+
+    reference  (samples,)  m (junction: A)
+    position   (samples,)  m (junction: A), in front of the sensor
+    measured   (samples,)  reading of the controller
+    voltage_V  (samples,)  output of the controller
+    status     (samples,)  the runtime's bits
+    driven     (samples,)  largest input of the response in a sample: V behind the amplifier
+               (junction: nepers, the tip's extension times the decay)
+    unit       of reference, position and measured: ``m`` or ``A``
+    """
+
+    axis: str
+    sampling_rate_Hz: float
+    reference: Array
+    position: Array
+    measured: Array
+    voltage_V: Array
+    status: NDArray[np.uint32]
+    driven: Array
+    unit: str = "m"
+
+    @property
+    def time_s(self) -> Array:
+        """Time of every sample from the first, (samples,)."""
+        return np.asarray(np.arange(len(self.reference)) / self.sampling_rate_Hz)
+
+    @property
+    def error(self) -> Array:
+        """Reference less position, (samples,), m (junction: A)."""
+        return np.asarray(self.reference - self.position)
+
+    @property
+    def rms_error(self) -> float:
+        """Root of the mean squared error."""
+        return float(np.sqrt(np.mean(self.error**2)))
+
+    def after(self, samples: int) -> "LoopRecord":
+        """Return the record without its first samples.
+
+        >>> reference_m = np.full(4000, model["x"].zero_m)
+        >>> loop = piezoid.simulate_loop(model, reference_m, shipping)
+        >>> len(loop.after(1000).error)
+        3000
+        """
+        names = ("reference", "position", "measured", "voltage_V", "status", "driven")
+        return replace(self, **{name: getattr(self, name)[samples:] for name in names})
+
+    def to_frame(self) -> "DataFrame":
+        """Return a pandas DataFrame, a row for each sample; positions in m (junction: A).
+
+        >>> loop = piezoid.simulate_loop(model, np.full(4000, model["x"].zero_m), shipping)
+        >>> list(loop.to_frame())[:3]
+        ['time_s', 'reference', 'position']
+        """
+        from pandas import DataFrame
+
+        names = ("time_s", "reference", "position", "measured", "voltage_V", "error", "status")
+        return DataFrame({name: getattr(self, name) for name in names})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,7 +21,7 @@ from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.executor import Executor
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
-from piezoid.verification.closed_loop import LoopRecord, run_path
+from piezoid.verification.closed_loop import run_path
 from piezoid.verification.criteria import Limits, Verdict, none_of, verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.plant import AxisPlant
@@ -38,6 +38,7 @@ from piezoid.verification.tip_trials import (
 from piezoid.verification.tracking import (
     MOTION_KINDS,
     UNCOMPENSATED,
+    LoopRecord,
     Motion,
     SPIRALS_Hz,
     Tracking,

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from piezoid.design.certificate import error_parts_m, guaranteed_error_m, useful_bound_m
 from piezoid.design.design import AxisDesign, LoopDesign
-from piezoid.design.design_statements import error_parts_m, guaranteed_error_m, useful_bound_m
 from piezoid.design.lateral import describe_mode
 from piezoid.design.lateral_task import assumptions_of
 from piezoid.design.sensitivity import delay_limit, sensitivities

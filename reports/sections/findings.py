@@ -3,10 +3,10 @@
 import math
 from collections.abc import Sequence
 
-from piezoid.diagnosis.coordinate_descriptions import CONTROL_ADVICE
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis
 from piezoid.diagnosis.diagnosis_statements import largest_first
 from piezoid.diagnosis.effects import effect_named, thermal_drift
+from piezoid.diagnosis.residual_coordinates import CONTROL_ADVICE
 from piezoid.formatting import p_value, words
 from piezoid.identification.fit_statements import ZERO_DRIFT
 from piezoid_reports.effect_figures import compare_effects, figure_of, unnamed_figure

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from piezoid.design.design_statements import guaranteed_error_m
+from piezoid.design.certificate import guaranteed_error_m
 from piezoid.formatting import count_of
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.verification.criteria import SHAPE_ERROR, Limits, Verdict

@@ -10,8 +10,7 @@ from piezoid.design.observer import DisturbanceObserver
 from piezoid.design.plant import Plant
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR, DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from tests.design.placed import place_observer
 from tests.design.rig import LATERAL_m_per_V, lateral_chain, printed_observer_poles
 

@@ -5,8 +5,7 @@ import pytest
 
 from piezoid.design.hysteresis_bounds import affine_bounds, inverse_bounds
 from piezoid.operators.dead_zone import LINEAR, DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from tests.design.hysteretic import (
     REACH_V,
     ROUNDING_FACTOR,

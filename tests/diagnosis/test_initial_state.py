@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.candidate import Candidate, structural_candidate
-from piezoid.diagnosis.drive_history import (
+from piezoid.diagnosis.effects import initial_state
+from piezoid.diagnosis.nuisance import (
     CHUNK,
     DELIBERATE,
+    MAX_KEPT,
     History,
+    NuisanceClass,
     memory_after,
     shared_hypotheses,
     states_along,
 )
-from piezoid.diagnosis.effects import initial_state
-from piezoid.diagnosis.nuisance import MAX_KEPT, NuisanceClass
 from piezoid.diagnosis.nuisance_columns import (
     SHARED,
     THRESHOLD,

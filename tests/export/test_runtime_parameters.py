@@ -16,8 +16,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.export_stage import lateral_axis, observer_values, rst_values, tunnelling_axis
 from piezoid.export.parameter_file import ParameterFile, from_json, to_json
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from tests.design.placed import place_observer
 from tests.design.rig import lateral_chain, lateral_specification
 from tests.reports.known_stage import axis_model

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR, DeadZones, from_slopes
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 
 GRID = 16.0
 REACH = 8.0  # drives lie within -8 .. 8, often on top of a threshold

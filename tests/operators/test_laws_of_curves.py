@@ -73,16 +73,16 @@ def test_the_worst_case_is_a_distance_that_only_its_own_drive_attains(
     first, second, third, top, drive
 ):
     reach = top / GRID
-    distance = worst_case(first, second, reach)
+    distance, extrema = worst_case(first, second, reach)
     slack = ROUNDING * (first.slope.max() + second.slope.max()) * 100
 
     def gap(u: Array) -> Array:
         outputs = [plays.run(u, plays.virgin_memory())[0] for plays in (first, second)]
         return np.abs(outputs[0] - outputs[1])
 
-    assert (gap(np.clip(drive, -reach, reach)) <= distance.bound + slack).all()
-    assert gap(distance.extrema)[-1] == pytest.approx(distance.bound, rel=1e-9, abs=slack)
-    assert worst_case(second, first, reach).bound == pytest.approx(distance.bound, rel=1e-12)
-    detour = worst_case(first, third, reach).bound + worst_case(third, second, reach).bound
-    assert distance.bound <= detour + slack
-    assert worst_case(first, first, reach).bound == 0.0
+    assert (gap(np.clip(drive, -reach, reach)) <= distance + slack).all()
+    assert gap(extrema)[-1] == pytest.approx(distance, rel=1e-9, abs=slack)
+    assert worst_case(second, first, reach)[0] == pytest.approx(distance, rel=1e-12)
+    detour = worst_case(first, third, reach)[0] + worst_case(third, second, reach)[0]
+    assert distance <= detour + slack
+    assert worst_case(first, first, reach)[0] == 0.0

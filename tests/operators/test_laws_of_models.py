@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from tests.operators.strategies import REACH, ROUNDING, assert_close, drives, memories, models
 
 

@@ -1,14 +1,14 @@
 """Laws of exact sampling, and agreement of the two independent samplers.
 
-`numerics.zero_order_hold` serves the design and `operators.linear` the simulation; neither imports
-the other.
+`sampled_plant` serves the design and `operators.linear.sample` the simulation; neither calls the
+other.
 """
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from piezoid.numerics import zero_order_hold
+from piezoid.design.plant import sampled_plant
 from piezoid.operators import linear
 from piezoid.operators.linear import (
     ContinuousSystem,
@@ -45,10 +45,7 @@ def chains(draw: st.DrawFn, delay: bool = True) -> ContinuousSystem:
 @given(chains())
 def test_both_samplers_give_the_same_samples(system):
     linear_response = linear.sample(system, RATE_Hz).impulse_response(40)[:, 0, 0]
-    realised = zero_order_hold.sample(
-        system.A, system.B[:, 0], system.C[0], 1 / RATE_Hz, system.delay_s
-    )
-    A, B, C = zero_order_hold.realised(realised)
+    A, B, C = sampled_plant("chain", system, RATE_Hz, output_unit="m").realised()
     hold_response, state = np.zeros(40), B
     for k in range(1, 40):
         hold_response[k], state = C @ state, A @ state

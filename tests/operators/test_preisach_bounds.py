@@ -58,12 +58,12 @@ def test_the_bound_of_linear_plays_is_the_integral_over_the_slopes(rng):
         PrandtlIshlinskii(threshold=operator.threshold_V, weight=operator.rise_m[:, 0] / STEPS)
         for operator in (model, other_model)
     ]
-    expected_m = worst_case(plays[1], plays[0], REACH_V).bound
+    expected_m, _ = worst_case(plays[1], plays[0], REACH_V)
     assert farthest_apart_m(model, [other_model], REACH_V)[0] == pytest.approx(
         expected_m, rel=1e-12
     )
     line = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([0.7]))
-    expected_m = worst_case(plays[0], line, REACH_V).bound
+    expected_m, _ = worst_case(plays[0], line, REACH_V)
     assert farthest_from_line_m(model, 0.7, REACH_V) == pytest.approx(expected_m, rel=1e-12)
 
 

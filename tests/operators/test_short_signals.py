@@ -16,9 +16,8 @@ from piezoid.operators.filters import (
     slewed,
 )
 from piezoid.operators.linear import butterworth, recursive_filter, resonance, sample
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns, turns_of
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from piezoid.operators.wide_hysteresis import (
     HysteresisStates,
     bouc_wen_states,

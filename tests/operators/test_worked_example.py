@@ -5,8 +5,7 @@ import pytest
 
 from piezoid.errors import NotInvertibleError
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from tests.operators.strategies import is_admissible
 
 EXACT = 1e-12

@@ -8,8 +8,7 @@ from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.quality import Certificate, FitQuality, Order, Uncertainty, Verdict
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from piezoid.records.recording import Channel, Quantity, Recording
 
 RATE_Hz = 500.0

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from piezoid.operators.dead_zone import LINEAR, DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.runtime.schema import MAX_EDGES, MAX_KNOTS, MAX_PLAYS, MAX_RELAXATIONS
 from tests.runtime.runtime_parameters import WIDE, hysteresis, started

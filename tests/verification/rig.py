@@ -8,8 +8,7 @@ from piezoid.export.export_stage import observer_values
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.linear import first_order, resonance
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction
 from tests.design.placed import place_observer
 from tests.design.rig import lateral_chain

@@ -31,8 +31,8 @@ from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
 from piezoid.numerics.robust import NORMAL_95, sandwich_covariance
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.records.recording import Recording
 
 SMALL_PLAYS = (0.05, 0.1, 0.2, 0.35)  # of the reach of the exciting drive

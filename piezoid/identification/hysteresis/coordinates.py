@@ -24,8 +24,7 @@ from piezoid.identification.forward import Scaled
 from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.numerics.arrays import Array, Samples
 from piezoid.operators.dead_zone import LINEAR, DeadZones, from_slopes
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 
 MIN_GAP, MAX_GAP = 2e-3, 0.5
 MAX_REACH = 0.98  # largest threshold over half the widest swing of the drive

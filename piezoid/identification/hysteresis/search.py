@@ -1,4 +1,11 @@
-"""Fit of one shape: lag, convex start and Gauss-Newton, with the error on held-out rows."""
+"""Fit of one shape: lag, convex start and Gauss-Newton, with the error on held-out rows.
+
+The start is Kuhnen's quadratic program for the weights, which is convex because it parametrises
+the inverse of Psi. The lag is removed first: it would look like hysteresis and corrupt the
+weights. A program with many plays on a fine grid locates the curvature of the loading curve. The
+centres of clusters of its weights are the second set of thresholds, from which a search with few
+plays avoids poor local minima.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,13 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.identification.forward import Scaled
-from piezoid.identification.hysteresis.convex_start import (
-    clustered_thresholds,
-    find_lag,
-    kuhnen_start,
-    linear_start,
-)
 from piezoid.identification.hysteresis.coordinates import (
+    MIN_GAP,
+    MIN_SLOPE,
     Coordinates,
     Shape,
     shape_of,
@@ -21,7 +24,23 @@ from piezoid.identification.hysteresis.coordinates import (
 )
 from piezoid.identification.hysteresis.gauss_newton import HysteresisFit, Task, minimise
 from piezoid.identification.hysteresis.pieces import Piece, widest_swing
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.derivative_free import direct_search
+from piezoid.numerics.quadratic_program import (
+    Optimum,
+    bounded_step,
+    constrained_least_squares,
+    empty_triangle,
+    gather,
+    stationarity,
+)
+from piezoid.operators.dead_zone import DeadZones, from_slopes
+from piezoid.operators.filters import lagged
+from piezoid.operators.play import play_blocks, play_columns
 
+START_ROWS = 6000  # of a recording, which suffice for a start
+MIN_INVERSE_SLOPE = 0.02  # of Psi'
+GRID = 39  # plays of the fine grid
 MANY_PLAYS = 6  # with more plays the better of two starts is enough
 # Scaled: kinks of 0.1 cost 1e-11, a thousandth of the square of the lowest noise (1e-4).
 RIDGE = 1e-9
@@ -203,3 +222,241 @@ def prune(fit: HysteresisFit, *, iterations: int) -> HysteresisFit:
     task = replace(fit.task, coordinates=coordinates)
     pruned = minimise(theta, task, iterations=iterations, kkt_gap=fit.kkt_gap)
     return fit if pruned.rms > MAX_RMS_RATIO * fit.rms else pruned
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Start:
+    """Start of a search.
+
+    operator  scaled operator, central slope 1
+    offset    scaled displacement at which the operator's output is 0
+    kkt_gap   of the quadratic program
+    """
+
+    operator: Scaled
+    offset: float
+    kkt_gap: float
+
+
+def kuhnen_start(
+    pieces: Sequence[Piece], shape: Shape, lag_s: float, threshold: Array | None = None
+) -> Start:
+    """Solve Kuhnen's quadratic program on the lag-corrected pieces.
+
+    threshold  (plays + 1,) scaled, from 0; None spreads them evenly over the widest swing
+
+        E[k] = sum_i w_i z_i[k] - sum_j w'_j s_j(y[k]) + c_p,   min sum E^2
+        w_0 >= eps, w_i >= 0, slopes of Psi' >= eps, (U - r)'w = U       [Kuhnen 2003]
+
+    with an offset c_p for every piece; Psi is the inverse of the Psi' found.
+    """
+    if threshold is None:
+        low, high = widest_swing(pieces)
+        threshold = 0.5 * (high - low) * np.arange(shape.plays + 1) / (shape.plays + 1)
+    # Thresholds of Psi': 0, and (j - 1/2) / l of each extreme displacement.
+    highest = max(float(piece.response.max()) for piece in pieces)
+    lowest = min(float(piece.response.min()) for piece in pieces)
+    above = (np.arange(1, shape.above + 1) - 0.5) / max(shape.above, 1) * highest
+    below = (np.arange(-shape.below, 0) + 0.5) / max(shape.below, 1) * -lowest
+    zones = np.concatenate([below, [0.0], above])
+    optimum = optimum_of(triangle_of(pieces, threshold, zones, lag_s), threshold, zones)
+    weight = np.maximum(optimum.x[: shape.plays + 1], 0.0)
+    inverse = DeadZones(
+        threshold=zones, weight=optimum.x[shape.plays + 1 : shape.plays + 1 + len(zones)]
+    )
+    constant = float(np.mean(optimum.x[shape.plays + 1 + len(zones) :]))
+    # Rewrite Psi(h + c) as offset + Psi_c(h) with Psi_c(0) = 0 and central slope 1.
+    psi = inverse.inverse()
+    kinks = psi.threshold[psi.threshold != 0.0] - constant
+    slope = np.delete(psi.slope, psi.zero)
+    zero = int(np.searchsorted(kinks, 0.0))
+    knots_below = -_spread(-kinks[:zero][::-1], 0.01)[::-1]
+    knot = np.concatenate([knots_below, [0.0], _spread(kinks[zero:], 0.01)])
+    slope = np.concatenate([slope[: zero + 1], slope[zero:]])
+    centre = slope[zero]
+    operator = Scaled(
+        gap=np.diff(threshold),
+        threshold=threshold[1:],
+        weight=weight * centre,
+        knot=knot * centre,
+        slope=slope / centre,
+        zero=zero,
+        lag_s=lag_s,
+    )
+    offset = float(psi.run(np.array([constant]))[0])
+    return Start(operator=operator, offset=offset, kkt_gap=optimum.kkt_gap)
+
+
+def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: float) -> Array:
+    """Return the triangular factor of the rows [z | -s(y) | offsets], one offset per piece."""
+    plays, count = len(threshold), len(zones)
+    unit = DeadZones(threshold=zones, weight=np.ones(count))
+    unknowns = plays + count + len(pieces)
+    triangle = empty_triangle(unknowns)
+    for index, piece in enumerate(pieces):
+        sample = piece.fitted_samples(max(1, piece.rows // START_ROWS))
+        rows = np.zeros((len(sample), unknowns), order="F")
+        begin = 0
+        for first, states in play_blocks(piece.drive, threshold, np.full(plays, piece.drive[0])):
+            end = int(np.searchsorted(sample, first + len(states)))
+            rows[begin:end, :plays] = states[sample[begin:end] - first]
+            begin = end
+        without_lag = sample + lag_s * piece.sampling_rate_Hz
+        measured = np.interp(without_lag, np.arange(len(piece.response)), piece.response)
+        rows[:, plays : plays + count] = -unit.columns(measured)
+        rows[:, plays + count + index] = 1.0
+        triangle = gather(triangle, rows, spend=True)
+    return triangle
+
+
+def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Optimum:
+    """Solve the program, given the triangular factor of its rows with the offsets last.
+
+    The unknowns are first slopes of Psi' instead of weights, so that their limits are bounds; w_0
+    follows from the normalisation: w_0 = 1 - sum_(i>0) (1 - r_i) w_i in scaled units, r_0 = 0. The
+    general program is solved only if w_0 is then below its own limit.
+    """
+    plays, count = len(threshold), len(zones)
+    zero = int(np.flatnonzero(zones == 0.0)[0])
+    free = np.eye(len(triangle.T))
+    free[0, :plays] = threshold - 1.0
+    for zone in range(count):
+        if zone != zero:
+            free[plays + zone, plays + zone + (1 if zone < zero else -1)] = -1.0
+    lower = np.full(len(free) - 1, -np.inf)
+    lower[: plays - 1], lower[plays - 1 : plays - 1 + count] = 0.0, MIN_INVERSE_SLOPE
+    step = bounded_step(
+        triangle @ free[:, 1:], -triangle[:, 0], lower, np.full(len(lower), np.inf)
+    )
+    x = free[:, 1:] @ step
+    x[0] += 1.0
+
+    constraint, low, high = constraints_of(threshold, zones, triangle.shape[1])
+    target = np.zeros(len(triangle))
+    if x[0] < MIN_SLOPE:
+        return constrained_least_squares(triangle, target, constraint, low, high)
+    return Optimum(
+        x=x,
+        cost=float(np.sum((triangle @ x) ** 2)),
+        kkt_gap=stationarity(triangle, x, target, constraint, (low, high)),
+    )
+
+
+def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, Array, Array]:
+    """Return A, l and u of l <= A x <= u: weights, slopes of Psi', and a normalisation."""
+    plays, count = len(threshold), len(zones)
+    zero = int(np.flatnonzero(zones == 0.0)[0])
+    rows = np.zeros((plays + count + 1, unknowns))
+    rows[:plays, :plays] = np.eye(plays)
+    for i in range(count):
+        rows[plays + i, plays + min(i, zero) : plays + max(i, zero) + 1] = 1.0
+    rows[-1, :plays] = 1.0 - threshold
+    lower = np.concatenate([np.zeros(plays), np.full(count, MIN_INVERSE_SLOPE), [1.0]])
+    lower[0] = MIN_SLOPE
+    upper = np.full(len(rows), np.inf)
+    upper[-1] = 1.0
+    return rows, lower, upper
+
+
+def _spread(positions: Array, distance: float) -> Array:
+    """Return increasing positions at a minimum distance from the origin and from each other."""
+    ladder = distance * np.arange(1, len(positions) + 1)
+    return np.asarray(np.maximum.accumulate(np.maximum(positions - ladder, 0.0)) + ladder)
+
+
+def linear_start(pieces: Sequence[Piece], lag_s: float) -> Start:
+    """Return the start of a model without plays or dead zones: one gain."""
+    drive = np.concatenate([p.drive - p.drive.mean() for p in pieces])
+    response = np.concatenate([p.response - p.response.mean() for p in pieces])
+    gain = max(float(drive @ response / (drive @ drive)), MIN_SLOPE)
+    empty = np.zeros(0)
+    psi = from_slopes(np.zeros(1), np.ones(2))
+    operator = Scaled(
+        gap=empty,
+        threshold=empty,
+        weight=np.array([gain]),
+        knot=psi.threshold,
+        slope=psi.slope,
+        zero=0,
+        lag_s=lag_s,
+    )
+    return Start(operator=operator, offset=0.0, kkt_gap=0.0)
+
+
+def clustered_thresholds(pieces: Sequence[Piece], shape: Shape, lag_s: float) -> Array:
+    """Return 0 and thresholds at the centres of clusters of the weights on a fine grid.
+
+        min sum_g sum_(i in g) w_i (r_i - c_g)^2
+
+    The optimal partition into groups of neighbours is exact, by dynamic programming over cuts.
+    """
+    fine = Shape(plays=GRID, below=shape.below, above=shape.above, lag=shape.lag)
+    operator = kuhnen_start(pieces, fine, lag_s).operator
+    position, weight, groups = operator.threshold, operator.weight[1:], shape.plays
+    tiny = weight + 1e-6 * (weight.sum() + 1e-300) / len(weight)
+    sums = [np.concatenate([[0.0], np.cumsum(tiny * position**k)]) for k in range(3)]
+    count = len(position)
+    mass, first, second = (s - s[:, None] for s in sums)
+    group = np.triu(np.ones((count + 1, count + 1), dtype=bool), 1)
+    cost = np.full((count + 1, count + 1), np.inf)
+    cost[group] = second[group] - first[group] ** 2 / mass[group]
+    best = np.full((groups + 1, count + 1), np.inf)
+    cut = np.zeros((groups + 1, count + 1), dtype=int)
+    best[0, 0] = 0.0
+    for g in range(1, groups + 1):
+        options = best[g - 1, :, None] + cost
+        cut[g] = options.argmin(axis=0)
+        best[g] = options.min(axis=0)
+    centres, end = np.empty(groups), count
+    for g in range(groups, 0, -1):
+        start = cut[g, end]
+        centres[g - 1] = (sums[1][end] - sums[1][start]) / (sums[0][end] - sums[0][start])
+        end = start
+    return np.concatenate([[0.0], _spread(centres, 2 * MIN_GAP)])
+
+
+def find_lag(pieces: Sequence[Piece], kind: str, longest_s: float) -> float:
+    """Return the lag with the least error of an additive model, by global search.
+
+    The model is a non-negative sum of plays of the drive, a cubic of the drive and an offset per
+    piece; for a given lag it is linear. The error is not convex in the lag, hence the
+    derivative-free global search.
+
+    kind       ``none``, ``delay`` or ``first_order``
+    longest_s  upper bound of the lag
+    """
+    if kind == "none" or longest_s <= 0.0:
+        return 0.0
+    threshold = np.linspace(0.0, 0.9, 10)
+    lower = np.append(np.zeros(len(threshold)), np.full(3, -np.inf))
+    columns = []
+    for piece in pieces:
+        u = piece.drive
+        states, _ = play_columns(u, threshold, np.full(len(threshold), u[0]))
+        columns.append(np.asfortranarray(np.column_stack([states, u**2, u**3])))
+
+    def error(x: Array) -> float:
+        total = 0.0
+        for piece, column in zip(pieces, columns, strict=True):
+            stride = max(1, piece.rows // START_ROWS)
+            keep, sample = slice(piece.first, piece.last, stride), piece.fitted_samples(stride)
+            lag_s = float(x[0]) * longest_s
+            rows = lagged(column, kind, lag_s, piece.sampling_rate_Hz, keep=keep)
+            rows = rows[(sample - piece.first) // stride]
+            block = np.column_stack([rows, np.ones(len(rows)), piece.response[sample]])
+            triangle = gather(empty_triangle(block.shape[1]), block, spend=True)
+            design, target = triangle[:, :-1], triangle[:, -1]
+            weights = bounded_step(design, target, lower, np.full(len(lower), np.inf))
+            total += float(np.sum((design @ weights - target) ** 2)) / len(rows)
+        return total
+
+    share, _ = direct_search(
+        error,
+        np.array([0.02]),
+        (np.zeros(1), np.ones(1)),
+        initial_step=0.02,
+        max_evaluations=25,
+        step_tolerance=1e-5,
+        global_evaluations=25,
+    )
+    return float(share[0]) * longest_s

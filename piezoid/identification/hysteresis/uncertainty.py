@@ -38,8 +38,7 @@ from piezoid.identification.quality import Certificate, Uncertainty
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import jackknife_half
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.prandtl_ishlinskii import worst_case
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, worst_case
 
 BLOCKS = 24
 POINTS = 41  # of the loading curve
@@ -263,7 +262,7 @@ def max_difference_m(
     sums of plays starts at the end of the range, so that no history matters; its mirror image is
     tried as well.
     """
-    worst_V = worst_case(alternative.plays, model.plays, reach_V).extrema
+    _, worst_V = worst_case(alternative.plays, model.plays, reach_V)
     voltage_V = model.voltage_offset_V + np.concatenate([drives_V, worst_V, -worst_V])
     first, second = (m.run(voltage_V, m.virgin_memory())[0] for m in (model, alternative))
     difference = second - first
@@ -285,10 +284,8 @@ def distance_terms(
     reach = np.array([-reach_V, reach_V])
     widest_V = float(np.abs(alternative.envelope.run(reach)).max())
     bends_V = _sup_difference(model.envelope, alternative.envelope, reach_V)
-    plays_m = steepest * (
-        worst_case(alternative.plays, model.plays, widest_V).bound
-        + float(np.abs(model.plays.weight).sum()) * bends_V
-    )
+    difference_m, _ = worst_case(alternative.plays, model.plays, widest_V)
+    plays_m = steepest * (difference_m + float(np.abs(model.plays.weight).sum()) * bends_V)
     top_m = float(alternative.plays.loading_curve(np.array([widest_V]))[0])
     return plays_m, _sup_difference(model.dead_zones, alternative.dead_zones, top_m)
 

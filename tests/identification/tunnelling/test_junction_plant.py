@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from piezoid.design.plant import sampled_plant
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
-from piezoid.numerics.zero_order_hold import sample
+from piezoid.operators.linear import ContinuousSystem
 
 RATE_Hz = 20000.0
 EXACT = 1e-9  # closed form against a matrix exponential, in gains of hundreds
@@ -25,18 +26,18 @@ def _plant(delay_s: float, sensor_pole_Hz: float = 7000.0) -> JunctionPlant:
 def test_the_step_response_is_that_of_the_continuous_chain(delay_s, sensor_pole_Hz):
     plant = _plant(delay_s, sensor_pole_Hz)
     a, s = 2 * np.pi * 4000.0, 2 * np.pi * sensor_pole_Hz
-    system = sample(
-        np.array([[-a, 0.0], [s, -s]]),
-        np.array([a * plant.gain_nepers_per_V, 0.0]),
-        np.array([0.0, 1.0]),
-        1.0 / RATE_Hz,
-        delay_s,
+    chain = ContinuousSystem(
+        A=np.array([[-a, 0.0], [s, -s]]),
+        B=np.array([[a * plant.gain_nepers_per_V], [0.0]]),
+        C=np.array([[0.0, 1.0]]),
+        D=np.zeros((1, 1)),
+        delay_s=delay_s,
     )
-    state, past, expected = np.zeros(2), np.zeros(system.taps.shape[1]), []
+    transition, drive, output = sampled_plant("", chain, RATE_Hz, output_unit="1").realised()
+    state, expected = np.zeros(len(transition)), []
     for _ in range(40):
-        expected.append(float(system.C @ state))
-        past = np.concatenate([[1.0], past[:-1]])
-        state = system.A @ state + system.taps @ past
+        expected.append(float(output @ state))
+        state = transition @ state + drive
     split = 1e-3 if sensor_pole_Hz == 4000.0 else EXACT  # a double pole is split by 1e-6
     assert plant.respond(np.ones(40)) == pytest.approx(np.array(expected), abs=split)
 

@@ -9,7 +9,7 @@ import pytest
 from piezoid.identification.tunnelling.approach import Direction
 from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
 from piezoid.identification.tunnelling.confidence import Confidence
-from piezoid.identification.tunnelling.sweep_pairs import compare_directions
+from piezoid.identification.tunnelling.junction import compare_directions
 from tests.identification.tunnelling.sweeps import real_sweep, real_table, sweep
 
 # The published fits of the two averages, in decays per nanometre.
