@@ -17,6 +17,7 @@ that a smooth residual, because a mode is missing, does not count as noise.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from piezoid.errors import ExcitationError, IdentificationError
@@ -156,12 +157,8 @@ def fit_response(
         coherence = None if path.coherence is None else path.coherence[is_used]
         variance[is_used] = _variance(fast[is_used], residual[is_used], coherence)
         if not is_outlier.any():
-            # Single lines that deviate from the model and from both neighbours.
             size = np.abs(residual[is_coherent]) / np.sqrt(variance[is_coherent])
-            size = size / max(float(np.median(size)) / np.sqrt(np.log(2.0)), TINY)
-            padded = np.pad(size, 1, mode="reflect")
-            is_alone = (padded[:-2] < NEIGHBOUR) & (padded[2:] < NEIGHBOUR)
-            is_outlier[is_coherent] = (size > OUTLIER) & is_alone
+            is_outlier[is_coherent] = _single_outliers(size)
         is_rejected = ~is_coherent | is_outlier
         lines = replace(
             lines, variance=variance, is_interference=is_outlier, is_rejected=is_rejected
@@ -198,6 +195,17 @@ def _path(record: FrequencyResponseRecord, axis: str) -> ResponsePath:
             remedy="Name its columns in lab.toml.",
         )
     return path
+
+
+def _single_outliers(size: Array) -> NDArray[np.bool_]:
+    """Return the lines that deviate from the model while both neighbours do not.
+
+    size  (lines,)  magnitude of the residual over its standard deviation
+    """
+    size = size / max(float(np.median(size)) / np.sqrt(np.log(2.0)), TINY)
+    padded = np.pad(size, 1, mode="reflect")
+    is_alone = (padded[:-2] < NEIGHBOUR) & (padded[2:] < NEIGHBOUR)
+    return np.asarray((size > OUTLIER) & is_alone)
 
 
 def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearDynamics:

@@ -58,6 +58,7 @@ class SecondOrderLag:
 
     frequency_Hz  undamped
     damping       of critical
+    delay_s       beside it
     """
 
     frequency_Hz: float
@@ -66,7 +67,7 @@ class SecondOrderLag:
 
     @property
     def time_s(self) -> float:
-        """Lag of slow drives."""
+        """Return the lag of slow drives."""
         return self.damping / (np.pi * self.frequency_Hz) + self.delay_s
 
     def powers(self, piece: Piece) -> Array:
@@ -149,15 +150,15 @@ def _regression(pieces: Sequence[Piece], columns: Sequence[Array]) -> tuple[Arra
 
 
 def _held_out_error(
-    pieces: Sequence[Piece], columns_of: Callable[[Sequence[Piece]], Callable[[Piece], Array]]
+    pieces: Sequence[Piece], columns: Callable[[Piece], Array]
 ) -> tuple[float, bool]:
     """Return the held-out rms error of a cubic, and whether it rises over the whole range.
 
-    columns_of  training pieces -> piece -> columns
+    columns  (samples, powers) of a piece, behind a lag that was fitted to all pieces
     """
     squares, rows, rises = 0.0, 0, True
     for fold in folds_of(pieces):
-        training, columns = fold.training, columns_of(fold.training)
+        training = fold.training
         gain, _ = _regression(training, [columns(piece) for piece in training])
         slope = np.polynomial.Polynomial([0.0, *gain.tolist()]).deriv()
         rises &= bool((slope(np.linspace(-1.0, 1.0, 41)) > 0.0).all())
@@ -358,6 +359,8 @@ def limits_of_lag(
     0.20 % of the range with an envelope, 0.57 % without, and 0.54 % for the lag. On thirteen
     published laws the error of a lag is 1.2 (loops of five sizes, Coleman and Hodgdon's) to 24
     times that of hysteresis without an envelope, and 0.18 times that of a fit without lag or more.
+    The lag is fitted to all pieces and the cubic to each fold, as the plays of a fold keep the lag
+    of all pieces.
     """
     scope, height, widest = scope_of(pieces), response_range(pieces), widest_opening(pieces)
     if widest <= WIDE * height:
@@ -369,8 +372,8 @@ def limits_of_lag(
     straight = without_bends(choice).best.held_out_rms
     rms, kind, is_explained = float(np.sqrt(np.mean(error**2))), "in sample", False
     if rms <= COMPARABLE * straight:  # the held-out error is larger
-        without_lag, _ = _held_out_error(thinned, lambda _: lambda piece: powers_of(piece.drive))
-        rms, rises = _held_out_error(thinned, lambda some: fit_lag(some, longest_lag_s).powers)
+        without_lag, _ = _held_out_error(thinned, lambda piece: powers_of(piece.drive))
+        rms, rises = _held_out_error(thinned, lag.powers)
         max_rms = min(COMPARABLE * straight, MAX_LAG_RESIDUAL * without_lag)
         kind, is_explained = "held out", rises and rms <= max_rms
     comparison = (

@@ -33,6 +33,15 @@ def test_a_loop_caused_by_a_lag_is_called_lag():
     assert "16.0 ms" in model.verdict.reason
 
 
+def test_a_lag_of_a_curved_response_is_called_lag():
+    drive = decaying(15, per_unit=20)
+    lagged = first_order_lag(drive / 5.0, 0.016, RATE_Hz)
+    curved = 5e-6 * (lagged + 0.12 * lagged**2 - 0.1 * lagged**3)
+    assert (
+        "phase lag, not hysteresis" in fit([recording(drive, noisy(curved))])["x"].verdict.reason
+    )
+
+
 def test_hysteresis_behind_a_lag_is_not_called_lag():
     drive = decaying(15, per_unit=20)
     plays = play_sum(drive, np.array([0.0, 1, 2.5]), np.array([1.0, 0.2, 0.15]), np.zeros(3))
