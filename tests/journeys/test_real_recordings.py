@@ -66,7 +66,7 @@ def test_the_lagging_positioner_is_not_reported_as_hysteresis(realdata):
     assert quality.is_lag_ambiguous
     assert min(limit.most for limit in quality.limits) <= 50
     (reason,) = [limit.reason for limit in quality.limits if limit.lack == "speed"]
-    assert "without hysteresis leaves 0.5" in reason
+    assert "alone 0.5" in reason
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")

@@ -70,6 +70,13 @@ class SecondOrderLag:
         """Return the lag of slow drives."""
         return self.damping / (np.pi * self.frequency_Hz) + self.delay_s
 
+    @property
+    def description(self) -> str:
+        """Return the parameters as text; a delay of less than a hundredth of the lag is left out."""
+        text = f"second order, {with_unit(self.frequency_Hz, 'Hz')}, damping {self.damping:.2g}"
+        has_delay = self.delay_s > 0.01 * self.time_s
+        return f"{text}, delay {with_unit(self.delay_s, 's')}" if has_delay else text
+
     def powers(self, piece: Piece) -> Array:
         """Return the powers of the lagged drive of a piece, (samples, powers)."""
         from scipy.signal import cont2discrete, lfilter, lfilter_zi
@@ -378,12 +385,13 @@ def limits_of_lag(
         kind, is_explained = "held out", rises and rms <= max_rms
     comparison = (
         f"plays without an envelope leave {100 * straight / height:.2g} % of the range held out, "
-        f"a lag of {with_unit(lag.time_s, 's')} without hysteresis leaves "
-        f"{100 * rms / height:.2g} % {kind} (second order, {with_unit(lag.frequency_Hz, 'Hz')}, "
-        f"damping {lag.damping:.2g}, delay {with_unit(lag.delay_s, 's')})"
+        f"a lag of {with_unit(lag.time_s, 's')} alone {100 * rms / height:.2g} % {kind}"
     )
-    reason = f"the loop ({100 * widest / height:.1f} % wide) is phase lag, not hysteresis"
-    return scope.limits(f": {comparison}"), f"{reason}: {comparison}" if is_explained else ""
+    reason = (
+        f"the loop ({100 * widest / height:.1f} % wide) is phase lag, not hysteresis: {comparison}"
+        f" ({lag.description})"
+    )
+    return scope.limits(f": {comparison}"), reason if is_explained else ""
 
 
 def reason_of_error(pieces: Sequence[Piece], choice: Choice) -> str:
