@@ -72,7 +72,7 @@ class SecondOrderLag:
 
     @property
     def description(self) -> str:
-        """Return the parameters as text; a delay of less than a hundredth of the lag is left out."""
+        """Return the parameters as text, with the delay if it is a noticeable part of the lag."""
         text = f"second order, {with_unit(self.frequency_Hz, 'Hz')}, damping {self.damping:.2g}"
         has_delay = self.delay_s > 0.01 * self.time_s
         return f"{text}, delay {with_unit(self.delay_s, 's')}" if has_delay else text

@@ -80,9 +80,8 @@ class Scope:
             (
                 self.branches >= 2 and self.has_one_speed,
                 "speed",
-                "branches of one size and direction were all driven at one speed: the width of "
-                "the loop cannot be separated from a lag, and the model is untested at other "
-                f"speeds{lag}",
+                "branches of one size were all driven at one speed: loop width and lag cannot be "
+                f"separated{lag}",
             ),
             (
                 self.amplitudes < MIN_AMPLITUDE_RATIO,
