@@ -21,7 +21,8 @@ from piezoid_cli.terminal import (
 def design(
     stage: Annotated[Path, typer.Argument(help="Folder that `piezoid fit` wrote.")],
     spec: Annotated[
-        Path | None, typer.Option(help="design.toml, such as: [x] bandwidth_Hz = 120.")
+        Path | None,
+        typer.Option(help=r"design.toml: a table per axis, such as \[x] with bandwidth_Hz = 120."),
     ] = None,
     rate: Annotated[
         float | None,

@@ -39,7 +39,7 @@ def diagnose(
     quiet: Quiet = False,
     json: JsonFile = False,
 ) -> None:
-    """Find the effects beyond hysteresis and lag: write diagnosis.json, diagnosis.html.
+    """Find the effects beyond hysteresis: write diagnosis.json, diagnosis.html.
 
     If the first file is the model.json of an earlier fit, that model is refitted, and its changes
     are reported as well.

@@ -121,7 +121,7 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
                 line += f", {inspection.reversals} reversals of the drive"
             if inspection.levels_V:
                 levels_V = dict.fromkeys(f"{u:.4g} V" for u in inspection.levels_V)
-                line += in_counts(f" at {', '.join(levels_V)}", inspection.counted)
+                line += in_counts(f" near {', '.join(levels_V)}", inspection.counted)
             if not inspection.axis_is_named:
                 line += f"; no axis named in the file, {inspection.axis} assumed"
             console.print(rich_text(line))
@@ -133,6 +133,8 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
             console.print(rich_text(f"  {statement.quantity} ({location}): {text}", "yellow"))
         if inspection.refusal is not None:
             console.print(rich_text(f"  not a recording: {inspection.refusal}", style="red"))
+        elif not inspection.statements:
+            console.print(rich_text("  no problem found"))
         console.print()
 
 

@@ -130,7 +130,7 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
             (
                 rich_text(name, style="bold" if name == planned.drive.name else ""),
                 f"{candidate.duration_s:.0f} s",
-                *(() if is_single else (f"{100.0 * estimate.separability:.2g} %",)),
+                *(() if is_single else (f"{max(100.0 * estimate.separability, 0.01):.2g} %",)),
                 f"{100 * error:.2g} %" if error < 10.0 else "not shown",
             )
         )
@@ -143,5 +143,6 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
     console.print(table(title, (*headings, last_heading), rows, n_words=1))
     is_best = planned.drive.name == planned.alternatives[0].name
     why = "the best drive" if is_best else "the shortest drive of at least 90 % of the best score"
-    console.print(rich_text(f"Chosen: {planned.drive.name}, {why}."))
+    remark = "" if planned.answers else ", which does not answer the question"
+    console.print(rich_text(f"Chosen: {planned.drive.name}, {why}{remark}."))
     console.print(rich_text(f"drive: {drive}"))

@@ -210,8 +210,8 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]") -> list[str]:
         lines.append(in_counts(line, diagnosis.counted))
     if any("*" in line for line in lines):
         lines.append(
-            "(budget: held-out rms; squares add up; base model: hysteresis and lag; the final "
-            "model removes the parts with *, the others make up its error)"
+            "(budget: held-out rms; squares add up; base model: hysteresis alone; the final model "
+            "removes the parts with *, the others make up its error)"
         )
     return lines
 

@@ -114,7 +114,7 @@ def diagnose(
     threads: int = 1,
     progress: Progress = None,
 ) -> Diagnosis:
-    """Find the effects that explain the error of the base model (hysteresis and lag) of one axis.
+    """Find the effects that explain the error of hysteresis alone on one axis.
 
     model    fitted model, or None to fit the axis first; ``model.extended(diagnosis)`` contains
              the effects

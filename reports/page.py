@@ -24,7 +24,7 @@ from piezoid.verification.verification import Verification
 from piezoid_reports.quantities import number
 
 MAX_PLOTTED = 2  # recordings per axis, those with the largest residual; a table lists all
-WIDE_SHARE = 0.5  # of the widest drive range: above, a recording shows the loop
+WIDE_SHARE = 0.9  # of the widest drive range: above, a recording shows the loop
 SPIRAL_Hz = 10.0  # rate of the spiral whose tracking error the page shows
 
 
@@ -72,7 +72,7 @@ def rms(values: Array) -> float:
 def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[Trace, ...]:
     """Return a trace for every recording of the axis in the fit, largest residual first.
 
-    Recordings over less than half of the widest drive range come last: they show no full loop.
+    Recordings of a clearly smaller drive than the widest come last: they show no full loop.
     """
     fitted = [r for r in recordings if axis_model.starts_of(r)]
     modelled = [simulate_fitted_rows(axis_model, recording) for recording in fitted]

@@ -314,9 +314,7 @@ def error_parts_m(certificate: Certificate) -> dict[str, float]:
     """
     is_inverted = certificate.form == "inverse"
     return {
-        "the uncertainty of the hysteresis model, multiplied by the largest gain of the loop"
-        if is_inverted
-        else "the hysteresis, multiplied by the largest gain of the loop": (
+        "the uncertainty of the hysteresis model" if is_inverted else "the hysteresis": (
             certificate.hysteresis_error_m
         ),
         "the delay of the reference": certificate.reference_error_m,

@@ -9,9 +9,6 @@ from piezoid.identification.model import AxisModel
 from piezoid.statement import Kind, Level, Statement
 
 _MAX_CHIRP_SHARE = 0.4  # of the sampling rate: below the Nyquist frequency with some margin
-# Share of the largest bandwidth that is tried, above which it limits the loop: the limit of the
-# control effort costs up to half of the bandwidth.
-_NEAR_LIMIT = 0.5
 
 
 def design_statements(design: Design, model: ActuatorModel) -> tuple[Statement, ...]:
@@ -36,17 +33,16 @@ def bandwidth_limit_Hz(design: AxisDesign, axis: AxisModel) -> float | None:
 
 
 def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
-    limit_Hz, bandwidth_Hz = bandwidth_limit_Hz(design, axis), design.recommended.bandwidth_Hz
-    if limit_Hz is None or bandwidth_Hz < _NEAR_LIMIT * limit_Hz:
+    if bandwidth_limit_Hz(design, axis) is None:
         return []
+    bandwidth_Hz = design.recommended.bandwidth_Hz
     rate_Hz = design.sampling_rate_Hz
     chirp_Hz = _MAX_CHIRP_SHARE * rate_Hz
     record = f"Record a small chirp up to {with_unit(chirp_Hz, 'Hz', 2)}"
     unseen_modes, resonance_Hz = unseen(axis), axis.unfitted_resonance_Hz
     stated_Hz = None if axis.bandwidth is None else axis.bandwidth.stated_Hz
-    level = Level.ACTION
     if unseen_modes.peak < FIRST_MODE:
-        level, seen_Hz = Level.WARNING, with_unit(unseen_modes.from_Hz, "Hz")
+        seen_Hz = with_unit(unseen_modes.from_Hz, "Hz")
         reason = f"the recordings show the response only up to {seen_Hz}. {record}."
     elif resonance_Hz is not None:
         reason = f"the resonance near {with_unit(resonance_Hz, 'Hz', 3)} could not be fitted."
@@ -60,7 +56,7 @@ def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
             advice = f"It cannot be seen at {rate}: use a faster recorder."
         reason = f"the stated {with_unit(stated_Hz, 'Hz', 3)} was not recorded. {advice}"
     text = f"Bandwidth limited to {with_unit(bandwidth_Hz, 'Hz')}: {reason}"
-    return [_statement(design.axis, level, "bandwidth", text, bandwidth_Hz, "Hz")]
+    return [_statement(design.axis, Level.ACTION, "bandwidth", text, bandwidth_Hz, "Hz")]
 
 
 def _error_bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:

@@ -11,6 +11,8 @@ from piezoid.diagnosis.diagnosis import (
     Diagnosis,
     Finding,
 )
+from piezoid.diagnosis.effect import Tangent
+from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
 from piezoid.diagnosis.null_distribution import ALPHA
 from piezoid.diagnosis.residual_coordinates import coordinate_words
@@ -43,14 +45,7 @@ def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
             statements.append(
                 _statement(diagnosis, Kind.FINDING, Level.ACTION, SOMETHING_ELSE, text, size_m)
             )
-    for finding in findings:
-        if finding.not_separable_from:
-            text = (
-                f"{words(finding.effect).capitalize()} cannot be separated from "
-                f"{' or '.join(map(words, finding.not_separable_from))}. {finding.next_experiment}"
-            )
-            quantity = f"{finding.effect}_confounded"
-            statements.append(_statement(diagnosis, Kind.LIMIT, Level.ACTION, quantity, text))
+    statements += [_confounded(diagnosis, f) for f in findings if f.not_separable_from]
     if part is not None and part.part != SOMETHING_ELSE and (is_tested or findings):
         is_most = part.rms_m**2 > 0.5 * diagnosis.final.rms_m**2
         is_action = part.part == "extrapolation" and is_most
@@ -70,6 +65,25 @@ def largest_first(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     if all(first.share > second.share for first in unnamed for second in catalogued):
         return (*unnamed, *catalogued)
     return diagnosis.findings
+
+
+def _confounded(diagnosis: Diagnosis, finding: Finding) -> Statement:
+    """State that a finding cannot be separated from other effects.
+
+    Lag and delay give nearly the same controller, so that these need no action.
+    """
+    names = (finding.effect, *finding.not_separable_from)
+    text = (
+        f"{words(finding.effect).capitalize()} cannot be separated from "
+        f"{' or '.join(map(words, finding.not_separable_from))}"
+    )
+    level = Level.ACTION
+    tangents = [effect_named(name).tangent for name in names]
+    if all(isinstance(tangent, Tangent) and tangent.lags for tangent in tangents):
+        level, text = Level.WARNING, f"{text}; the controller is nearly the same with either"
+    quantity = f"{finding.effect}_confounded"
+    text = f"{text}. {finding.next_experiment}"
+    return _statement(diagnosis, Kind.LIMIT, level, quantity, text)
 
 
 def _nothing_found(diagnosis: Diagnosis) -> Statement:

@@ -48,7 +48,7 @@ HEAD = f"""\
 # slew_V_per_s = 20000           # largest slew rate
 
 [actuator]
-# bandwidth_Hz = 630             # first resonance or pole, from the data sheet
+# bandwidth_Hz = 630             # first resonance or pole, from the data sheet; else leave out
 
 [sensor]
 # bandwidth_Hz = 8500            # -3 dB
@@ -58,7 +58,7 @@ HEAD = f"""\
 # sampling_rate_Hz = 20000       # of the controller; also of recordings without a time column
 # dac_bits = 16
 # adc_bits = 16
-# input_range_V = [-10, 10]
+# input_range_V = [-10, 10]      # full range of the DAC and of the ADC
 
 [uncertainty]                    # from certificates; otherwise the budget is a lower bound
 # sensor_gain_relative = 0.001   # relative standard uncertainty

@@ -30,7 +30,7 @@ KINDS = {  # label of the axis, height of the figure in pixels, guide
     "gain": (
         "gain [dB re 1 m/V]",
         Canvas.height,
-        "Good: the model runs through the measured band. Bad: peaks that the model misses.",
+        "Good: the model has the shape of the measured band. Bad: peaks that the model misses.",
     ),
     "phase": (
         "phase [degrees]",
@@ -59,7 +59,9 @@ def render(page: Page) -> Section | None:
             joint = axis.joint
             pieces = zip(joint.recordings, joint.separate_rms_m, joint.joint_rms_m, strict=True)
             residuals = Table(
-                caption="Residual of the displacement about its straight line, rms.",
+                caption="Test of this fit, before effects and loop shape are added: residual of "
+                "the displacement, each recording about its straight line, rms. The final model "
+                "has the residual under Loops.",
                 columns=("recording", "fitted separately", "fitted together"),
                 rows=tuple((name, number(a, "m"), number(b, "m")) for name, a, b in pieces),
             )

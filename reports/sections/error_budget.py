@@ -54,9 +54,9 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="error-budget",
         title="Error budget",
-        lead="Held-out error of the base model (hysteresis operator and lag), split into its "
-        "causes. Each number is the rms of one part; the squares of the parts add up. A bar shows "
-        "how much its part raises the total, which is less than its number.",
+        lead="Held-out error of the base model (hysteresis without a lag or another effect), "
+        "split into its causes. Each number is the rms of one part; the squares of the parts add "
+        "up. A bar shows how much its part raises the total, which is less than its number.",
         parts=tuple(waterfalls),
     )
 

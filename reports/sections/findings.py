@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis
 from piezoid.diagnosis.diagnosis_statements import largest_first
@@ -16,7 +17,7 @@ from piezoid_reports.quantities import number, percent, size_of
 
 MAX_BOUND = 0.1  # of the range: a larger bound of an effect is not useful
 MIN_GAIN = 1e-3  # of the held-out error: refitting alone changes it by as much
-NO_FIGURES = "No figures: they need a model of these recordings. Run `piezoid fit`."
+NO_FIGURES = "No figures: they need a model of these recordings. Run piezoid fit."
 NO_FIGURE = "No figure: the model fits these recordings equally well without the effect."
 
 
@@ -105,37 +106,52 @@ def _not_detected_tables(page: Page) -> list[Part]:
     faults = [name for name in names if effect_named(name).fault is not None]
     axes = [diagnosis.axis for diagnosis in diagnoses]
     by_name = {(absence.effect, axis): absence for absence, axis in absent}
-    tables = (
-        (
-            effects,
-            "Effects not detected. First number: 95 % upper bound of the effect, in addition to "
-            "the findings. Second number: size that is detected in four of five cases. Both: rms.",
-        ),
-        (faults, "Data faults not detected. Detection limit, height of a spike or step."),
-    )
+    confounded = {
+        (alternative, diagnosis.axis): finding.effect
+        for diagnosis in diagnoses
+        for finding in diagnosis.findings
+        for alternative in finding.not_separable_from
+    }
     # On these axes the fit models a drift of the zero; the limits apply to additional drift.
     drifting = {fact.axis for fact in page.statements if fact.quantity == ZERO_DRIFT}
-    parts: list[Part] = []
-    for names_of_table, caption in tables:
-        rows = []
-        for name in names_of_table:
-            cells = []  # bound and detection limit, or why the effect could not be tested
-            for axis in axes:
-                absence, cell = by_name.get((name, axis)), "found"
-                if absence is not None and absence.detection_limit_m is None:
-                    cell = f"not tested: {absence.reason}"
-                elif absence is not None and absence.detection_limit_m is not None:
-                    cell = number(absence.detection_limit_m, "m")
-                    if name in effects and absence.upper_bound_m is not None:
-                        fitted = page.model.axes.get(axis)
-                        max_m = math.inf if fitted is None else MAX_BOUND * fitted.quality.range_m
-                        bound = number(absence.upper_bound_m, "m")
-                        is_useful = absence.upper_bound_m <= max_m
-                        cell = f"{bound if is_useful else 'no useful bound'}, {cell}"
-                if name == thermal_drift.EFFECT.name and axis in drifting:
-                    cell += ", in addition to the drift in the fit"
-                cells.append(cell)
-            rows.append((words(name), *cells))
-        columns = ("effect", *(f"axis {axis}" for axis in axes))
-        parts += with_rows(Table(caption=caption, columns=columns, rows=tuple(rows)))
-    return parts
+
+    def cells(name: str, axis: str) -> tuple[str, str]:
+        """Return bound and detection limit, or why the effect could not be tested."""
+        absence = by_name.get((name, axis))
+        if absence is None:
+            return "found", ""
+        if (name, axis) in confounded:
+            return f"not separable from {words(confounded[name, axis])}", ""
+        if absence.detection_limit_m is None:
+            return f"not tested: {absence.reason}", ""
+        bound = ""
+        if absence.upper_bound_m is not None:
+            fitted = page.model.axes.get(axis)
+            max_m = math.inf if fitted is None else MAX_BOUND * fitted.quality.range_m
+            is_useful = absence.upper_bound_m <= max_m
+            bound = number(absence.upper_bound_m, "m") if is_useful else "no useful bound"
+        limit = number(absence.detection_limit_m, "m")
+        if name == thermal_drift.EFFECT.name and axis in drifting:
+            limit += ", in addition to the drift in the fit"
+        return bound, limit
+
+    headings = [(f"axis {axis}: at most", f"axis {axis}: detected from") for axis in axes]
+    of_effects = Table(
+        caption="Effects not detected, rms. At most: 95 % upper bound, in addition to the "
+        "findings. Detected from: size that is found in four of five cases.",
+        columns=("effect", *chain.from_iterable(headings)),
+        rows=tuple(
+            (words(name), *chain.from_iterable(cells(name, axis) for axis in axes))
+            for name in effects
+        ),
+    )
+    of_faults = Table(
+        caption="Data faults not detected: size from which they are detected. Of a spike or step "
+        "its height, of a timestamp fault the error of the displacement.",
+        columns=("fault", *(f"axis {axis}" for axis in axes)),
+        rows=tuple(
+            (words(name), *(limit or bound for bound, limit in (cells(name, a) for a in axes)))
+            for name in faults
+        ),
+    )
+    return with_rows(of_effects, of_faults)

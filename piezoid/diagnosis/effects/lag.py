@@ -18,6 +18,8 @@ Source
 
 from dataclasses import replace
 
+import numpy as np
+
 from piezoid.diagnosis.effect import (
     OVER_SPEED,
     Effect,
@@ -26,6 +28,7 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.signals import delay_trials, trial_times_s, with_extension
+from piezoid.formatting import with_unit
 from piezoid.identification.extensions.lags import FirstOrderLag
 from piezoid.numerics.arrays import Array
 from piezoid.operators.filters import relaxed
@@ -44,8 +47,8 @@ BEHIND = Effect(
     explanation=__doc__ or "",
     unit="µs",
     model_error=0.015,
-    experiment="Record a small multisine or chirp beyond the corner 1/(2 pi lag): a lag "
-    "attenuates there, a delay does not.",
+    experiment="Record a small multisine or chirp beyond the corner of the lag: a lag attenuates "
+    "there, a delay does not.",
     control="A lag costs phase and gain. Declare the filter in lab.toml or keep it in the "
     "model; otherwise the loop is designed for the wrong plant.",
     shows=OVER_SPEED,
@@ -57,6 +60,9 @@ BEHIND = Effect(
     ),
     response_filter=_lagged,
     size=lambda _, parameters, __: 1e6 * parameters["time_s"],
+    note=lambda parameters: (
+        f"Its corner is at {with_unit(1.0 / (2.0 * np.pi * parameters['time_s']), 'Hz')}."
+    ),
     inject=lambda recording, share: with_extension(recording, FirstOrderLag(lag_s=share / SPEED)),
     extend=lambda estimate, _: (FirstOrderLag(lag_s=max(estimate.parameters["time_s"], 0.0)),),
     without=without_part(FirstOrderLag, lag=True),

@@ -44,9 +44,9 @@ EFFECT = Effect(
     unit="nm, rms",
     experiment="Record minor loops of five sizes at three biases, each twice: they decide between "
     "classes of hysteresis.",
-    control="In open loop this error remains, because the exported inverse has plays with dead "
-    "zones only. Feedback removes it, or a drive computed in advance from the whole model "
-    "(`piezoid export --target waveform`).",
+    control="In open loop this error remains, because the exported inverse has an envelope, plays "
+    "and dead zones, but not this class. Feedback removes it, or a drive computed in advance from "
+    "the whole model (piezoid export --target waveform).",
     shows=OVER_DRIVE,
     tangent="its size is the difference of two classes of hysteresis, which no single drive sets",
     inject=inject,

@@ -223,8 +223,8 @@ def remarks_on(fit: HysteresisFit, held_out_kind: str, rig: Rig) -> tuple[str, .
         unexcited = int((forgetting_sample(drive, operator.threshold) >= len(drive)).sum())
         if unexcited:
             remarks.append(
-                f"{piece.name} does not excite the largest of the {plays} play thresholds "
-                f"({unexcited} of them)."
+                f"{piece.name} is too small to move the {unexcited} widest of the {plays} plays: "
+                "only other recordings determine them."
             )
     on_zero = int((operator.weight[1:] <= 0.0).sum())
     if on_zero:
