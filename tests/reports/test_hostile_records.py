@@ -96,8 +96,6 @@ def test_no_text_of_a_sealed_file_adds_an_element_or_an_attribute(name):
             holder[key] = original
     assert len(free_texts) > 3
     harmless = draw(read(reseal(record)))
-    for hostile in HOSTILE[:6]:  # test_hostile_names.py has all of them
-        for holder, key in free_texts:
-            holder[key] = hostile
-        page = draw(read(reseal(record)))
-        assert skeleton(page) == skeleton(harmless)
+    for holder, key in free_texts:
+        holder[key] = "".join(HOSTILE[:6])  # test_hostile_names.py has each of them alone
+    assert skeleton(draw(read(reseal(record)))) == skeleton(harmless)

@@ -151,9 +151,9 @@ def answers(extensions):
     run = run_axis(
         plant,
         shipped("mpi"),
-        1.2e-5 + 6e-6 * np.sin(2.0 * np.pi * 40.0 * np.arange(4000) / RATE_Hz),
+        1.2e-5 + 6e-6 * np.sin(2.0 * np.pi * 40.0 * np.arange(1000) / RATE_Hz),
         rng=np.random.default_rng(1),
-        disturbance=plant.motion_m(4000, np.sin(np.arange(4000) / 200.0)),
+        disturbance=plant.motion_m(1000, np.sin(np.arange(1000) / 200.0)),
     )
     return design_inputs(lateral_task(axis, RATE_Hz, forms=("inverse",))), run.measured
 
