@@ -249,7 +249,7 @@ def test_loop_shape_is_fitted_with_a_mode():
     """A delay instead of the mode leaves 1 % of fast motion: below hysteresis, above noise."""
     mode = LinearMode(frequency_Hz=60.0, quality=20.0)
     fast = 0.6 * np.sin(np.arange(3000) / 15.0)
-    fields = {"sweep": SWEEP, "walk": walk(3), "quick": fast}
+    fields = {"sweep": SWEEP, "quick": fast}
     static = tuple(recorded("dahl", field, name) for name, field in fields.items())
     ringing = tuple(recorded("dahl", field, name, 1.0, mode) for name, field in fields.items())
     plays = estimate_axis(static, "x", Rig(), orders=((4, 1),))

@@ -1,11 +1,12 @@
 """The verification plant of an extended model contains the extensions of that model."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 
+from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.design.lateral_task import lateral_task
 from piezoid.export.export_stage import creep_values
 from piezoid.identification.extensions import (
@@ -131,8 +132,12 @@ def test_a_cyclic_error_is_in_the_reading_and_not_in_the_position(rng):
 
 
 @pytest.mark.parametrize("extension", one_of_each(), ids=lambda extension: extension.kind)
-def test_every_extension_is_in_the_plants_of_design_certificate_and_verification(extension):
+def test_every_extension_is_in_the_plants_of_design_certificate_and_verification(
+    extension, monkeypatch
+):
     """The exception is a declared converter hold, which belongs to the recordings."""
+    few_replicates = partial(draw_replicates, draws=30)
+    monkeypatch.setattr("piezoid.design.lateral_task.draw_replicates", few_replicates)
     unextended, extended = unextended_answers(), answers((extension,))
     reaches_loop = not isinstance(extension, ConverterHold)
     assert (unextended[0] != extended[0]) == reaches_loop
