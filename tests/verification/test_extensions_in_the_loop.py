@@ -1,5 +1,6 @@
 """The verification plant of an extended model contains the extensions of that model."""
 
+import sys
 from dataclasses import replace
 from functools import cache, partial
 
@@ -137,7 +138,8 @@ def test_every_extension_is_in_the_plants_of_design_certificate_and_verification
 ):
     """The exception is a declared converter hold, which belongs to the recordings."""
     few_replicates = partial(draw_replicates, draws=30)
-    monkeypatch.setattr("piezoid.design.lateral_task.draw_replicates", few_replicates)
+    module = sys.modules[lateral_task.__module__]
+    monkeypatch.setattr(module, "draw_replicates", few_replicates)
     unextended, extended = unextended_answers(), answers((extension,))
     reaches_loop = not isinstance(extension, ConverterHold)
     assert (unextended[0] != extended[0]) == reaches_loop
