@@ -1,13 +1,11 @@
 """The verification plant of an extended model contains the extensions of that model."""
 
-import sys
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
 
-from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.design.lateral_task import lateral_task
 from piezoid.export.export_stage import creep_values
 from piezoid.identification.extensions import (
@@ -34,6 +32,7 @@ from piezoid.verification.plant import lateral_plant
 from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.verify import verify
 from tests.identification.extensions.samples import one_of_each
+from tests.plays_alone import draw_few_replicates
 from tests.verification.known_fit import fitted, shipped
 from tests.verification.rig import GAIN_m_per_V, RATE_Hz, lateral_parameters, operator, stage
 
@@ -137,9 +136,7 @@ def test_every_extension_is_in_the_plants_of_design_certificate_and_verification
     extension, monkeypatch
 ):
     """The exception is a declared converter hold, which belongs to the recordings."""
-    few_replicates = partial(draw_replicates, draws=30)
-    module = sys.modules[lateral_task.__module__]
-    monkeypatch.setattr(module, "draw_replicates", few_replicates)
+    draw_few_replicates(monkeypatch)
     unextended, extended = unextended_answers(), answers((extension,))
     reaches_loop = not isinstance(extension, ConverterHold)
     assert (unextended[0] != extended[0]) == reaches_loop
