@@ -1,10 +1,13 @@
-"""Fits without their slowest candidates, for tests of the steps after a fit."""
+"""Fits without their slowest candidates, and bounds of few draws, for tests of other steps."""
 
+import sys
 from functools import partial
 
 import numpy as np
 import pytest
 
+from piezoid.design.hysteresis_bounds import draw_replicates
+from piezoid.design.lateral_task import lateral_task
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.loop_shape_blocks import Errors
 
@@ -24,3 +27,9 @@ def fit_one_order(patch: pytest.MonkeyPatch) -> None:
     estimate = partial(estimate_axis, orders=((8, 2),))
     patch.setattr("piezoid.identification.fit.estimate_axis", estimate)
     patch.setattr("piezoid.identification.hysteresis.order_selection.BENDS", ())
+
+
+def draw_few_replicates(patch: pytest.MonkeyPatch) -> None:
+    """Bound the error of the inverse with 30 draws of the fit instead of 200."""
+    few = partial(draw_replicates, draws=30)
+    patch.setattr(sys.modules[lateral_task.__module__], "draw_replicates", few)

@@ -11,23 +11,13 @@ from matplotlib.figure import Figure
 import piezoid
 from piezoid.errors import PictureError
 from tests.api.stage import fitted, recorded, unseen_drive
+from tests.design.designed import known_design, known_shipping
 from tests.reports.known_diagnosis import diagnosed, finding
 from tests.verification.known_fit import fitted as known_model
-from tests.verification.rig import RATE_Hz
 
 mpl.use("Agg")
 
 HAS_UNIT = re.compile(r"\((V|s|Hz|1|dB|[pnµm]?m(/V)?)\)$")
-
-
-@pytest.fixture(scope="module")
-def design() -> piezoid.Design:
-    return piezoid.design(known_model(), sampling_rate_Hz=RATE_Hz)
-
-
-@pytest.fixture(scope="module")
-def shipping(design) -> piezoid.Shipping:
-    return piezoid.export(known_model(), design)
 
 
 def draw(axes) -> Figure:
@@ -75,7 +65,8 @@ def test_a_diagnosis_draws_findings_and_detection_limits():
     assert bar.get_x() + bar.get_width() == pytest.approx(25.0)  # nm: 0.25 % of 10 um
 
 
-def test_a_design_draws_its_loops(design):
+def test_a_design_draws_its_loops():
+    design = known_design()
     axes = piezoid.plot(design)
     draw(axes)
     draw(piezoid.plot(design, axis="x"))
@@ -83,8 +74,8 @@ def test_a_design_draws_its_loops(design):
         piezoid.plot(design, axis="q")
 
 
-def test_a_verification_draws_methods_and_verdicts(shipping):
-    verification = shipping.verification
+def test_a_verification_draws_methods_and_verdicts():
+    verification = known_shipping().verification
     axes = piezoid.plot(verification)
     draw(axes)
     methods = {row.method for row in verification.comparison}
@@ -95,10 +86,10 @@ def test_a_verification_draws_methods_and_verdicts(shipping):
     assert len(verdicts.patches) == sum(verdict.limit > 0.0 for verdict in verification.verdicts)
 
 
-def test_a_closed_loop_draws_reference_and_position(design):
+def test_a_closed_loop_draws_reference_and_position():
     model = known_model()
     reference_m = model["x"].zero_m + 1e-7 * np.sin(np.linspace(0.0, 20.0, 2000))
-    loop = piezoid.simulate_loop(model, reference_m, design)
+    loop = piezoid.simulate_loop(model, reference_m, known_design())
     draw(piezoid.plot(loop))
     draw(piezoid.plot(loop, "error"))
     frame = loop.to_frame()
@@ -106,10 +97,10 @@ def test_a_closed_loop_draws_reference_and_position(design):
     assert loop.rms_error == pytest.approx(float(np.sqrt(np.mean(frame["error"] ** 2))))
 
 
-def test_a_plot_uses_the_given_axes(design):
+def test_a_plot_uses_the_given_axes():
     sweep, model = fitted()
     figure = Figure()
-    for record, panel in zip((sweep, model, design), figure.subplots(3), strict=True):
+    for record, panel in zip((sweep, model, known_design()), figure.subplots(3), strict=True):
         assert piezoid.plot(record, ax=panel) is panel
     figure.savefig("/dev/null", format="png")
 

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -10,47 +9,21 @@ import piezoid
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.errors import ParameterFileError, RecordingError
 from piezoid.sealed_files import sealed
+from tests.design.designed import known_design, known_shipping
 from tests.reports.known_diagnosis import diagnosed, finding
 from tests.verification.known_fit import fitted
-from tests.verification.rig import RATE_Hz
-
-LAB_TOML = """
-[sensor]
-gain_V_per_m = 2e5
-[acquisition]
-dac_bits = 16
-adc_bits = 16
-input_range_V = [-10, 10]
-"""
-
-
-@pytest.fixture(scope="module")
-def lab(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("rig") / "lab.toml"
-    path.write_text(LAB_TOML)
-    return path
-
-
-@pytest.fixture(scope="module")
-def design(lab) -> piezoid.Design:
-    return piezoid.design(fitted(), lab=lab, sampling_rate_Hz=RATE_Hz)
-
-
-@pytest.fixture(scope="module")
-def shipping(lab, design) -> piezoid.Shipping:
-    return piezoid.export(fitted(), design, lab=str(lab))
 
 
 def diagnosis(axis: str) -> piezoid.Diagnosis:
     return replace(diagnosed(finding("creep")), axis=axis)
 
 
-def test_every_sealed_file_writes_the_same_bytes_again(design, shipping, tmp_path):
+def test_every_sealed_file_writes_the_same_bytes_again(tmp_path):
     records = {
         "model.json": fitted(),
-        "design.json": design,
-        "params.json": shipping.parameters,
-        "verification.json": shipping.verification,
+        "design.json": known_design(),
+        "params.json": known_shipping().parameters,
+        "verification.json": known_shipping().verification,
     }
     for name, record in records.items():
         piezoid.save(record, tmp_path / name)
@@ -70,24 +43,25 @@ def test_diagnoses_are_read_for_each_axis(tmp_path):
     assert path.read_bytes() == write_diagnosis(diagnosis("x"), further_axes=[diagnosis("y")])
 
 
-def test_a_repeated_verification_has_the_same_bytes(lab, shipping):
-    assert shipping.verification.passed
-    repeated = piezoid.verify(shipping, fitted(), lab=lab)
-    assert repeated.to_json() == shipping.verification.to_json()
-
-
-def test_a_design_of_another_model_is_not_exported(lab, design):
+def test_a_repeated_verification_has_the_same_bytes():
+    """A model with the same numbers is the same model."""
+    verification = known_shipping().verification
+    assert verification.passed
     copied = fitted().with_axis(fitted()["x"])
-    assert piezoid.export(copied, design, lab=lab).parameters is not None  # the same numbers
-    renamed = piezoid.ActuatorModel(stage="other", axes=copied.axes, sources={})
+    repeated = piezoid.verify(known_shipping(), copied)
+    assert repeated.to_json() == verification.to_json()
+
+
+def test_a_design_of_another_model_is_not_exported():
+    renamed = piezoid.ActuatorModel(stage="other", axes=fitted().axes, sources={})
     with pytest.raises(ParameterFileError, match="was made from the model"):
-        piezoid.export(renamed, design, lab=lab)
+        piezoid.export(renamed, known_design())
 
 
-def test_the_report_needs_records_only(lab, design, shipping):
-    page = piezoid.report(fitted(), design=design, shipping=shipping, lab=lab)
+def test_the_report_needs_records_only():
+    page = piezoid.report(fitted(), design=known_design(), shipping=known_shipping())
     assert page.lower().startswith("<!doctype html")
-    assert shipping.verification.parameters_digest[:19] in page
+    assert known_shipping().verification.parameters_digest[:19] in page
 
 
 @pytest.mark.parametrize(

@@ -8,26 +8,23 @@ import pytest
 
 from piezoid.calibration.controllers import Controllers, controllers_of
 from piezoid.design.design import AxisDesign
-from piezoid.design.design_stage import AxisDesignResult, design_axes
+from piezoid.design.design_stage import AxisDesignResult
 from piezoid.errors import DesignError, RuntimeLibraryError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import write_model
 from piezoid.records.lab import Lab
+from tests.design.designed import known_design
 from tests.verification.known_fit import fitted
-from tests.verification.rig import RATE_Hz
 
 LAB = Lab(verification={"overshoot_percent": 5.0})
 ADVICE = {"needed": "8 N", "remedy": "Push less."}
 STEPS = ("design", "export", "verification")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def design_x() -> AxisDesign:
-    """Return a design of axis x of the known stage."""
-    (outcome,) = design_axes(fitted(), sampling_rate_Hz=RATE_Hz, forms=("inverse",))
-    assert outcome.design is not None
-    return outcome.design
+    return known_design().axis("x")
 
 
 def with_reference(design: AxisDesign, filter_: Sequence[float], **changes: float) -> AxisDesign:

@@ -74,7 +74,6 @@ def test_inspect_and_init_escape_headings_and_file_names(tmp_path, monkeypatch):
 def test_errors_escape_the_codes_of_a_name(tmp_path):
     hostile = "x\x1b[2J"
     for words, status in (
-        (["design", hostile], 3),
         (["fit", hostile, "--out", "made"], 3),
         (["fit", hostile, "--out", "."], 2),
         (["--\x1b[2J"], 2),

@@ -133,7 +133,7 @@ def test_workers_report_their_steps():
     assert any("adding 99 numbers" in text for text in messages)
 
 
-@pytest.mark.parametrize("after_s", [0.0, 0.2, 0.6, 1.5])
+@pytest.mark.parametrize("after_s", [0.0, 0.6])
 def test_ctrl_c_ends_this_process_and_its_workers_with_status_130(after_s, tmp_path):
     (tmp_path / "jobs.py").write_text("""
 import time

@@ -1,8 +1,9 @@
-"""Design of the known stage, computed once for all tests."""
+"""Design and export of the known stage, computed once for all tests."""
 
 import json
 from functools import cache
 
+import piezoid
 from piezoid.design.design import Design
 from piezoid.design.design_stage import design_stage
 from piezoid.identification.store import write_model
@@ -16,3 +17,8 @@ def known_design() -> Design:
     return design_stage(
         fitted(), model_digest=digest, sampling_rate_Hz=RATE_Hz, forms=("inverse",)
     )
+
+
+@cache
+def known_shipping() -> piezoid.Shipping:
+    return piezoid.export(fitted(), known_design())

@@ -115,7 +115,7 @@ def test_a_loop_states_the_damping_before_and_after(loop):
 
 
 def test_a_default_bandwidth_is_raised_while_the_certificate_holds():
-    plants = family(0.02, members=3)
+    plants = PlantFamily(members=family(0.02, members=2).members[:2])
     specification = default_of(plants)
     original = design(plants, specification)
     raised = raise_bandwidth(

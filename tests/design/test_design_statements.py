@@ -1,18 +1,19 @@
 """Statements about the limit of the bandwidth and the bound of the error."""
 
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
 import piezoid
 from piezoid.design.design import Design
-from piezoid.design.design_stage import design_stage
 from piezoid.design.design_statements import (
     bandwidth_limit_Hz,
     design_statements,
     error_parts_m,
     useful_bound_m,
 )
+from piezoid.design.lateral_task import lateral_task
 from piezoid.identification.dynamics.bandwidth import unmeasured
 from piezoid.identification.model import AxisModel
 from piezoid.statement import Level
@@ -31,24 +32,25 @@ def levels_of(design: Design, axis: AxisModel) -> dict[str, Level]:
     return {fact.quantity: fact.level for fact in design_statements(design, model_of(axis))}
 
 
-@pytest.fixture(scope="module")
-def design() -> Design:
+@cache
+def fast_design() -> Design:
+    """Return a design for an unknown resonance, with a loop near any limit of its bandwidth."""
+    axis_design = known_design().axis("x")
+    loop = replace(axis_design.recommended, bandwidth_Hz=RATE_Hz)
     axis = replace(fitted()["x"], bandwidth=UNKNOWN)
-    return design_stage(
-        model_of(axis), model_digest="", sampling_rate_Hz=RATE_Hz, forms=("inverse",)
-    )
+    specification = lateral_task(axis, RATE_Hz, forms=("inverse",)).specification
+    limited = replace(axis_design, loops=(loop,), specification=specification)
+    return replace(known_design(), axes=(limited,))
 
 
-def test_a_loop_without_a_known_resonance_asks_for_a_chirp(design):
+def test_a_loop_without_a_known_resonance_asks_for_a_chirp():
     axis = replace(fitted()["x"], bandwidth=UNKNOWN)
-    axis_design, levels = design.axis("x"), levels_of(design, axis)
-    limit_Hz = bandwidth_limit_Hz(axis_design, axis)
+    limit_Hz = bandwidth_limit_Hz(fast_design().axis("x"), axis)
     assert limit_Hz == pytest.approx(200.0 / 60.0)  # lowest possible resonance over its peak
-    assert axis_design.recommended.bandwidth_Hz <= limit_Hz
-    assert levels["bandwidth"] is Level.ACTION
+    assert levels_of(fast_design(), axis)["bandwidth"] is Level.ACTION
 
 
-def test_the_bandwidth_limit_states_the_knowledge_of_the_resonance(design):
+def test_the_bandwidth_limit_states_the_knowledge_of_the_resonance():
     visible = replace(UNKNOWN, kind="resonance", peak_ratio=12.0, peak_Hz=300.0)
     verdicts = {
         "no resonance was recorded": UNKNOWN,
@@ -56,11 +58,9 @@ def test_the_bandwidth_limit_states_the_knowledge_of_the_resonance(design):
         "the stated 630 Hz was not recorded": replace(UNKNOWN, stated_Hz=630.0),
         "use a faster recorder": replace(UNKNOWN, stated_Hz=RATE_Hz),
     }
-    axis_design = design.axis("x")
-    loop = replace(axis_design.recommended, bandwidth_Hz=RATE_Hz)  # near any limit
-    limited = replace(design, axes=(replace(axis_design, loops=(loop,)),))
     for words, verdict in verdicts.items():
-        facts = design_statements(limited, model_of(replace(fitted()["x"], bandwidth=verdict)))
+        axis = replace(fitted()["x"], bandwidth=verdict)
+        facts = design_statements(fast_design(), model_of(axis))
         (text,) = (fact.text for fact in facts if fact.quantity == "bandwidth")
         assert words in text
 

@@ -1,5 +1,6 @@
 """Design task of an identified lateral axis: its family, its bounds, refusals."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from piezoid.numerics.polynomial import response, roots_of
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.records.lab import Acquisition, Lab
 from tests.identification.dynamics.stage import truth
+from tests.plays_alone import draw_few_replicates
 from tests.reports.known_stage import axis_model, stage_model
 
 RATE_Hz = 20e3
@@ -35,6 +37,13 @@ def rigged(**changes: object) -> AxisModel:
 
 def stage(**changes: object) -> ActuatorModel:
     return replace(stage_model(rigged()), controller_rate_Hz=RATE_Hz, **changes)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_replicates() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        draw_few_replicates(patch)
+        yield
 
 
 @pytest.fixture(scope="module")

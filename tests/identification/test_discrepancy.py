@@ -19,7 +19,7 @@ from tests.reports.known_stage import QUALITY, axis_model, recording
 
 pytestmark = pytest.mark.usefixtures("plays_alone")
 
-LAWS = ("preisach_lorentzian", "takacs", "wall_pinning", "duhem", "maxwell_slip")
+LAWS = ("preisach_lorentzian", "takacs", "maxwell_slip")
 CYCLED = np.array([1.0, -1.0, 1.0, -1.0])
 TURN = np.linspace(0.0, 1.0, 3000)
 SPIRAL = 0.7 * TURN * np.sin(10.0 * np.pi * TURN)

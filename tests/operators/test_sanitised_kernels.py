@@ -18,7 +18,7 @@ TESTS = (
     *PLAYS,
     *("tests/operators/test_worked_example.py", "tests/operators/test_chain.py"),
     *("tests/operators/test_filters.py", "tests/operators/test_wide_hysteresis.py"),
-    "tests/identification/hysteresis/test_rows.py",
+    "tests/identification/test_forward.py",
 )
 
 

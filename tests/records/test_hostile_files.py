@@ -27,7 +27,7 @@ FUZZED: dict[str, Callable[[Path], object]] = {
     "curve.jpk-force": jpk,
     "response.csv": lambda path: write_cells(path, ",", "{re:.9g}{im:+.9g}i"),
 }
-MUTATIONS = 60  # for each of 22 formats
+MUTATIONS = 25  # for each of 22 formats
 
 
 def damage(content: bytes, rng: np.random.Generator) -> bytes:

@@ -85,7 +85,7 @@ def test_switching_readings_and_steps_of_the_drive_are_no_steps_of_the_zero(tmp_
     assert baseline_steps(np.round(0.2 * drive, 5), drive) == ()
 
 
-@pytest.mark.usefixtures("plays_alone")
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_a_fit_after_a_step_has_its_error_and_states_the_limit(tmp_path):
     clean = recording_with(tmp_path, "preisach", zero_steps())
     slipped = recording_with(tmp_path, "preisach", zero_steps((1000, 0.9)))

@@ -11,6 +11,7 @@ import pytest
 from piezoid.design.design import design_from_json
 from piezoid.digests import seal
 from piezoid.errors import PiezoidError
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.store import read_model, write_model
 from piezoid.verification.verification import verification_from_json
 from piezoid_reports.fleet.records import Fleet, FleetStage, stage_from_json
@@ -33,12 +34,18 @@ def _fleet(stage: FleetStage) -> str:
     return render_fleet(Fleet(name="night", stages=(stage,) * 8))
 
 
+def _model_of_recording(content: bytes) -> ActuatorModel:
+    """Read a model; one whose axis has another name is refused with the recording."""
+    model = read_model(content)
+    recording().displacement_m(model["x"].axis)
+    return model
+
+
 # The reader of each file, and the page of its record.
 PAGES: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], str]]] = {
-    # An axis of another name is read, and refused with this recording.
     "model.json": (
-        lambda content: render(Page(model=read_model(content), recordings=[recording()])),
-        str,
+        _model_of_recording,
+        lambda model: render(Page(model=model, recordings=[recording()])),
     ),
     "design.json": (
         design_from_json,
@@ -96,8 +103,6 @@ def test_no_text_of_a_sealed_file_adds_an_element_or_an_attribute(name):
             holder[key] = original
     assert len(free_texts) > 3
     harmless = draw(read(reseal(record)))
-    for hostile in HOSTILE[:6]:  # test_hostile_names.py has all of them
-        for holder, key in free_texts:
-            holder[key] = hostile
-        page = draw(read(reseal(record)))
-        assert skeleton(page) == skeleton(harmless)
+    for holder, key in free_texts:
+        holder[key] = "".join(HOSTILE[:6])  # test_hostile_names.py has each of them alone
+    assert skeleton(draw(read(reseal(record)))) == skeleton(harmless)

@@ -7,7 +7,9 @@ import pytest
 
 from piezoid.errors import ParameterFileError
 from piezoid.identification.extensions.linear_mode import LinearMode
+from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.loop_shape_fit import with_loop_shape
 from piezoid.targets.target_inputs import ControllerHardware, read_hardware
 from piezoid.targets.waveform import (
     expected_error_m,
@@ -17,7 +19,14 @@ from piezoid.targets.waveform import (
 )
 from piezoid.verification.closed_loop import run_law
 from piezoid.verification.plant import Hysteresis, lateral_plant
-from tests.identification.test_loop_shape import NOISE_M, fitted, law_of, path_through
+from tests.identification.test_loop_shape import (
+    NOISE_M,
+    SWEEP,
+    law_of,
+    path_through,
+    recorded,
+    walk,
+)
 from tests.targets.known_inputs import csv_rows, exported
 from tests.verification.rig import RATE_Hz
 
@@ -104,7 +113,12 @@ def test_a_fast_scan_over_a_mode_is_followed_with_a_smooth_drive():
 
 @pytest.mark.slow
 def test_loop_shape_makes_the_waveform_of_a_dahl_stage_accurate():
-    base_inputs, (_, plays, axis) = exported(), fitted("dahl", 1.0)
+    base_inputs, recordings = (
+        exported(),
+        [recorded("dahl", SWEEP, "sweep"), recorded("dahl", walk(3), "walk")],
+    )
+    plays = estimate_axis(recordings, "x", Rig(), orders=((8, 2),))
+    axis = with_loop_shape(plays, recordings)
     hardware = ControllerHardware(half_range_m=6e-6, frequency_Hz=2.0, rate_Hz=2e3)
     values = dict(base_inputs.lateral[0].values) | {
         "reference_minimum_m": axis.zero_m - 8e-6,

@@ -32,6 +32,7 @@ from piezoid.verification.plant import lateral_plant
 from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.verify import verify
 from tests.identification.extensions.samples import one_of_each
+from tests.plays_alone import draw_few_replicates
 from tests.verification.known_fit import fitted, shipped
 from tests.verification.rig import GAIN_m_per_V, RATE_Hz, lateral_parameters, operator, stage
 
@@ -131,8 +132,11 @@ def test_a_cyclic_error_is_in_the_reading_and_not_in_the_position(rng):
 
 
 @pytest.mark.parametrize("extension", one_of_each(), ids=lambda extension: extension.kind)
-def test_every_extension_is_in_the_plants_of_design_certificate_and_verification(extension):
+def test_every_extension_is_in_the_plants_of_design_certificate_and_verification(
+    extension, monkeypatch
+):
     """The exception is a declared converter hold, which belongs to the recordings."""
+    draw_few_replicates(monkeypatch)
     unextended, extended = unextended_answers(), answers((extension,))
     reaches_loop = not isinstance(extension, ConverterHold)
     assert (unextended[0] != extended[0]) == reaches_loop
@@ -151,9 +155,9 @@ def answers(extensions):
     run = run_axis(
         plant,
         shipped("mpi"),
-        1.2e-5 + 6e-6 * np.sin(2.0 * np.pi * 40.0 * np.arange(4000) / RATE_Hz),
+        1.2e-5 + 6e-6 * np.sin(2.0 * np.pi * 40.0 * np.arange(1000) / RATE_Hz),
         rng=np.random.default_rng(1),
-        disturbance=plant.motion_m(4000, np.sin(np.arange(4000) / 200.0)),
+        disturbance=plant.motion_m(1000, np.sin(np.arange(1000) / 200.0)),
     )
     return design_inputs(lateral_task(axis, RATE_Hz, forms=("inverse",))), run.measured
 

@@ -29,18 +29,19 @@ def tool():
 
 
 @pytest.mark.usefixtures("tool")
-def test_the_tip_is_proved_and_a_missing_limit_raises_an_alarm():
+def test_the_tip_is_proved_and_a_step_without_limits_raises_an_alarm():
     file = stage("z")
     files = bundle(file)
     proof = prove_axis(files, file.axes[0], 0, "float")
     assert (proof.verdict, proof.alarms) == ("proved", ())
     assert proof.tool.startswith("Frama-C")
     assert any("inside the limits" in claim for claim in proof.claims)
-    clamp = "clamp(wanted, p->voltage_minimum_V, p->voltage_maximum_V)"
-    source = mutate(files[SOURCE].decode(), ("convert", clamp, "wanted"))
+    step = "step_rst(state, parameters, reference, measured)"
+    slip = ("pz_step_feedforward", step, "state->voltage_V += ONE")
+    source = mutate(files[SOURCE].decode(), slip)
     disproof = prove_axis({**files, SOURCE: source.encode()}, file.axes[0], 0, "float")
     assert not disproof.passed
-    assert any("to_code" in alarm for alarm in disproof.alarms)
+    assert any("voltage_maximum_V" in alarm for alarm in disproof.alarms)
 
 
 @pytest.mark.usefixtures("tool")

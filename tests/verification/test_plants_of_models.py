@@ -133,8 +133,8 @@ ONE_BARRIER = Lab(
 
 @cache
 def ringing(*modes):
-    """Return the known junction with modes in its drive."""
-    model = junction_model()
+    """Return the known junction with modes in its drive, without a lateral axis."""
+    model = replace(junction_model(), axes={})
     loop = replace(model.tunnelling.loop_plant, modes=modes)
     return replace(model, tunnelling=replace(model.tunnelling, loop_plant=loop))
 

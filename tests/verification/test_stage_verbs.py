@@ -96,17 +96,17 @@ def names_in(folder):
     return {path.name for path in folder.iterdir()}
 
 
-def test_verbs_leave_objects_of_all_kinds_in_the_folder_as_they_are(folder, tmp_path):
+def test_verbs_leave_objects_of_all_kinds_in_the_folder_as_they_are(exported, tmp_path):
     names = [f"{sub}/{kind}" for sub in ("", "bundle", "refused", "mine") for kind in KINDS]
     for name in names:
-        plant(kind=name.split("/")[1], path=folder / f"./{name}", beyond=tmp_path / "beyond")
-    original = [look(folder / f"./{name}") for name in (*names, "beyond")]
-    for verb in ("export", "export", "verify"):
-        succeed(verb, folder)
-        assert [look(folder / f"./{name}") for name in (*names, "beyond")] == original
-    (folder / "bundle/golden.csv").write_text("my notes")
-    assert run_verb("export", folder).exception.exit_status == 2
-    assert (folder / "bundle/golden.csv").read_text() == "my notes"
+        plant(kind=name.split("/")[1], path=exported / f"./{name}", beyond=tmp_path / "beyond")
+    original = [look(exported / f"./{name}") for name in (*names, "beyond")]
+    for verb in ("export", "verify"):
+        succeed(verb, exported)
+        assert [look(exported / f"./{name}") for name in (*names, "beyond")] == original
+    (exported / "bundle/golden.csv").write_text("my notes")
+    assert run_verb("export", exported).exception.exit_status == 2
+    assert (exported / "bundle/golden.csv").read_text() == "my notes"
 
 
 def test_targets_are_written_and_removed_by_the_next_export_without_them(folder):
@@ -152,19 +152,21 @@ def test_an_unknown_target_is_refused_before_anything_is_written(folder):
     assert not (folder / "params.json").exists()
 
 
-def test_a_designed_folder_is_exported_and_verified(folder):
-    succeed("export", folder)
-    assert {"piezo_params.h", "piezoid_runtime.c", "golden.csv"} <= names_in(folder / "bundle")
-    succeed("verify", folder, "--rebuild")
-    record = verification_from_json((folder / "verification.json").read_bytes())
+def test_a_designed_folder_is_exported_and_verified(exported):
+    assert {"piezo_params.h", "piezoid_runtime.c", "golden.csv"} <= names_in(exported / "bundle")
+    output = succeed("verify", exported, "--rebuild", "--bounds").output
+    assert "with 95 % probability" in " ".join(output.split())
+    record = verification_from_json((exported / "verification.json").read_bytes())
     assert record.passed
-    file = from_json((folder / "params.json").read_bytes(), "params.json")
+    file = from_json((exported / "params.json").read_bytes(), "params.json")
     assert record.parameters_digest == json.loads(to_json(file))["digest"]
     assert {row.method for row in record.comparison} == {"mpi_dob", "mpi", "none"}
     assert all(proof.samples or not proof.is_built for proof in record.proofs)
-    assert record.bounds == ()
+    for row in record.bounds:
+        assert row.simulated_m < row.probable_m <= row.worst_found_m < row.bound_m
+    assert [row.axis for row in record.bounds] == ["x"] * 3
     assert len(record.plants) > 1
-    assert (folder / "model.json").exists()
+    assert (exported / "model.json").exists()
 
 
 def test_a_verification_that_misses_a_limit_fails_and_is_written(exported):
@@ -179,13 +181,12 @@ def test_a_verification_that_misses_a_limit_fails_and_is_written(exported):
     record = verification_from_json((exported / "verification.json").read_bytes())
     assert record.lab_digest == read_lab(exported / "lab.toml").digest
     assert not record.passed
+    assert record.bounds == ()
 
 
-def test_a_guard_changed_after_the_export_is_refused(folder, with_tip):
+def test_a_guard_changed_after_the_export_is_refused(guarded, tmp_path):
     """Without the guard the tip would retract only after contact with the surface."""
-    write_stage(folder, *with_tip[:2])
-    (folder / "lab.toml").write_text(GUARDED)
-    succeed("export", folder)
+    folder = Path(copytree(guarded, tmp_path / "guarded"))
     shipped = from_json((folder / "params.json").read_bytes(), "params.json")
     assert shipped.sources["lab"] == read_lab(folder / "lab.toml").digest
     (folder / "lab.toml").write_text(GUARDED.replace("9e-9", "8e-9"))
@@ -211,7 +212,10 @@ def with_tip(designed, tmp_path_factory):
     return model, replace(tip_design, axes=axes, model_digest=digest), read_lab(lab_file)
 
 
-def test_a_lateral_axis_and_a_tip_are_exported_and_verified(folder, with_tip):
+@pytest.fixture(scope="module")
+def guarded(with_tip, tmp_path_factory):
+    """Return a folder exported first without the guard of the tip, then with it."""
+    folder = tmp_path_factory.mktemp("guarded")
     write_stage(folder, *with_tip[:2])
     (folder / "lab.toml").write_text(LAB_TOML)
     result = run_verb("export", folder)
@@ -219,11 +223,14 @@ def test_a_lateral_axis_and_a_tip_are_exported_and_verified(folder, with_tip):
     assert "axis z does not ship" in result.output
     assert json.loads((folder / "params.json").read_bytes())["axes"][0]["axis"] == "x"
     assert b"Axis z is not included" in (folder / "bundle" / "README.md").read_bytes()
-    succeed("verify", folder)
     (folder / "lab.toml").write_text(GUARDED)
     succeed("export", folder)
-    succeed("verify", folder)
-    record = verification_from_json((folder / "verification.json").read_bytes())
+    return folder
+
+
+def test_a_lateral_axis_and_a_tip_are_exported_and_verified(guarded):
+    succeed("verify", guarded)
+    record = verification_from_json((guarded / "verification.json").read_bytes())
     assert record.methods == {"x": "mpi_dob", "z": "rst"}
     current = {row.scenario: row for row in record.currents}["spiral, 10 Hz"]
     assert 0.0 < current.ln_current_std < 0.5
@@ -256,15 +263,6 @@ def test_a_refitted_model_is_refused(exported):
     (exported / "model.json").write_bytes(write_model(refitted))
     for verb in ("export", "verify"):
         assert "was made from the model" in refusal(verb, exported)
-
-
-def test_largest_errors_are_bounded_on_request(exported):
-    output = succeed("verify", exported, "--bounds").output
-    assert "with 95 % probability" in " ".join(output.split())
-    verification = verification_from_json((exported / "verification.json").read_bytes())
-    for row in verification.bounds:
-        assert row.simulated_m < row.probable_m <= row.worst_found_m < row.bound_m
-    assert [row.axis for row in verification.bounds] == ["x"] * 3
 
 
 def test_another_design_than_the_exported_design_is_refused(exported, designed):

@@ -134,11 +134,10 @@ def test_a_sensor_that_does_not_follow_its_drive_is_named_as_the_reason():
         assert "a feedback that holds the sensor" in reason
 
 
-@pytest.mark.parametrize("law", ["duhem", "plays"])
-def test_a_changing_sensitivity_is_not_called_lag(law, tmp_path):
+def test_a_changing_sensitivity_is_not_called_lag(tmp_path):
     cycle = np.arange(4800) / 120.0
     field = -np.cos(2.0 * np.pi * cycle)
-    response_um = 10.0 * LAWS[law](field) * (1.0 + 0.06 * cycle / cycle[-1])
+    response_um = 10.0 * LAWS["duhem"](field) * (1.0 + 0.06 * cycle / cycle[-1])
     noise_um = np.random.default_rng(2).normal(0.0, 0.01, 4800)
     model = fit([recorded(tmp_path, field, response_um + noise_um)])["x"]
     assert "phase lag" not in model.verdict.reason

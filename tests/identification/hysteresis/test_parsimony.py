@@ -65,12 +65,11 @@ def test_the_selected_order_is_nearly_the_best(law):
 
 
 @pytest.mark.usefixtures("one_order")
-@pytest.mark.parametrize("scale", [0.01, 0.4])
-def test_the_recording_of_largest_amplitude_is_predicted_from_its_half(scale):
+def test_the_recording_of_largest_amplitude_is_predicted_from_its_half():
     rng = np.random.default_rng(3)
     wide = np.tile(decaying(12, per_unit=20), 2)
     recordings = []
-    for name, drive in (("wide", wide), ("small", scale * wide), ("smaller", 0.5 * scale * wide)):
+    for name, drive in (("wide", wide), ("small", 0.01 * wide), ("smaller", 0.005 * wide)):
         clean_m = play_sum(drive, LOOP_THRESHOLD, LOOP_WEIGHT * 2.0, np.full(6, drive[0]))
         noise_m = rng.normal(0.0, 5e-8, len(drive))
         recordings.append(recording(drive, clean_m + noise_m, f"{name}.csv"))
