@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from piezoid_cli.terminal import (
-    Force,
+    ForceEdited,
     JsonFile,
     Quiet,
     StageLab,
@@ -29,7 +29,7 @@ def design(
         typer.Option(help="Sampling rate of the controller in Hz; default: lab.toml.", min=0.0),
     ] = None,
     lab: StageLab = None,
-    force: Force = False,
+    force: ForceEdited = False,
     quiet: Quiet = False,
     json: JsonFile = False,
 ) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from piezoid_cli.terminal import (
-    Force,
+    ForceEdited,
     Json,
     Quiet,
     StageLab,
@@ -25,8 +25,10 @@ def export(
         list[str] | None,
         typer.Option(help="Also write: fmu, library, pid, nanonis, waveform. Repeatable."),
     ] = None,
-    box: Annotated[Path | None, typer.Option(help="box.toml: limits of the hardware.")] = None,
-    force: Force = False,
+    box: Annotated[
+        Path | None, typer.Option(help="box.toml: limits of the hardware, see above.")
+    ] = None,
+    force: ForceEdited = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -35,10 +37,17 @@ def export(
     --target fmu adds fmu/: the controller and the identified plant of each axis as co-simulation
     units of FMI 2.0 for Simulink, OpenModelica and FMPy. --target library adds library/: a shared
     library for LabVIEW, MATLAB, EPICS, Rust and Python. Both contain the same source as the
-    bundle. --target pid adds settings and second-order sections of a PID with notches, --target
-    nanonis sensitivity and hysteresis tables, --target waveform a predistorted drive for a wave
-    generator, each with its loss compared with the exported controller; --box declares the limits
-    of the hardware. Stale target folders are deleted.
+    bundle.
+
+    --target pid adds settings and second-order sections of a PID with notches. --target nanonis
+    adds tables of sensitivity and hysteresis. --target waveform adds a predistorted drive for a
+    wave generator. Each of these three states how much accuracy it loses against the exported
+    controller. Stale target folders are deleted.
+
+    box.toml contains the tables \\[pid] (notches, slew, rate of the sections), \\[nanonis] (points
+    of a table, size of the frame) and \\[waveform] (shape, frequency and size of the scan; rate,
+    memory and converter of the generator). Without --box, defaults and the values of the stage
+    apply.
 
     The controllers are first verified on the identified stage. An axis that fails is not
     exported: its results go to refused/ and the exit status is 1. The other axes are exported.

@@ -21,7 +21,10 @@ def plan(
     out: Annotated[
         Path | None, typer.Option(help="Folder for the plan; default: the stage folder.")
     ] = None,
-    lab: Annotated[Path | None, typer.Option(help="lab.toml: range, slew and clock.")] = None,
+    lab: Annotated[
+        Path | None,
+        typer.Option(help="lab.toml with range, slew and clock; default: in the stage folder."),
+    ] = None,
     axis: Annotated[
         str | None, typer.Option(help="Axis; default: the first diagnosed axis.")
     ] = None,

@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet, StageLab, print_record, say, show_progress
+from piezoid_cli.terminal import (
+    ForceEdited,
+    Json,
+    Quiet,
+    StageLab,
+    print_record,
+    say,
+    show_progress,
+)
 
 if TYPE_CHECKING:
     from piezoid.records.collection import Collection
@@ -23,7 +31,7 @@ def report(
         list[Path] | None, typer.Argument(help="The recordings of the fit, for the figures.")
     ] = None,
     lab: StageLab = None,
-    force: Force = False,
+    force: ForceEdited = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:

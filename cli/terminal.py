@@ -45,7 +45,13 @@ VERBOSE: ContextVar[bool] = ContextVar("VERBOSE", default=False)
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print only errors.")]
 Force = Annotated[
     bool,
-    typer.Option("--force", help="Replace files that piezoid wrote, including edited files."),
+    typer.Option("--force", help="Replace earlier results in --out, also files that you edited."),
+]
+ForceEdited = Annotated[
+    bool,
+    typer.Option(
+        "--force", help="Also replace files that you edited; unedited files are always replaced."
+    ),
 ]
 StageLab = Annotated[Path | None, typer.Option(help="lab.toml; default: in the stage folder.")]
 RecordingLab = Annotated[

@@ -8,7 +8,7 @@ import typer
 
 from piezoid_cli.terminal import (
     MAX_SHOWN,
-    Force,
+    ForceEdited,
     JsonFile,
     Quiet,
     StageLab,
@@ -29,7 +29,11 @@ if TYPE_CHECKING:
 def verify(
     stage: Annotated[Path, typer.Argument(help="Folder with model.json, params.json, bundle/.")],
     rebuild: Annotated[
-        bool, typer.Option("--rebuild", help="Compile bundle/ and compare every output bit.")
+        bool,
+        typer.Option(
+            "--rebuild",
+            help="Compile bundle/; compare every output bit with the packaged library.",
+        ),
     ] = False,
     target: Annotated[
         str, typer.Option(help="cortex-m4: compile bundle/ for that core and emulate it.")
@@ -48,7 +52,7 @@ def verify(
     ] = None,
     lab: StageLab = None,
     seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 0,
-    force: Force = False,
+    force: ForceEdited = False,
     quiet: Quiet = False,
     json: JsonFile = False,
 ) -> None:

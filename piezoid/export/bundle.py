@@ -4,10 +4,11 @@
 must reproduce them before it drives a stage.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from ctypes import sizeof
 from importlib.metadata import version
 from importlib.resources import files
+from itertools import product
 from textwrap import fill
 from types import MappingProxyType
 
@@ -15,7 +16,8 @@ import numpy as np
 
 from piezoid.digests import digest_of_bytes
 from piezoid.export.c_header import c_header, plain_ascii
-from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
+from piezoid.export.parameter_file import AxisParameters, ParameterFile, Robustness, digest_of
+from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.runtime.controller import Controller
@@ -33,6 +35,7 @@ _LOST_MEASUREMENT = slice(701, 704)
 
 SHIPPED = ("piezoid_runtime.h", "piezoid_runtime.c", "example_main.c")
 
+# Lines that begin with @ and a name are for bundles with that feature, see ``_features_of``.
 _README = """\
 # Controller of {name}
 
@@ -44,15 +47,29 @@ the parameters; `example_main.c` tests your build with {samples} samples per axi
 | --- | --- | --- | --- | --- | --- | --- | --- | --- |
 {axes}
 {unshipped}
-Methods: `mpi_dob` is a disturbance observer on the inverse hysteresis model, `dob` an observer
-alone, `mpi` the inverse without feedback, `none` a static gain, `rst` a controller of the
-logarithm of a current. X and Y stand for every axis with another method than `rst`, Z for a tip.
+Methods:
+
+@mpi_dob - `mpi_dob`: a disturbance observer on the inverse hysteresis model
+@dob - `dob`: a disturbance observer alone
+@mpi - `mpi`: the inverse hysteresis model without feedback
+@none - `none`: a static gain without feedback
+@rst - `rst`: a controller of the logarithm of a current
+
+X and Y stand for every axis with another method than `rst`, Z for an axis with `rst` (a tip).
+@xy_only This bundle has no Z; skip what the comments of the header state about Z.
+
 Memory on a Cortex-M4: about 14 kB of code and 200 bytes of stack (float), 19 kB and 520 (double).
 Each axis of this table needs
 {memory};
 `piezo_params.h` contains the parameters of all axes, also of those that you do not use.
-Time of `pz_step`: the emulated axes X and Y of another stage took at most 2200 instructions on a
-Cortex-M7. It grows with plays and observer states; measure it on your core.
+
+@xy Time of `pz_step` on an emulated Cortex-M4 (float): at most 2360 instructions with 17 plays, 26
+@xy knots, 8 creep elements and an observer of order 3. Each play adds about 40 and each creep
+@xy element about 20.
+@xy {sizes}
+@functions The time of plays with functions (`edge_count` above 0) was not measured.
+@z A tip took at most 1300 instructions of an emulated Cortex-M4 (float).
+Measure the time on your core.
 
 ## 1. Build and check
 
@@ -65,12 +82,15 @@ differ. To try your own references, call `pz_step` from your own `main` as in se
 
 On a target without standard input, compile rows of `golden.csv` into your test (`nan` is `NAN` in
 C). Call `pz_start` with 0 V and the first `measured` of the axis, then `pz_step` with each row,
-and compare voltage and status. (This first reading does not belong to 0 V; `pz_start` treats the
-difference as a shift of the sensor's zero.) The table does not test approach, retract, stuck
-sensor, latch, `pz_reset` and feedforward.
+and compare voltage and status. (In this test the stage is assumed away from 0 V: the first reading
+does not belong to 0 V, and `pz_start` treats the difference as a zero shift.) The table does not
+@xy_only test stuck sensor, latch, `pz_reset` and feedforward.
+@z test approach, retract, stuck sensor, latch, `pz_reset` and feedforward.
 
-A build that contracts products and sums (FMA) rounds differently and exits with 1: rows then
-differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `-ffp-contract=off`.
+A build that contracts products and sums (FMA) may round differently.
+@rounded Some rows can then differ by a few LSB.
+@unrounded Some rows of an axis with an LSB of 0 can then differ by about 1e-5 of its output range.
+Such a build exits with 1 if a row differs. Use `-ffp-contract=off`.
 
 ## 2. Call order and timing
 
@@ -80,28 +100,43 @@ differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `
     void power_up(void) {{                /* with the interrupt stopped */
         const int32_t invalid = pz_start(&state, p, dac_voltage_V(), read_sensor());
         if (invalid != PZ_OK) stop_with(pz_describe(invalid)->name);
-        reference = state.reference_m;   /* X, Y: the reading, within `reference` of the table */
+        reference = state.reference_m;   /* {XY}the reading, within `reference` of the table */
     }}
     void on_timer(void) {{                /* at the rate of the table */
         write_dac(pz_step(&state, p, reference, read_sensor()));
     }}
 
-- Switch on, X and Y: ramp the DAC until the reading lies within `reference` of the table; at 0 V
-  it often lies outside. Then call `pz_start`, set the reference to the reading, start the
-  interrupt, and ramp the reference to the wanted position. If the reading lies outside, the first
-  output jumps, on some stages by half the range; only `reference_step_m`, which is large, limits
-  a jump. Before `pz_reset`, too, the reading must lie inside, and the reference must be the
-  reading. Z: the reference is always the set point.
+The other names are yours: `dac_voltage_V` returns the last voltage written to the DAC, in V;
+`write_dac` converts V to a code; `read_sensor` returns {unit}; `reference` is a `pz_real`
+variable in {unit}; `stop_with` reports the name of an invalid parameter and does not return.
+
+{loops}
+
+The delay margin is the additional delay at which the loop becomes unstable, on the worst plant
+that is consistent with the recordings.
+@xy The guaranteed error holds up to the given speed of the reference; section 5 states when.
+@xy The transient is the time in which an error decays to 1 %, by the slowest closed-loop pole.
+@xy The start is the voltage nearest 0 V that lies 5 % of the output range inside the limits.
+@xy There the model expects the reading within `reference` of the first table. The ramp is the
+@xy largest speed of the DAC, that of `reference_step_m`. The jump is the largest jump of the first
+@xy output if the reading lies outside `reference`.
+
+@xy - {XY}To switch on, ramp the DAC from 0 V towards the start voltage until the reading lies
+@xy   within `reference`. Then call `pz_start`, set the reference to the reading, start the
+@xy   interrupt, and ramp the reference to the wanted position. If the reading lies outside, the
+@xy   output moves at once, and `reference_step_m` does not limit this motion. Before `pz_reset`,
+@xy   too, the reading must lie inside, and the reference must be the reading.
+@z - Z: the reference is always the set point.
 - `pz_start` needs the present output voltage of the DAC. NaN counts as 0 V and a voltage out of
   range as the nearest limit, and the first output starts from there: check it first. The reading
   may be NaN: the model's position is then used. Call `pz_start` again, with the interrupt
   stopped, after a pause and after you have moved the DAC yourself.
 - Park: ramp the reference to the parking position and stop the interrupt; the DAC keeps its last
   voltage. Switch off: park, then ramp the DAC to 0 V yourself.
-- Read, step and write in the same call. The design includes the delay that the recordings show.
-  The delay margin of the exported loop (`method` of the table) is the additional delay at which it
-  becomes unstable; `report.html`, beside `bundle/`, states it under Controllers. Each additional
-  sample of delay costs accuracy. Another rate or missed calls are not detected.
+- Read, step and write in the same call. The design includes the delay of the recordings. It
+  includes your converters only if this firmware made the recordings. Otherwise keep the additional
+  delay well below the delay margin. Each additional sample of delay costs accuracy. Another rate
+  or missed calls are not detected.
 - If another thread writes the reference, no interrupt may see half of it: on a 32-bit core, stop
   the interrupt while you copy a double. Axes that share an interrupt can be stepped in any order;
   to restart one of them, skip its `pz_step` until its `pz_start` has returned.
@@ -111,66 +146,74 @@ differ by a few LSB, or by about 1e-5 of the output range if the LSB is 0. Use `
 ## 3. Units and DAC codes
 
 {voltage_note}
-- X, Y: reading and reference in m, with the scale, zero and sign of the recordings. Do not zero
-  the sensor at power-up: a small shift is taken for hysteresis and costs accuracy.
-- Z: reading and reference in A. If your bias makes the current negative, negate every reading.
-- `output / LSB`, rounded, is the code of a two's-complement DAC, within the column `codes`; an
-  offset-binary DAC of n bits adds 2^(n-1). Clamp the code; masking wraps a code above full scale
-  to the opposite end.
-- An LSB of 0 and no `codes` mean that lab.toml declares no `dac_bits`. Outputs are then not
-  rounded, and your firmware converts volts to codes with the scale of its DAC.
-- A DAC with other steps rounds once more; keep `lsb_V`. For a DAC with a smaller range, narrow the
-  voltages (section 6).
+@xy - {XY}Reading and reference in m, with the scale, zero and sign of the recordings. Do not zero
+@xy   the sensor at power-up: a small shift is taken for hysteresis and costs accuracy.
+@z - Z: reading and reference in A. If your bias makes the current negative, negate every reading.
+@rounded - `output / LSB`, rounded, is the code of a two's-complement DAC, within the column
+@rounded   `codes`; an offset-binary DAC of n bits adds 2^(n-1). Clamp the code; masking wraps a
+@rounded   code above full scale to the opposite end.
+@unrounded - An LSB of 0 and no `codes` mean that lab.toml declares no `dac_bits`. Outputs are then
+@unrounded   not rounded, and your firmware converts volts to codes with the scale of its DAC.
+@rounded - A DAC with other steps rounds once more; keep the parameter `lsb_V` (column LSB).
+- For a DAC with a smaller range, narrow the voltages (section 6).
 
 ## 4. Bad readings and limits
 
-| axis | {guard_names} |
-| --- | {guard_rules} |
 {guards}
 
 - Pass `NAN` for a reading that you do not trust (timeout, checksum, out of range).
-- X, Y: a reading is unusable if it is NaN or infinite, or if it does not change for
-  `stuck_samples` although the voltage moves by `stuck_voltage_V`. The model then continues alone,
-  with the last estimate of the disturbance. After `blind_samples` unusable readings in a row the
-  output latches: it holds its last value until `pz_reset`. After `pz_reset`, the same number of
-  unusable readings latches it again. If the reading then lies outside `reference`, ramp the DAC
-  and call `pz_start` as in section 2.
-- X, Y: a reading beyond the displacement limits is replaced by the limit, with the bit
-  `MEASUREMENT_LIMITED`, and the loop continues with it. A saturated sensor therefore drives the
-  output to one end. There a constant reading counts as stuck, and the output latches; a noisy
-  reading never does. A reversed sensor and a broken cable are not detected either. Your firmware
-  must detect these three faults.
-- X, Y: at a voltage limit the output is clipped, with the bit `VOLTAGE_LIMITED`. The observer uses
-  the clipped voltage, so the loop does not wind up.
-- Z retracts at once from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or at
-  the ceiling, the end of its range (`MEASUREMENT_LIMITED`); after `bad_samples` from one that is
-  reversed (`WRONG_SIGN`) or NaN. It latches at `retract_voltage_V` after `trip_limit` retracts
-  in a row or at the end of the drive. Keep the set point well below the ceiling. The ADC must
-  show noise: `stuck_samples` equal readings above `stuck_current_A` (-1: even 0 A) stop every
-  approach.
+@xy - {XY}A reading is unusable if it is NaN or infinite, or if it does not change for
+@xy   `stuck_samples` although the voltage moves by `stuck_voltage_V`. The model then continues
+@xy   alone, with the last estimate of the disturbance. After `blind_samples` unusable readings in
+@xy   a row the output latches: it holds its last value until `pz_reset`. After `pz_reset`, the
+@xy   same number of unusable readings latches it again. If the reading then lies outside
+@xy   `reference`, ramp the DAC and call `pz_start` as in section 2.
+@xy - {XY}A reading beyond the displacement limits is replaced by the limit, with the bit
+@xy   `MEASUREMENT_LIMITED`, and the loop continues with it. A saturated sensor therefore drives
+@xy   the output towards one end. A constant reading counts as stuck once the voltage has moved by
+@xy   `stuck_voltage_V`, and the output latches after `blind_samples`; a noisy reading never does.
+@xy   A reversed sensor is not detected, nor a broken cable with a noisy reading. Your firmware
+@xy   must detect saturated sensors, reversed sensors and broken cables.
+@xy - {XY}At a voltage limit the output is clipped, with the bit `VOLTAGE_LIMITED`. The observer
+@xy   uses the clipped voltage, so the loop does not wind up.
+@z - Z retracts at once from a current that is dead (`NO_CURRENT`), frozen (`STUCK_SENSOR`) or at
+@z   the ceiling, the end of its range (`MEASUREMENT_LIMITED`); after `bad_samples` from one that
+@z   is reversed (`WRONG_SIGN`) or NaN. It latches at `retract_voltage_V` after `trip_limit`
+@z   retracts in a row or at the end of the drive. Keep the set point well below the ceiling. The
+@z   ADC must show noise: `stuck_samples` equal readings above `stuck_current_A` (-1: even 0 A)
+@z   stop every approach.
 
 ## 5. Status
 
-`state.status` is 0, or bits `PZ_STATUS_...` (header) of what was limited, replaced or faulty in
-this sample. `status_ever` collects them; the first samples may set some, and only `pz_start`
-clears them. X, Y: a latch sets `LATCHED` and `BLIND`. Its cause, `BAD_MEASUREMENT` or
-`STUCK_SENSOR`, is set until the sample of the latch, and remains in `status_ever`.
-After `RESTARTED` the loop goes on by itself. `UNCERTIFIED` is no fault: the reference moves faster
-than the guaranteed error covers, as fast scans do. If `report.html` states a guaranteed error, it
-holds while `status` is 0 and the transient after the last set bit is over.
+- `state.status` is 0, or bits `PZ_STATUS_...` (header) of what was limited, replaced or faulty in
+  this sample. `status_ever` collects them; the first samples may set some, and only `pz_start`
+  clears them.
+@xy - {XY}A latch sets `LATCHED` and `BLIND`. While latched, `status` has only these two bits; read
+@xy   the cause, `BAD_MEASUREMENT` or `STUCK_SENSOR`, from `status_ever`.
+@z - Z: a latch sets `LATCHED` and `RETRACTED`; its cause stays in `status` until `pz_reset`.
+- After `RESTARTED` the loop goes on by itself.
+@xy - {XY}`UNCERTIFIED` is no fault: the reference moves faster than the guaranteed error covers,
+@xy   as fast scans do. The guaranteed error holds while `status` is 0. After the start and after
+@xy   the last set bit, wait for the transient of the table in section 2: the error of that moment
+@xy   decays to 1 % in this time. Sensor noise adds to the guaranteed error.
 
 ## 6. Changing parameters
 
 After new recordings or a change of lab.toml: `piezoid fit`. In firmware: copy the structure,
 change it, set `copy.checksum = pz_checksum(&copy)`, stop the interrupt, call `pz_start` with the
-copy, and pass the same copy to every later `pz_step`; it must stay in RAM. You may narrow
-`voltage_minimum_V`, `voltage_maximum_V` (Z: `retract_voltage_V` within them),
-`reference_minimum_m` and `reference_maximum_m`, and limit `voltage_step_V` and
-`reference_step_m` further (0 is unlimited). The margins remain valid while no limit
-acts. Any other change voids margins, bounds and proofs. Do not edit gains: state limits
-in design.toml (`[x]`, then `bandwidth_Hz = 120` or `modulus_margin = 0.6`), then run
-`piezoid design FOLDER --spec design.toml` and `piezoid export FOLDER`, where FOLDER is that of the
-fit.
+copy, and pass the same copy to every later `pz_step`; it must stay in RAM.
+
+- You may narrow the range from `voltage_minimum_V` to `voltage_maximum_V`.
+@z - Z: keep `retract_voltage_V` within it.
+@xy - {XY}You may narrow the range from `reference_minimum_m` to `reference_maximum_m`.
+- You may lower `voltage_step_V` to any positive value below the present one, or to any positive
+  value if it is 0 (unlimited). At present it is {voltage_steps}.
+@xy - {XY}You may lower `reference_step_m` in the same way. At present it is {reference_steps}.
+
+The margins remain valid while no limit acts. Any other change voids margins, bounds and proofs. Do
+not edit gains: state limits in design.toml (`[x]`, then `bandwidth_Hz = 120` or
+`modulus_margin = 0.6`), then run `piezoid design FOLDER --spec design.toml` and
+`piezoid export FOLDER`, where FOLDER is that of the fit.
 {decoupled}
 ## 7. Provenance
 
@@ -204,9 +247,8 @@ def bundle(file: ParameterFile) -> Mapping[str, bytes]:
         f"- {DRIVE_VOLTAGE_NOTE} Outputs stay within the drive of the recordings, and within the "
         "converter and amplifier of lab.toml."
     )
-    axis_rows, guard_rows = zip(
-        *(_rows(index, axis) for index, axis in enumerate(file.axes)), strict=True
-    )
+    lateral = [axis for axis in file.axes if axis.method != "rst"]
+    has_tip = len(lateral) < len(file.axes)
     decoupled = ""
     if file.decoupled is not None:
         names = [plain_ascii(axis) for axis in file.decoupled.axes]
@@ -222,15 +264,19 @@ def bundle(file: ParameterFile) -> Mapping[str, bytes]:
     texts = {
         "piezo_params.h": c_header(file, digest),
         "golden.csv": golden_csv(file),
-        "README.md": _README.format(
+        "README.md": _lines_for(_features_of(file), _README).format(
             name=plain_ascii(file.name),
             samples=SAMPLES,
-            axes="\n".join(axis_rows),
+            axes="\n".join(_axis_row(index, axis) for index, axis in enumerate(file.axes)),
             memory=memory,
-            guard_names=" | ".join(name for name, _, _ in _GUARDS),
-            guard_rules=" | ".join("---" for _ in _GUARDS),
-            guards="\n".join(guard_rows),
+            sizes=fill(_sizes(lateral), 98),
+            loops=_loop_table(file.axes),
+            guards=_guard_table(file.axes),
+            XY="X, Y: " if lateral and has_tip else "",
+            unit="m (Z: A)" if lateral and has_tip else "A" if has_tip else "m",
             first=file.axes[0].axis.upper(),
+            voltage_steps=_limits_per_sample(file.axes, "voltage_step_V"),
+            reference_steps=_limits_per_sample(lateral, "reference_step_m"),
             voltage_note=fill(voltage_note, 98, subsequent_indent="  "),
             unshipped="".join(
                 f"\nAxis {plain_ascii(axis)} is not included, so indices may have changed: "
@@ -277,17 +323,46 @@ _GUARDS: tuple[tuple[str, str, bool | None], ...] = (
     ("`trip_limit`", "{trip_limit:.0f}", True),
     ("`retract_voltage_V`", "{retract_voltage_V:.4g}", True),
 )
+_START_SHARE = 0.05  # of the output range, by which a start stays inside its limits
 _OUTPUT = ("voltage_minimum", "voltage_maximum", "lsb")
 _RANGE_m = ("reference_minimum_m", "reference_maximum_m", "m")
 _RANGE_A = ("current_floor_A", "current_ceiling_A", "A")
 
 
-def _rows(index: int, axis: AxisParameters) -> tuple[str, str]:
-    """Return the rows of an axis in the tables of axes and of guards.
+def _features_of(file: ParameterFile) -> set[str]:
+    """Return the features of a bundle that select lines of its README.
 
-    Cells of guards that do not apply are empty.
+    xy, z, xy_only       axes without and with the method ``rst``
+    rounded, unrounded   axes with and without a converter step
+    functions            plays with functions in the place of weights
+    mpi_dob, rst, ...    the methods of the axes
     """
-    values = {name: float(value) for name, value in axis.values.items() if not value.ndim}
+    features = {axis.method for axis in file.axes}
+    features |= {"z" if method == "rst" else "xy" for method in features}
+    if "z" not in features:
+        features.add("xy_only")
+    for axis in file.axes:
+        features.add("rounded" if axis.values["lsb_V"] else "unrounded")
+        if axis.values["edge_count"]:
+            features.add("functions")
+    return features
+
+
+def _lines_for(features: set[str], template: str) -> str:
+    """Return the lines of a template without those of other features."""
+    lines = []
+    for line in template.splitlines(keepends=True):
+        feature, _, content = line.removeprefix("@").partition(" ")
+        if not line.startswith("@"):
+            lines.append(line)
+        elif feature in features:
+            lines.append(content)
+    return "".join(lines)
+
+
+def _axis_row(index: int, axis: AxisParameters) -> str:
+    """Return the row of an axis in the first table."""
+    values = _scalars(axis)
     low_V, high_V, step_V = (values[f"{name}_V"] for name in _OUTPUT)
     codes = ""
     if step_V:
@@ -304,13 +379,100 @@ def _rows(index: int, axis: AxisParameters) -> tuple[str, str]:
         f"{values[low]:.7g} to {values[high]:.7g} {unit}",
         *(f"{low_V:.7g} to {high_V:.7g}", f"{step_V:.12g}", codes),
     )
-    blind_s = values["blind_samples"] / values["sampling_rate_Hz"]
-    guards = [
-        text.format(**values, blind_s=blind_s) if only_tip in (None, is_tip) else ""
-        for _, text, only_tip in _GUARDS
-    ]
-    axis_row, guard_row = (" | ".join(map(str, row)) for row in (cells, (axis.axis, *guards)))
-    return f"| {axis_row} |", f"| {guard_row} |"
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def _guard_table(axes: Sequence[AxisParameters]) -> str:
+    """Return the table of guards, without columns that apply to no axis."""
+    tips = {axis.method == "rst" for axis in axes}
+    guards = [guard for guard in _GUARDS if guard[2] is None or guard[2] in tips]
+    rows = []
+    for axis in axes:
+        values, is_tip = _scalars(axis), axis.method == "rst"
+        blind_s = values["blind_samples"] / values["sampling_rate_Hz"]
+        rows.append(
+            (
+                axis.axis,
+                *(
+                    text.format(**values, blind_s=blind_s) if only_tip in (None, is_tip) else ""
+                    for _, text, only_tip in guards
+                ),
+            )
+        )
+    return _table(("axis", *(name for name, _, _ in guards)), rows)
+
+
+def _loop_table(axes: Sequence[AxisParameters]) -> str:
+    """Return the table of margins and guaranteed errors, and of the switch-on of X and Y."""
+    headings = ["axis", "delay margin"]
+    if any(axis.method != "rst" for axis in axes):
+        headings += ["guaranteed error", "transient", "start", "ramp", "jump"]
+    rows = []
+    for axis in axes:
+        margin, *bounds = _robustness_cells(axis.robustness)
+        cells = [] if axis.method == "rst" else [*bounds, *_start_cells(axis)]
+        rows.append((axis.axis, margin, *(cells or [""] * (len(headings) - 2))))
+    return _table(headings, rows)
+
+
+def _robustness_cells(robustness: Robustness | None) -> tuple[str, str, str]:
+    if robustness is None:
+        return "unknown", "unknown", "unknown"
+    delay_s, error_m = robustness.delay_margin_s, robustness.guaranteed_error_m
+    delay, error = "any" if delay_s is None else with_unit(delay_s, "s"), "none"
+    if error_m is not None:
+        slew = with_unit(robustness.reference_slew_m_per_s, "m/s")
+        error = f"{with_unit(error_m, 'm')} up to {slew}"
+    cells = (delay, error, with_unit(robustness.transient_s, "s", 2))
+    delay, error, transient = (cell.replace("µ", "u") for cell in cells)
+    return delay, error, transient
+
+
+def _start_cells(axis: AxisParameters) -> tuple[str, str, str]:
+    """Return voltage and speed of the DAC at power-up, and the largest first jump."""
+    values = _scalars(axis)
+    low_V, high_V = values["voltage_minimum_V"], values["voltage_maximum_V"]
+    inset_V = _START_SHARE * (high_V - low_V)
+    start_V = float(np.clip(0.0, low_V + inset_V, high_V - inset_V))
+    ramp_V_per_s = values["reference_step_m"] * values["sampling_rate_Hz"]
+    ramp_V_per_s /= values["gain_m_per_V"]
+    jump_V = 0.0
+    for voltage_V, end in product(
+        (low_V, high_V), ("displacement_minimum_m", "displacement_maximum_m")
+    ):
+        controller = Controller(axis.values)
+        controller.start(voltage_V, values[end])
+        jump_V = max(jump_V, abs(controller.step(values[end], values[end]) - voltage_V))
+    ramp = with_unit(ramp_V_per_s, "V/s", 2) if ramp_V_per_s else "unlimited"
+    return f"{start_V:.2g} V", ramp, f"{jump_V:.2g} V"
+
+
+def _limits_per_sample(axes: Sequence[AxisParameters], name: str) -> str:
+    """Return the present values of a limit per sample, by axis."""
+    unit = name.rpartition("_")[2]
+    return ", ".join(f"{float(axis.values[name]):.4g} {unit} ({axis.axis})" for axis in axes)
+
+
+def _sizes(axes: Sequence[AxisParameters]) -> str:
+    """Return the numbers of elements that determine the time of ``pz_step``, by axis."""
+    sizes = []
+    for axis in axes:
+        values = {name: round(value) for name, value in _scalars(axis).items()}
+        knots = values["knot_count"] + values["envelope_count"]
+        sizes.append(
+            f"{axis.axis}: {values['play_count']} plays, {knots} knots, "
+            f"{values['relaxation_count']} creep elements, order {values['observer_order']}"
+        )
+    return f"This bundle has {'; '.join(sizes)}."
+
+
+def _scalars(axis: AxisParameters) -> dict[str, float]:
+    return {name: float(value) for name, value in axis.values.items() if not value.ndim}
+
+
+def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = (headings, ["---"] * len(headings), *rows)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def golden_csv(file: ParameterFile) -> str:

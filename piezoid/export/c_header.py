@@ -15,7 +15,7 @@ import numpy as np
 
 from piezoid.export.parameter_file import ParameterFile, used_values
 from piezoid.runtime.library import PRECISIONS, SEALED, library
-from piezoid.runtime.schema import PARAMETERS, VERSION
+from piezoid.runtime.schema import PARAMETERS, TIP_PARAMETERS, VERSION
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9 .,:;()+=_-]")
 
@@ -111,6 +111,9 @@ def c_header(file: ParameterFile, digest: str) -> str:
         lines = []
         for parameter in PARAMETERS:
             value = symbols.get(parameter.name)
+            is_for_tips = parameter.name in TIP_PARAMETERS and axis.method != "rst"
+            if is_for_tips and not axis.values[parameter.name].any():
+                continue  # C sets the members that are left out to 0
             if value is None:
                 used = used_values(parameter, axis.values[parameter.name])
                 value = str(int(used)) if parameter.kind == "integer" else _literal(used)
@@ -124,6 +127,8 @@ def c_header(file: ParameterFile, digest: str) -> str:
                 break_long_words=False,
                 break_on_hyphens=False,
             )
+        if axis.method != "rst":
+            lines.append("        /* All other members are for Z only, and 0. */")
         axes.append(f"    [PIEZO_AXIS_{name}] = {{\n" + "\n".join(lines) + "\n    },\n")
     return top + "".join(axes) + _BOTTOM.format(decoupling=decoupling)
 

@@ -6,18 +6,20 @@ are states of the observer. The runtime stores S without its integrator, which i
 every precision.
 """
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.design.design import AxisDesign, Design
+from piezoid.design.certificate import useful_bound_m
+from piezoid.design.design import AxisDesign, Design, LoopDesign
 from piezoid.design.feedforward import ReferencePath, filter_sections
 from piezoid.design.junction_task import loop_plant_of
 from piezoid.design.observer import DisturbanceObserver, with_oscillators_as_states
 from piezoid.design.rst import LIGHT
 from piezoid.errors import ParameterFileError, PiezoidError
-from piezoid.export.parameter_file import AxisParameters, Decoupled, ParameterFile
+from piezoid.export.parameter_file import AxisParameters, Decoupled, ParameterFile, Robustness
 from piezoid.export.tip_guards import tip_guards
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.extensions.creep_ladder import CreepLadder
@@ -49,6 +51,7 @@ _STUCK_SHARE = 0.02
 # Time for which the observer runs on the model alone: five times the sensor loss of 20 ms in
 # verification, and short enough for creep, which it does not see, to remain small.
 _BLIND_s = 0.1
+_DECAYED = 0.01  # of its initial size: a transient is then over
 
 
 def export_stage(
@@ -173,6 +176,9 @@ def lateral_axis(
         axis=design.axis,
         values=loops[design.recommended.method],
         alternatives=tuple(v for m, v in loops.items() if m != design.recommended.method),
+        robustness=_robustness(
+            design.recommended, useful_bound_m(design.recommended.certificate, model)
+        ),
     )
 
 
@@ -188,7 +194,28 @@ def tunnelling_axis(design: AxisDesign, guards: Mapping[str, ArrayLike | str]) -
         **rst_values(loop.R, loop.S, loop.T, loop.A_0),
         **reference_values(loop.reference),
     }
-    return AxisParameters(axis=design.axis, values=complete(values))
+    return AxisParameters(
+        axis=design.axis, values=complete(values), robustness=_robustness(loop, None)
+    )
+
+
+def _robustness(loop: LoopDesign, guaranteed_error_m: float | None) -> Robustness:
+    """Return the margins of a loop over its plant family.
+
+    Closed-loop poles of magnitude rho decay to 1 % in ln(0.01) / ln(rho) samples; the reference
+    filter adds its length.
+    """
+    radius = max(margin.spectral_radius for margin in loop.margins)
+    samples = math.log(_DECAYED) / math.log(radius) + len(loop.reference.filter) - 1
+    slew_m_per_s = 0.0
+    if guaranteed_error_m is not None and loop.certificate is not None:
+        slew_m_per_s = loop.certificate.reference_slew_m_per_s
+    return Robustness(
+        delay_margin_s=loop.worst_delay_margin_s,
+        transient_s=samples / loop.members[0].sampling_rate_Hz,
+        guaranteed_error_m=guaranteed_error_m,
+        reference_slew_m_per_s=slew_m_per_s,
+    )
 
 
 def _limits(design: AxisDesign) -> Values:
@@ -278,8 +305,8 @@ def function_values(operator: PreisachPlays) -> Values:
 def creep_values(model: AxisModel, sampling_rate_Hz: float) -> Values:
     """Return the model's creep under the runtime's names; empty if it has none.
 
-    Model and runtime have the same equations: y = m + sum of c_i x_i, where x_i changes by
-    (1 - exp(-T / tau_i)) (m - x_i) per sample. If the model has more elements than the runtime,
+    Model and runtime have the same equations: y = m + sum of c_i q_i, where q_i changes by
+    (1 - exp(-T / tau_i)) (m - q_i) per sample. If the model has more elements than the runtime,
     those with the largest shares are kept.
     """
     rungs = [

@@ -32,6 +32,22 @@ _SHIPPED = tuple(p for p in PARAMETERS if p.name not in SEALED)
 _AXIS = re.compile(r"[a-z][a-z0-9_]{0,15}")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Robustness:
+    """Margins and guaranteed error of the loop that ships, over its whole plant family.
+
+    delay_margin_s          smallest additional delay that destabilises a plant; None: none does
+    transient_s             time in which an error decays to 1 %, by the slowest closed-loop pole
+    guaranteed_error_m      None without a useful bound
+    reference_slew_m_per_s  fastest reference for which this bound holds; 0 without a bound
+    """
+
+    delay_margin_s: float | None
+    transient_s: float
+    guaranteed_error_m: float | None
+    reference_slew_m_per_s: float
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AxisParameters:
     """All runtime parameters of one axis.
@@ -39,11 +55,13 @@ class AxisParameters:
     axis          short lower-case name, ``x``
     values        that ship, by name, in the schema's order, full shapes, read-only
     alternatives  values of other methods, for comparison; each method once
+    robustness    of the loop that ships; None in files of earlier versions, and for other values
     """
 
     axis: str
     values: Values
     alternatives: tuple[Values, ...] = ()
+    robustness: Robustness | None = None
 
     def __post_init__(self) -> None:
         if not _AXIS.fullmatch(self.axis):
@@ -88,8 +106,11 @@ class AxisParameters:
         )
 
     def with_values(self, changed: Mapping[str, ArrayLike | str]) -> "AxisParameters":
-        """Return the axis with some of the values that ship replaced, and validated."""
-        return replace(self, values=complete({**self.values, **changed}))
+        """Return the axis with some of the values that ship replaced, and validated.
+
+        The margins of the exported loop need not hold for other values, and are left out.
+        """
+        return replace(self, values=complete({**self.values, **changed}), robustness=None)
 
 
 def method_of(values: Values) -> str:
@@ -175,6 +196,11 @@ def to_json(file: ParameterFile) -> bytes:
                     "alternatives": [
                         {"method": method_of(v), "parameters": _entries(v)} for v in a.alternatives
                     ],
+                    **(
+                        {}
+                        if a.robustness is None
+                        else {"robustness": records_to_json(a.robustness)}
+                    ),
                 }
                 for a in file.axes
             ],
@@ -199,7 +225,13 @@ def from_json(content: bytes, source: str) -> ParameterFile:
     record = unseal(content, SCHEMA, source)
     try:
         axes = [
-            (a["axis"], a["parameters"], [entry["parameters"] for entry in a["alternatives"]])
+            (
+                *(a["axis"], a["parameters"]),
+                [entry["parameters"] for entry in a["alternatives"]],
+                None
+                if a.get("robustness") is None
+                else records_from_json(Robustness, a["robustness"]),
+            )
             for a in record["axes"]
         ]
         name, sources = str(record["name"]), dict(record["sources"])
@@ -218,8 +250,9 @@ def from_json(content: bytes, source: str) -> ParameterFile:
                     axis=axis,
                     values=_values(entries, source),
                     alternatives=tuple(_values(entries, source) for entries in alternatives),
+                    robustness=robustness,
                 )
-                for axis, entries, alternatives in axes
+                for axis, entries, alternatives, robustness in axes
             ),
             sources=sources,
             unshipped=unshipped,

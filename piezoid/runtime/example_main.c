@@ -32,11 +32,13 @@ int main(void) {
     unsigned status[2];
     const int precision = sizeof(pz_real) == sizeof(float) ? 1 : 0;
     if (scanf("%*[^\n]") != 0) { /* the line of names */
+        fprintf(stderr, "golden.csv is missing: run ./example < golden.csv\n");
         return 2;
     }
     while (scanf("%d,%lf,%lf,%lf,%u,%lf,%u", &axis, &reference, &measured, &expected_V[0],
                  &status[0], &expected_V[1], &status[1]) == 7) {
         if (axis < 0 || axis >= PIEZO_AXES) {
+            fprintf(stderr, "axis %d of the table is not in piezo_params.h\n", axis);
             return 2;
         }
         if (played[axis]++ == 0) {

@@ -177,7 +177,7 @@ static pz_real play_inverse(const pz_parameters *p, const pz_real *z, pz_real wa
     return sign * (u + (way - done) / slope);
 }
 
-/* Psi, gamma, or the inverse of either: through the kinks on the side of x, away from 0. */
+/* Psi, gamma, or the inverse of either: through the knots on the side of x, away from 0. */
 static pz_real dead_zones(int32_t count, const pz_real *knot, const pz_real *weight, pz_real x,
                           int inverse) {
     int32_t i = 0;
@@ -191,7 +191,7 @@ static pz_real dead_zones(int32_t count, const pz_real *knot, const pz_real *wei
     const pz_real sign = x < ZERO ? -ONE : ONE;
     const pz_real way = sign * x;
     pz_real slope = weight[i];
-    pz_real at = ZERO;  /* distance of the last kink from 0, before the map */
+    pz_real at = ZERO;  /* distance of the last knot from 0, before the map */
     pz_real out = ZERO; /* the same after it */
     for (i += step; i >= 0 && i < count; i += step) {
         const pz_real next = sign * knot[i];
@@ -534,7 +534,7 @@ static int32_t check_plays(const pz_parameters *p) {
     return p->edge_count == 0 ? PZ_OK : check_functions(p);
 }
 
-/* Kinks increase and one is at 0; all slopes are positive. `place` is the index of the kinks in
+/* Knots increase and one is at 0; all slopes are positive. `place` is the index of the knots in
  * the schema; their weights follow. */
 static int32_t check_map(int32_t count, const pz_real *knot, const pz_real *weight,
                          int32_t place) {

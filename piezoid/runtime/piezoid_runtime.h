@@ -22,8 +22,11 @@
  * Gamma = Psi o H o gamma is the Modified Prandtl-Ishlinskii model (Kuhnen 2003): weighted plays
  * H, then one-sided dead zones Psi; an envelope gamma in front of the plays where the model has
  * one (Al Janaideh, Rakheja & Su 2011). Its inverse is solved from the forward memory, which
- * follows the applied voltage, after rounding and clipping.
- * creep = sum_i c_i x_i,  x_i = x_i + rate_i (Gamma[u_a] - x_i).
+ * follows the applied voltage, after rounding and clipping. With z_i the state of play i:
+ *
+ *     H = sum_i phi_i(z_i),  phi_i(z) = w_i z  or  piecewise linear between equidistant edges
+ *     z_i = max(w - r_i, min(w + r_i, z_i)),  w = gamma(u_a)
+ *     creep = sum_i c_i q_i,  q_i = q_i + rate_i (Gamma[u_a] - q_i)
  *
  * Z, on the logarithm of the tunnelling current (Landau's letters: R acts on the measurement, S
  * on the output; Longchamp exchanges them; polynomials in q^-1, S and A_0 monic):
@@ -43,9 +46,9 @@
  * and excess precision (x87), every IEEE machine gives the same bits. -ffast-math is refused.
  *
  * Ownership: the caller owns both structures; the runtime does not allocate, print or keep
- * anything. It calls memset, memcpy and memmove, nothing else beyond the arithmetic of the
- * compiler. Any number of axes may run at the same time, each with its own state; parameters may
- * be in ROM.
+ * anything. It calls memset, memcpy and memmove only; the compiler may add routines of software
+ * floating point. Any number of axes may run at the same time, each with its own state; parameters
+ * may be in ROM.
  */
 #ifndef PIEZOID_RUNTIME_H
 #define PIEZOID_RUNTIME_H
@@ -98,9 +101,9 @@ typedef struct {
     int32_t polarity;                /* 1, or -1 where the displacement falls as the drive rises */
     int32_t play_count;              /* plays in use */
     int32_t knot_count;              /* dead zones in use; 0: Psi is the identity */
-    int32_t envelope_count;          /* kinks of gamma in use; 0: gamma is the identity */
-    int32_t edge_count;              /* edges of the functions phi_i; 0: phi_i(z) = w_i z */
-    int32_t edge_steps;              /* distance of the edges, in multiples of r_1 */
+    int32_t envelope_count;          /* knots of gamma in use; 0: gamma is the identity */
+    int32_t edge_count;              /* edges of the play functions phi_i; 0: phi_i(z) = w_i z */
+    int32_t edge_steps;              /* distance of the edges, as a multiple of r_1 */
     int32_t relaxation_count;        /* creep elements in use; 0: no creep block */
     int32_t reference_section_count; /* biquads on the reference; 0: none */
     int32_t command_section_count;   /* biquads on the linearised command; 0: none */
@@ -139,9 +142,9 @@ typedef struct {
     pz_real play_memory_V[PZ_MAX_PLAYS];       /* z_i before the start, nested */
     pz_real knot_m[PZ_MAX_KNOTS];              /* dead-zone thresholds, increasing, one is 0 */
     pz_real knot_weight[PZ_MAX_KNOTS];         /* dead-zone weights, all slopes > 0 */
-    pz_real envelope_knot_V[PZ_MAX_KNOTS];     /* kinks of gamma, increasing, one is 0 */
+    pz_real envelope_knot_V[PZ_MAX_KNOTS];     /* knots of gamma, increasing, one is 0 */
     pz_real envelope_weight[PZ_MAX_KNOTS];     /* changes of its slope, all slopes > 0 */
-    pz_real edge_V;                            /* lowest edge of the functions */
+    pz_real edge_V;                            /* lowest edge of the play functions */
     pz_real play_value_m[PZ_MAX_PLAYS][PZ_MAX_EDGES]; /* phi_i at the edges, rising */
     pz_real relaxation_rate[PZ_MAX_RELAXATIONS];      /* 1 - exp(-T_s / tau_i) */
     pz_real relaxation_share[PZ_MAX_RELAXATIONS];     /* c_i, creep per displacement */
@@ -274,7 +277,7 @@ enum {
     PZ_STATUS_APPROACHING = 2048,      /* Z: extending slowly until current flows */
     PZ_STATUS_NO_CURRENT = 4096,       /* Z: no current up to the end of the search or drive */
     PZ_STATUS_WRONG_SIGN = 8192,       /* Z: the current has the wrong sign */
-    PZ_STATUS_LATCHED = 16384,         /* waits for pz_reset; cause: Z here, X, Y status_ever */
+    PZ_STATUS_LATCHED = 16384,         /* until pz_reset; cause: Z status, X, Y status_ever */
     PZ_STATUS_BLIND = 32768,           /* X, Y: latched, no usable reading for blind_samples */
     PZ_STATUS_UNCERTIFIED = 65536      /* X, Y: reference faster than certified_step_m */
 };
@@ -308,7 +311,7 @@ typedef struct {
     pz_real climb;         /* Z: ln(present reference / set point); <= 0 */
 
     pz_real play_V[PZ_MAX_PLAYS];                  /* z_i, forward memory, of gamma(u) */
-    pz_real relaxation_m[PZ_MAX_RELAXATIONS];      /* x_i of the creep block */
+    pz_real relaxation_m[PZ_MAX_RELAXATIONS];      /* q_i of the creep block */
     pz_real relaxation_rest_m[PZ_MAX_RELAXATIONS]; /* their rounding errors */
     pz_real reference_filter[PZ_MAX_SECTIONS][2];
     pz_real command_filter[PZ_MAX_SECTIONS][2];

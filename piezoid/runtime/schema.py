@@ -112,9 +112,11 @@ _COUNTS = (
     ),
     _integer("play_count", MAX_PLAYS, "plays in use"),
     _integer("knot_count", MAX_KNOTS, "dead zones in use; 0: no dead zone"),
-    _integer("envelope_count", MAX_KNOTS, "kinks of the envelope in use; 0: no envelope"),
-    _integer("edge_count", MAX_EDGES, "points of each function of a play; 0: plays have weights"),
-    _integer("edge_steps", MAX_PLAYS, "distance of the points, in play_threshold_V[1]"),
+    _integer("envelope_count", MAX_KNOTS, "knots of the envelope in use; 0: no envelope"),
+    _integer("edge_count", MAX_EDGES, "edges of the play functions phi_i; 0: phi_i(z) = w_i z"),
+    _integer(
+        "edge_steps", MAX_PLAYS, "distance of the edges, as a multiple of play_threshold_V[1]"
+    ),
     _integer("relaxation_count", MAX_RELAXATIONS, "creep elements in use"),
     _integer("reference_section_count", MAX_SECTIONS, "biquads on the reference"),
     _integer("command_section_count", MAX_SECTIONS, "biquads on the linearised command"),
@@ -161,15 +163,15 @@ _MODEL = (
     _real("play_memory_V", *_V, "states of the plays before pz_start", MAX_PLAYS),
     _real("knot_m", *_m, "dead-zone thresholds", MAX_KNOTS),
     _real("knot_weight", *_WEIGHT, "dead-zone weights", MAX_KNOTS),
-    _real("envelope_knot_V", *_V, "kinks of the envelope in front of the plays", MAX_KNOTS),
-    _real("envelope_weight", *_WEIGHT, "changes of the envelope's slope", MAX_KNOTS),
-    _real("edge_V", *_V, "play state at the first point of a function"),
+    _real("envelope_knot_V", *_V, "knots of the envelope in front of the plays", MAX_KNOTS),
+    _real("envelope_weight", *_WEIGHT, "changes of the envelope's slope at its knots", MAX_KNOTS),
+    _real("edge_V", *_V, "lowest edge of the play functions"),
     _real(
         "play_value_m",
         "m",
         -1e3,
         1e3,
-        "values of each function at its points",
+        "values of each play function phi_i at its edges",
         MAX_PLAYS,
         MAX_EDGES,
     ),
@@ -220,6 +222,15 @@ _TUNNELLING = (
 )
 
 PARAMETERS: tuple[Parameter, ...] = _HEADER + _COUNTS + _SIGNALS + _MODEL + _OBSERVER + _TUNNELLING
+
+# Members that only the method ``rst`` uses.
+TIP_PARAMETERS = frozenset(
+    {
+        *("bad_samples", "retract_samples", "contact_samples", "trip_limit", "trip_samples"),
+        *(p.name for p in _COUNTS if p.name.startswith("rst_")),
+        *(p.name for p in _TUNNELLING),
+    }
+)
 
 INDEX: dict[str, int] = {p.name: number for number, p in enumerate(PARAMETERS, start=1)}
 

@@ -13,10 +13,10 @@ import pytest
 import piezoid
 from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import SAMPLES, SHIPPED, bundle, runtime_source
-from piezoid.export.parameter_file import AxisParameters, to_json
-from piezoid.runtime.controller import Status
+from piezoid.export.parameter_file import AxisParameters, Robustness, from_json, to_json
+from piezoid.runtime.controller import Controller, Status
 from piezoid.runtime.library import library
-from piezoid.runtime.schema import PARAMETERS
+from piezoid.runtime.schema import PARAMETERS, TIP_PARAMETERS
 from tests.export.stage import lateral, stage
 from tests.runtime.compiler import PRECISION, STRICT, require_tool, run, write_files
 
@@ -98,6 +98,10 @@ def test_a_truncated_table_is_detected(rows, cut, example, tmp_path):
     assert_program_fails(
         program, "".join(lines[: rows + 1]) + lines[rows + 1][:cut], tmp_path, "samples of"
     )
+
+
+def test_an_empty_input_is_answered_with_the_command(example, tmp_path):
+    assert_program_fails(example[0], "", tmp_path, r"run \./example < golden\.csv")
 
 
 @pytest.mark.parametrize("precision", PRECISION)
@@ -193,12 +197,20 @@ def test_an_axis_that_is_no_identifier_in_c_is_refused(axis):
         AxisParameters(axis=axis, values=lateral("mpi_dob"))
 
 
+def is_stated(parameter, axis):
+    """Return whether the header states a parameter: members of Z that are 0 are left out."""
+    is_for_axis = axis.method == "rst" or parameter.name not in TIP_PARAMETERS
+    return is_for_axis or axis.values[parameter.name].any()
+
+
 def test_the_header_explains_every_parameter_in_full():
     header = stage_bundle()["piezo_params.h"].decode()
     for parameter in PARAMETERS:
         assert re.fullmatch(r"[ -~]{5,90}", parameter.meaning)
         assert "*/" not in parameter.meaning
-        assert header.count(f"/* {parameter.meaning}") >= len(stage().axes)
+        axes = [a for a in stage().axes if is_stated(parameter, a)]
+        assert axes
+        assert header.count(f"/* {parameter.meaning}") >= len(axes)
     assert ".method = PZ_METHOD_MPI_DOB," in header
 
 
@@ -251,6 +263,76 @@ def test_the_readme_states_limits_codes_and_bytes():
     for precision in ("float", "double"):
         assert f"{library(precision).state_size} ({precision})" in text
     assert ctypes.sizeof(ctypes.c_float) == library("float").code.pz_size_of_real()
+
+
+def table_row(text, heading, axis):
+    """Return the cells of an axis in the table with this heading, by column."""
+    names, _, *rows = text[text.index(heading) :].partition("\n\n")[0].splitlines()
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in (names, *rows)]
+    return dict(zip(cells[0], next(row for row in cells[1:] if row[0] == axis), strict=True))
+
+
+LOOPS = "| axis | delay margin |"
+ROBUSTNESS = Robustness(
+    delay_margin_s=2.82e-4,
+    transient_s=1.3e-3,
+    guaranteed_error_m=2e-6,
+    reference_slew_m_per_s=3.39e-3,
+)
+
+
+def test_the_readme_states_margin_guarantee_and_transient_of_the_parameter_file():
+    axis = replace(stage().axis("x"), robustness=ROBUSTNESS)
+    file = from_json(to_json(replace(stage(), axes=(axis,))), "params.json")
+    assert file.axes[0].robustness == ROBUSTNESS
+    row = table_row(bundle(file)["README.md"].decode(), LOOPS, "x")
+    assert row["delay margin"] == "282 us"
+    assert row["guaranteed error"] == "2.00 um up to 3.39 mm/s"
+    assert row["transient"] == "1.3 ms"
+    assert file.axes[0].with_values({"lsb_V": 0.0}).robustness is None
+
+
+@pytest.mark.parametrize("low_V", [-5.0, 0.0, 2.0])
+def test_the_start_of_the_readme_lies_inside_and_its_jump_bounds_the_first_output(low_V):
+    limits = {"voltage_minimum_V": low_V, "reference_step_m": 1e-7, "lsb_V": 0.0}
+    axis = stage().axis("x").with_values(limits)
+    row = table_row(bundle(replace(stage(), axes=(axis,)))["README.md"].decode(), LOOPS, "x")
+    high_V = float(axis.values["voltage_maximum_V"])
+    start_V = float(row["start"].removesuffix(" V"))
+    assert low_V < start_V < high_V
+    assert abs(start_V) <= max(low_V + 0.06 * (high_V - low_V), 0.0)
+    assert row["ramp"] == "570 V/s"
+    jump_V = float(row["jump"].removesuffix(" V"))
+    for voltage_V in (low_V, high_V):
+        for reading_m in np.linspace(-4e-5, 4e-5, 41):
+            controller = Controller(axis.values)
+            controller.start(voltage_V, reading_m)
+            first_V = controller.step(reading_m, reading_m)
+            assert abs(first_V - voltage_V) <= 1.05 * jump_V
+
+
+@pytest.mark.parametrize(
+    ("axes", "features", "others"),
+    [
+        ("x", ["displacement limits", "no Z"], ["`trip_limit`", "Z:", "X, Y:", "`rst`: "]),
+        ("z", ["`trip_limit`", "`rst`: "], ["displacement limits", "X, Y:", "`blind_samples`"]),
+        ("xz", ["displacement limits", "`trip_limit`", "X, Y:", "Z:"], ["no Z"]),
+    ],
+)
+def test_the_readme_leaves_out_what_concerns_no_axis(axes, features, others):
+    file = replace(stage(), axes=tuple(map(stage().axis, axes)))
+    text = bundle(file)["README.md"].decode()
+    assert all(feature in text for feature in features)
+    assert not any(other in text for other in others)
+    assert not re.search(r"^@", text, flags=re.M)
+
+
+def test_a_zero_lsb_is_explained_only_where_an_axis_has_none():
+    assert "LSB of 0" not in readme()
+    axis = stage().axis("x").with_values({"lsb_V": 0.0})
+    text = bundle(replace(stage(), axes=(axis,)))["README.md"].decode()
+    assert "LSB of 0" in text
+    assert "two's-complement" not in text
 
 
 def test_the_digests_of_the_readme_follow_from_its_instructions():
