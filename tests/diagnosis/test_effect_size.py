@@ -139,16 +139,17 @@ def test_the_size_of_a_coupling_is_the_injected_coupling():
 
 
 def test_the_size_of_a_periodic_error_is_its_amplitude_over_the_true_position():
-    """Over the reading, a third of an error of an eighth of its period is in higher orders."""
+    """Over the reading, higher orders of the error of an eighth of its period remain."""
     period_nm, amplitude_nm = 1500.0, 180.0
-    recordings = []
-    for kind in ("sweep", "waves"):
-        ideal = recording(kind)
+    ideals, recordings = [recording("sweep"), recording("waves")], []
+    for ideal in ideals:
         displacement_m = ideal.displacement_m()
         error_m = 1e-9 * amplitude_nm * np.sin(2e9 * np.pi * displacement_m / period_nm + 1.0)
         recordings.append(with_displacement(ideal, displacement_m + error_m))
     view = view_of_recordings(thinned(recordings, EVERY))
-    size = size_of(refitted(sensor_periodic_error.EFFECT, view)[1])
+    _, cause = refitted(sensor_periodic_error.EFFECT, view)
+    assert cause.view.rms < 1.2 * view_of_recordings(thinned(ideals, EVERY)).rms
+    size = size_of(cause)
     assert size.value == pytest.approx(amplitude_nm, rel=0.02)
     assert size.ci95[0] < amplitude_nm < size.ci95[1]
 
