@@ -10,17 +10,24 @@ from scipy.signal import lfilter
 
 import piezoid
 from piezoid.diagnosis.candidate import Candidate, evaluate, size_of
-from piezoid.diagnosis.effects import amplifier_saturation, cross_coupling
+from piezoid.diagnosis.effect import Effect
+from piezoid.diagnosis.effects import (
+    amplifier_saturation,
+    creep,
+    cross_coupling,
+    sensor_periodic_error,
+)
 from piezoid.diagnosis.refinement import initial_guess, refine
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.signals import with_displacement
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
 
-from .bench import effects_of, finding_of, read_campaign, thinned, view_of_recordings
+from .bench import read_campaign, thinned, view_of_recordings
 from .play_recordings import with_another_axis
 from .play_stage import recording
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone", "one_order")]
+pytestmark = pytest.mark.slow
 
 
 def clipped_percent(campaign: Campaign) -> float:
@@ -34,6 +41,15 @@ def clipped_percent(campaign: Campaign) -> float:
     return 100.0 * max(above_V, below_V) / (high_V - low_V)
 
 
+def refitted(effect: Effect, view: View) -> tuple[ScoreTest, Candidate]:
+    """Return the score test of an effect and the refitted candidate."""
+    test = score_test(effect, view)
+    assert test is not None
+    start = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
+    selected, refitted_view = refine(start, view, [])
+    return test, evaluate(selected, refitted_view, view, test=test)
+
+
 @cache
 def clipping_cause(seed: int) -> tuple[Campaign, ScoreTest, Candidate]:
     """Return a stage with a clipping amplifier, the score test, and the refitted candidate."""
@@ -41,10 +57,7 @@ def clipping_cause(seed: int) -> tuple[Campaign, ScoreTest, Candidate]:
         seed, truth="preisach", effects=("amplifier_saturation",), plans=("sweep", "check")
     )
     view = view_of_recordings(*read_campaign(campaign))
-    test = score_test(amplifier_saturation.EFFECT, view)
-    start = initial_guess(amplifier_saturation.EFFECT, test.trial, float(test.cv.coefficient[0]))
-    selected, refitted = refine(start, view, [])
-    return campaign, test, evaluate(selected, refitted, view, test=test)
+    return campaign, *refitted(amplifier_saturation.EFFECT, view)
 
 
 @pytest.mark.parametrize("seed", [2, 3], ids=["above", "on both sides"])
@@ -64,7 +77,7 @@ PER_DECADE = 12  # nodes of the quadrature
 TILT = 0.15  # of the spectrum of creep, for each decade of time
 
 
-def creep(response_m: np.ndarray, tilt: float) -> np.ndarray:
+def creeping(response_m: np.ndarray, tilt: float) -> np.ndarray:
     """Return relaxations from 10 ms to three hours, one step in the decade about 10 s."""
     total = np.zeros_like(response_m)
     for decade in -2.0 + (np.arange(6 * PER_DECADE) + 0.5) / PER_DECADE:
@@ -104,40 +117,41 @@ def test_the_size_of_creep_is_the_response_to_a_step_in_the_decade_about_ten_sec
             piezoid.from_arrays(
                 time_s=np.arange(len(drive_V)) / RATE_Hz,
                 voltage_V=drive_V,
-                displacement_m=static_m + 0.01 * creep(static_m, TILT) + noise_m,
+                displacement_m=static_m + 0.01 * creeping(static_m, TILT) + noise_m,
             )
         )
-    finding = finding_of(piezoid.diagnose(recordings), "creep")
-    assert finding.size.value == pytest.approx(1.0, rel=0.05)
-    low, high = finding.size.ci95
+    size = size_of(refitted(creep.EFFECT, view_of_recordings(recordings))[1])
+    assert size.value == pytest.approx(1.0, rel=0.05)
+    low, high = size.ci95
     assert low < 1.0 < high
     # Two standard errors of the creep law alone, which is known to 15 %.
-    assert high - low >= 2 * 2.0 * 0.15 * finding.size.value
+    assert high - low >= 2 * 2.0 * 0.15 * size.value
 
 
 def test_the_size_of_a_coupling_is_the_injected_coupling():
     """A free hysteresis absorbs two fifths of the coupling, but none of its stated size."""
     share, coupling = 0.005, cross_coupling.EFFECT
     stage = thinned([with_another_axis(recording(kind)) for kind in ("sweep", "walk")], EVERY)
-    diagnosis = piezoid.diagnose([coupling.inject(r, share) for r in stage], axis="x")
-    size = finding_of(diagnosis, coupling.name).size
+    view = view_of_recordings([coupling.inject(r, share) for r in stage])
+    size = size_of(refitted(coupling, view)[1])
     assert size.value == pytest.approx(100.0 * share, rel=0.05)
     assert size.ci95[0] < 100.0 * share < size.ci95[1]
 
 
 def test_the_size_of_a_periodic_error_is_its_amplitude_over_the_true_position():
-    """Over the reading, a third of an error of an eighth of its period is in higher orders."""
+    """Over the reading, higher orders of the error of an eighth of its period remain."""
     period_nm, amplitude_nm = 1500.0, 180.0
-    recordings = []
-    for kind in ("sweep", "waves"):
-        ideal = recording(kind)
+    ideals, recordings = [recording("sweep"), recording("waves")], []
+    for ideal in ideals:
         displacement_m = ideal.displacement_m()
         error_m = 1e-9 * amplitude_nm * np.sin(2e9 * np.pi * displacement_m / period_nm + 1.0)
         recordings.append(with_displacement(ideal, displacement_m + error_m))
-    (finding,) = effects_of(piezoid.diagnose(thinned(recordings, EVERY), axis="x"))
-    assert finding.effect == "sensor_periodic_error"
-    assert finding.size.value == pytest.approx(amplitude_nm, rel=0.02)
-    assert finding.size.ci95[0] < amplitude_nm < finding.size.ci95[1]
+    view = view_of_recordings(thinned(recordings, EVERY))
+    _, cause = refitted(sensor_periodic_error.EFFECT, view)
+    assert cause.view.rms < 1.2 * view_of_recordings(thinned(ideals, EVERY)).rms
+    size = size_of(cause)
+    assert size.value == pytest.approx(amplitude_nm, rel=0.02)
+    assert size.ci95[0] < amplitude_nm < size.ci95[1]
 
 
 def test_a_parameter_without_influence_does_not_change_the_interval_of_a_size():

@@ -171,7 +171,7 @@ STAGES: Mapping[str, Callable[[], tuple[Recording, ...]]] = {
 
 
 # Extended together with loop shape. Periodic error: test_loop_shape.py.
-WITH_LOOP_SHAPE = ("creep", "delay")
+WITH_LOOP_SHAPE = ("delay",)
 
 
 @cache
@@ -205,10 +205,9 @@ def test_only_the_hidden_effect_is_named_with_its_interval_and_gain(name):
 
 
 @pytest.mark.usefixtures("plays_alone", "one_order")
-@pytest.mark.parametrize(("law", "drives"), [("dahl", WITH_SLOW), ("duhem", ONE_SPEED)])
-def test_a_healthy_stage_has_no_findings_and_a_bound_on_every_effect(law, drives):
+def test_a_healthy_stage_has_no_findings_and_a_bound_on_every_effect():
     """Bouc-Wen ceramic with loop shape: test_budget.py."""
-    diagnosis = diagnose(recorded(drives, law=law))
+    diagnosis = diagnose(recorded(WITH_SLOW))
     assert causes(diagnosis) == ()
     listed = {absent.effect for absent in diagnosis.not_detected} | set(diagnosis.names)
     assert listed == {effect.name for effect in EFFECTS}
@@ -222,14 +221,14 @@ def test_a_healthy_stage_has_no_findings_and_a_bound_on_every_effect(law, drives
 @pytest.mark.usefixtures("plays_alone", "one_order")
 def test_a_diagnosis_is_independent_of_threads_and_survives_its_file():
     messages: set[str] = set()
-    diagnosis = diagnosed_stage("cross_coupling")[0]
-    threaded = diagnose(STAGES["cross_coupling"](), threads=3, progress=messages.add)
+    diagnosis = diagnosed_stage("gain_change")[0]
+    threaded = diagnose(STAGES["gain_change"](), threads=3, progress=messages.add)
     written = write_diagnosis(diagnosis)
     assert write_diagnosis(threaded) == written
     assert read_diagnoses(written)[0] == diagnosis
     content = unseal(written, SCHEMA, "diagnosis.json")
     assert content["final"]["held_out_rms_m"] == diagnosis.final.rms_m
-    assert {"testing lag", "comparing cross coupling with confounded effects"} <= messages
+    assert {"testing lag", "comparing gain change with confounded effects"} <= messages
 
 
 def test_a_clipping_amplifier_has_its_voltage_limit_on_the_clipped_side_only():
@@ -314,7 +313,7 @@ def test_a_very_slow_amplifier_is_found_and_is_not_a_butterfly():
     """The fastest recording moves against its drive; slow ones show that the ceramic does not."""
     limit_V_per_s = 12.5
     step = limit_V_per_s / (5.0 * RATE_Hz)
-    drives = {name: WITH_SLOW[name] for name in ("loops", "fast", "slow")}
+    drives = {name: WITH_SLOW[name] for name in ("fast", "slow")}
     recordings = recorded(drives, actuate=lambda drive: slewed(drive, step), law="sum of plays")
     (finding,) = effects_of(diagnose(recordings))
     assert finding.effect == "slew_limit"

@@ -5,8 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from piezoid import diagnose, fit
-from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid import ActuatorModel, Recording, diagnose, fit
 from piezoid.diagnosis.refit import refit_model
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.hysteresis.pieces import scales_of
@@ -42,25 +41,26 @@ def ringing_response(static: np.ndarray, rate_Hz: float) -> np.ndarray:
 
 
 @cache
-def mode_diagnosis() -> tuple[Diagnosis, float]:
-    """Return the diagnosis and the true contribution of the mode to the multisine, m rms."""
+def fitted_stage() -> tuple[tuple[Recording, ...], ActuatorModel]:
+    """Return the recordings of the drives and their model."""
     recordings = ringing(drives(), ringing_response, np.random.default_rng(1))
-    waves = drives()["multisine", 5000.0]
-    static, _ = play_response(waves, memory_after(cycled, float(waves[0])))
-    change = ringing_response(static, 5000.0) - static
-    added_m = HALF_STROKE_m * float(np.sqrt(np.mean(change**2)))
-    return diagnose(recordings, model=fit(recordings)), added_m
+    return recordings, fit(recordings)
 
 
 def test_a_mode_also_improves_the_model_of_the_other_recordings():
     """The fast triangle does not identify the mode but excites it above the noise."""
     fast = 0.8 * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * 8.0 * np.arange(5000) / 5000.0))
-    all_drives = {**drives(), ("fast", 5000.0): fast}
-    recordings = ringing(all_drives, ringing_response, np.random.default_rng(2))
-    slow_recordings = [recording for recording in recordings if recording.name != "multisine"]
-    axis, scales = fit(recordings).axes["x"], scales_of(slow_recordings, "x")
+    fast_drive = {("fast", 5000.0): fast}
+    (fast_recording,) = ringing(fast_drive, ringing_response, np.random.default_rng(2))
+    recordings, model = fitted_stage()
+    without_multisine = (*recordings[:2], fast_recording)
     errors = refit_model(
-        slow_recordings, (), model=axis, lab=Lab(), scales=scales, raw=slow_recordings
+        without_multisine,
+        (),
+        model=model["x"],
+        lab=Lab(),
+        scales=scales_of(without_multisine, "x"),
+        raw=without_multisine,
     )
     (mode_of_model,) = [e for e in errors.model.extensions if isinstance(e, LinearMode)]
     assert errors.final_m < 0.5 * errors.without_m["resonance"]
@@ -69,7 +69,12 @@ def test_a_mode_also_improves_the_model_of_the_other_recordings():
 
 
 def test_a_mode_is_named_once_with_its_parameters_and_the_error_that_it_causes():
-    diagnosis, added_m = mode_diagnosis()
+    recordings, model = fitted_stage()
+    diagnosis = diagnose(recordings, model=model)
+    waves = drives()["multisine", 5000.0]
+    static, _ = play_response(waves, memory_after(cycled, float(waves[0])))
+    change = ringing_response(static, 5000.0) - static
+    added_m = HALF_STROKE_m * float(np.sqrt(np.mean(change**2)))  # by the mode, rms
     assert causes(diagnosis) == ("resonance",)
     finding = diagnosis.findings[0]
     low_Hz, high_Hz = finding.size.ci95

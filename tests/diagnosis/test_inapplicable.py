@@ -10,11 +10,10 @@ from tests.laws import LAWS, recorded, triangles
 pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
 
 
-@pytest.mark.parametrize("law", ["preisach", "dahl"])
-def test_a_butterfly_has_a_reason_and_no_findings(tmp_path, law):
+def test_a_butterfly_has_a_reason_and_no_findings(tmp_path):
     field = triangles(6, 250)
     noise_um = 0.01 * np.random.default_rng(2).standard_normal(len(field))
-    strain = LAWS[law](field)
+    strain = LAWS["preisach"](field)
     strain = strain - 0.5 * (strain.max() + strain.min())
     reading_um = 8.0 * strain**2 + 0.4 * field + noise_um
     diagnosis = diagnose([recorded(tmp_path, field, reading_um)])

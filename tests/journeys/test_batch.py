@@ -13,7 +13,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from tests.journeys.command import PIEZOID, run_process
+from piezoid.errors import PiezoidError
+from tests.journeys.command import PIEZOID, piezoid
 
 COUNT = 3
 CONSTANT_DRIVE = 2  # index of the stage whose drive never changes
@@ -91,7 +92,7 @@ def test_a_killed_worker_loses_no_result_and_a_second_run_repeats_nothing(tmp_pa
     assert set(state_of.values()) == {"passed"}
 
     modified_ns = {path: path.stat().st_mtime_ns for path in out.glob("stages/*/*")}
-    second_run = run_process("batch", folder, "--out", out, "--scheduler", address, "--json")
+    second_run = piezoid("batch", folder, "--out", out, "--scheduler", address, "--json")
     assert json.loads(second_run.stdout)["passed"] is False
     assert modified_ns == {path: path.stat().st_mtime_ns for path in out.glob("stages/*/*")}
 
@@ -102,23 +103,24 @@ def test_a_killed_worker_loses_no_result_and_a_second_run_repeats_nothing(tmp_pa
     assert all(sum(row["play_weight_m_per_V"]) > 0 for row in rows if row["applies"])
 
     (folder / "unit-0" / "lab.toml").write_text('[rig]\nname = "another"\n')
-    refused = run_process("batch", folder, "--out", out, "--scheduler", address)
-    assert refused.returncode == 2
-    assert "--force" in refused.stderr
+    refused = piezoid("batch", folder, "--out", out, "--scheduler", address)
+    assert refused.exit_code == 2
+    assert "--force" in refused.output
     assert modified_ns == {path: path.stat().st_mtime_ns for path in out.glob("stages/*/*")}
 
 
 def test_an_empty_folder_and_a_foreign_result_folder_are_refused(tmp_path):
     (tmp_path / "empty").mkdir()
-    without_stages = run_process("batch", tmp_path / "empty", "--out", tmp_path / "out")
-    assert without_stages.returncode == 3
-    assert "lab.toml" in without_stages.stderr
+    without_stages = piezoid("batch", tmp_path / "empty", "--out", tmp_path / "out").exception
+    assert isinstance(without_stages, PiezoidError)
+    assert without_stages.exit_status == 3
+    assert "lab.toml" in str(without_stages)
     write_stages(tmp_path / "night")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("precious")
-    foreign = run_process("batch", tmp_path / "night", "--out", tmp_path / "mine")
-    assert foreign.returncode == 2
-    assert "has no manifest" in foreign.stderr
+    foreign = piezoid("batch", tmp_path / "night", "--out", tmp_path / "mine")
+    assert foreign.exit_code == 2
+    assert "has no manifest" in foreign.output
 
 
 def test_an_interrupted_batch_continues_with_the_missing_stages(tmp_path):
@@ -132,6 +134,6 @@ def test_an_interrupted_batch_continues_with_the_missing_stages(tmp_path):
     _, message = process.communicate(timeout=60)
     assert process.returncode == 130
     assert message == b"interrupted: no file is left half written\n"
-    second_run = run_process("batch", folder, "--out", out, "--workers", "1", "--quiet")
-    assert second_run.returncode == 0, second_run.stderr
+    second_run = piezoid("batch", folder, "--out", out, "--workers", "1", "--quiet")
+    assert second_run.exit_code == 0, second_run.output
     assert states(out) == {"unit-0": "passed"}

@@ -37,7 +37,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     with pytest.MonkeyPatch.context() as patch:
         fit_plays_alone(patch)
         fit_one_order(patch)
-        result = CliRunner().invoke(app, ["fit", *arguments])
+        result = CliRunner().invoke(app, ["fit", *arguments, "--processes", "1"])
     assert result.exit_code == 0, (result.output, result.exception)
     return folder, " ".join(result.output.split())
 

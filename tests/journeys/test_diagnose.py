@@ -19,10 +19,9 @@ from piezoid.errors import ExcitationError
 from piezoid.identification.store import read_model, write_model
 from piezoid.records.collection import collect
 from piezoid_cli.main import app
-from piezoid_datasets.virtual_lab.campaign import draw_campaign
-from piezoid_datasets.virtual_lab.write import write_campaign
 from tests.diagnosis.bench import finding_of
-from tests.journeys.readme_walk import first_rows
+from tests.laws import LAWS, RATE_Hz, triangles
+from tests.laws import write as write_sweep
 from tests.plays_alone import fit_one_order, fit_plays_alone
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, stage_model
@@ -144,21 +143,20 @@ def test_a_crashing_effect_leaves_model_and_report_and_ends_with_status_1(sweeps
 @pytest.mark.slow
 @pytest.mark.usefixtures("plays_alone", "one_order")
 def test_an_unknown_tone_is_named_with_its_frequency_and_plotted(tmp_path):
-    campaign = draw_campaign(91, plans=("sweep", "check"), uncatalogued={"tone": 0.6})
-    write_campaign(campaign, tmp_path)
-    recordings = tmp_path / "recordings"
-    files = [str(file) for file in sorted(recordings.glob("*.csv"))]
-    for file in map(Path, files):
-        file.write_text(first_rows(file, rows=8000))
-    out = tmp_path / "diag"
-    result = CliRunner().invoke(
-        app, ["diagnose", *files, "--lab", str(recordings / "lab.toml"), "--out", str(out)]
-    )
+    """One period of the recording from the third harmonic of the drive, it is not a lag."""
+    field = triangles(6, 500)
+    tone_Hz = 2.83 * RATE_Hz / 500
+    tone_um = 0.2 * np.sin(2.0 * np.pi * tone_Hz * np.arange(len(field)) / RATE_Hz)
+    noise_um = 0.008 * np.random.default_rng(4).standard_normal(len(field))
+    reading_um = 10.0 * LAWS["duhem"](field) + tone_um + noise_um
+    sweep, out = write_sweep(tmp_path / "sweep.csv", field, reading_um), tmp_path / "diag"
+    result = CliRunner().invoke(app, ["diagnose", str(sweep), "--out", str(out)])
     assert result.exit_code == 0, result.output
     record = json.loads((out / "diagnosis.json").read_text())
     (finding,) = record["findings"]
     assert (finding["effect"], finding["coordinate"]) == ("something_else", "frequency")
-    assert finding["size"]["value"] == pytest.approx(6e6 * campaign.rig.stroke_m, rel=0.05)
+    assert finding["parameters"]["frequency_Hz"] == pytest.approx(tone_Hz, rel=0.02)
+    assert finding["size"]["value"] == pytest.approx(200.0 / np.sqrt(2.0), rel=0.15)
     assert f"{finding['parameters']['frequency_Hz']:.5g} Hz" in " ".join(result.output.split())
     assert record["unexplained"]["p_value"] < 0.05
     assert "something_else" not in {absent["effect"] for absent in record["not_detected"]}

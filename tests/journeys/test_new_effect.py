@@ -181,7 +181,7 @@ def leaking(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LeakingStage]:
         fit_plays_alone(patch)
         fit_one_order(patch)
         stage = piezoid.simulate(3, drives=("sweep", "staircase"), truth="bouc_wen")
-        recordings = tuple(with_leak(recording) for recording in thinned(stage.recordings, 3))
+        recordings = tuple(with_leak(recording) for recording in thinned(stage.recordings, 6))
         model = piezoid.fit(recordings, lab=stage.lab)
         diagnosis = piezoid.diagnose(recordings, model=model, lab=stage.lab)
         yield LeakingStage(module.EFFECT, recordings, model.extended(diagnosis), diagnosis)

@@ -41,7 +41,7 @@ def test_the_python_example_runs_on_the_recordings_of_the_shell_example(tmp_path
     (example,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
     for name in ("sweep", "check"):
         recording = ROOT / f"datasets/x_{name}.csv"
-        (tmp_path / f"{name}.csv").write_text(first_rows(recording, rows=1500))
+        (tmp_path / f"{name}.csv").write_text(first_rows(recording, rows=800))
     run = subprocess.run(
         [sys.executable, "-W", "error", "-c", example],
         cwd=tmp_path,
