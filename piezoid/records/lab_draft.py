@@ -41,7 +41,7 @@ HEAD = f"""\
 {fill(f"{DRIVE_VOLTAGE_NOTE} {SCALE_NOTE}", 98, initial_indent="# ", subsequent_indent="# ")}
 
 [amplifier]                      # between the controller's output and the piezo
-# gain_V_per_V = 15
+# gain_V_per_V = 15              # for the limits below, which are volts at the piezo
 # bandwidth_Hz = 4000            # -3 dB; the fit accounts for this pole
 # output_min_V = -30             # where the output clips
 # output_max_V = 180

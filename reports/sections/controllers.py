@@ -29,12 +29,12 @@ LOWEST_DIVISOR = 300.0  # of the bandwidth; below, the sensitivity is a straight
 NYQUIST = 0.499  # of the sampling rate
 FUNCTIONS = {
     "Syp": (
-        "output sensitivity",
+        "output sensitivity |Syp|",
         "Good: the whole band below every dashed line. Bad: a band that widens at one frequency, "
         "where the plant is uncertain.",
     ),
     "Syb": (
-        "noise sensitivity",
+        "noise sensitivity |Syb|",
         "Good: 0 dB up to the bandwidth, then falling. Bad: a hump near the delay limit.",
     ),
 }

@@ -57,8 +57,8 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="findings",
         title="Findings",
-        lead="Effects that the base model lacks. Look-alike: the residual "
-        "of a stage with this effect alone, at the estimated size.",
+        lead="Effects that the base model lacks. Look-alike: the residual of a stage with this "
+        "effect alone; compare its shape, as other effects change its size.",
         parts=(*parts, *_not_detected_tables(page)),
     )
 

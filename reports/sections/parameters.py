@@ -173,7 +173,7 @@ def _quantities(page: Page) -> Table:
             lag = with_half_width(float(uncertainty.values[k]), half_s, "s")
         column = {
             "width of the full loop": _loop_width(axis),
-            "lag of the base model": lag,
+            "lag of the first fit, without effects": lag,
             "centre of the model, voltage": number(axis.hysteresis.voltage_offset_V, "V", 4),
             "centre of the model, displacement": number(
                 axis.hysteresis.displacement_offset_m, "m", 4
