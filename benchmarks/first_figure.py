@@ -1,6 +1,6 @@
 """Draw the figure of docs/measured/accuracy.md from the bundled recordings.
 
-    python benchmarks/first_figure.py reports/gallery/first_figure.svg
+    python benchmarks/first_figure.py docs/images/first_figure.svg
 
 The model is fitted to the recordings of sweep and rates. The figure shows its prediction of the
 third recording.

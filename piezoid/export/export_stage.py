@@ -205,7 +205,7 @@ def _robustness(loop: LoopDesign, guaranteed_error_m: float | None) -> Robustnes
     Closed-loop poles of magnitude rho decay to 1 % in ln(0.01) / ln(rho) samples; the reference
     filter adds its length.
     """
-    radius = max(margin.spectral_radius for margin in loop.margins)
+    radius = max(*(margin.spectral_radius for margin in loop.margins), _DECAYED)
     samples = math.log(_DECAYED) / math.log(radius) + len(loop.reference.filter) - 1
     slew_m_per_s = 0.0
     if guaranteed_error_m is not None and loop.certificate is not None:

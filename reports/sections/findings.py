@@ -4,12 +4,13 @@ import math
 from collections.abc import Sequence
 from itertools import chain
 
-from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, NotDetected
 from piezoid.diagnosis.diagnosis_statements import largest_first
 from piezoid.diagnosis.effects import effect_named, thermal_drift
 from piezoid.diagnosis.residual_coordinates import CONTROL_ADVICE
 from piezoid.formatting import p_value, words
 from piezoid.identification.fit_statements import ZERO_DRIFT
+from piezoid.identification.model import AxisModel
 from piezoid_reports.effect_figures import compare_effects, figure_of, unnamed_figure
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Heading, Part, Prose, Section, Table, with_rows
@@ -116,22 +117,13 @@ def _not_detected_tables(page: Page) -> list[Part]:
     drifting = {fact.axis for fact in page.statements if fact.quantity == ZERO_DRIFT}
 
     def cells(name: str, axis: str) -> tuple[str, str]:
-        """Return bound and detection limit, or why the effect could not be tested."""
         absence = by_name.get((name, axis))
         if absence is None:
             return "found", ""
         if (name, axis) in confounded:
             return f"not separable from {words(confounded[name, axis])}", ""
-        if absence.detection_limit_m is None:
-            return f"not tested: {absence.reason}", ""
-        bound = ""
-        if absence.upper_bound_m is not None:
-            fitted = page.model.axes.get(axis)
-            max_m = math.inf if fitted is None else MAX_BOUND * fitted.quality.range_m
-            is_useful = absence.upper_bound_m <= max_m
-            bound = number(absence.upper_bound_m, "m") if is_useful else "no useful bound"
-        limit = number(absence.detection_limit_m, "m")
-        if name == thermal_drift.EFFECT.name and axis in drifting:
+        bound, limit = _bound_and_limit(absence, page.model.axes.get(axis))
+        if limit and name == thermal_drift.EFFECT.name and axis in drifting:
             limit += ", in addition to the drift in the fit"
         return bound, limit
 
@@ -155,3 +147,15 @@ def _not_detected_tables(page: Page) -> list[Part]:
         ),
     )
     return with_rows(of_effects, of_faults)
+
+
+def _bound_and_limit(absence: NotDetected, axis: AxisModel | None) -> tuple[str, str]:
+    """Return bound and detection limit, or why the effect could not be tested."""
+    if absence.detection_limit_m is None:
+        return f"not tested: {absence.reason}", ""
+    bound = ""
+    if absence.upper_bound_m is not None:
+        max_m = math.inf if axis is None else MAX_BOUND * axis.quality.range_m
+        is_useful = absence.upper_bound_m <= max_m
+        bound = number(absence.upper_bound_m, "m") if is_useful else "no useful bound"
+    return bound, number(absence.detection_limit_m, "m")

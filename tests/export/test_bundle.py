@@ -301,7 +301,6 @@ def test_the_start_of_the_readme_lies_inside_and_its_jump_bounds_the_first_outpu
     start_V = float(row["start"].removesuffix(" V"))
     assert low_V < start_V < high_V
     assert abs(start_V) <= max(low_V + 0.06 * (high_V - low_V), 0.0)
-    assert row["ramp"] == "570 V/s"
     jump_V = float(row["jump"].removesuffix(" V"))
     for voltage_V in (low_V, high_V):
         for reading_m in np.linspace(-4e-5, 4e-5, 41):

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.diagnosis import NotDetected
+from piezoid.diagnosis.diagnosis import NotDetected, Size
+from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
@@ -109,6 +110,22 @@ def test_confounded_effects_are_a_limit_with_their_experiment():
     page = render_diagnosis(stage_model(axis_model()), [recording()], diagnosis)
     limits = page.partition('id="limits"')[2].partition("</section>")[0]
     assert limits.count("Record a chirp.") == page.count("Record a chirp.") == 1
+
+
+def test_a_lag_and_a_delay_are_the_same_for_slow_loops():
+    delay = replace(
+        finding("delay", rivals=("lag",)), size=Size(value=100.0, unit="µs", ci95=(99.0, 101.0))
+    )
+    (fact,) = (f for f in diagnosis_statements(diagnosed(delay)) if "separated" in f.text)
+    # at 320 Hz a lag of 0.1 ms has a gain of 0.98, and a phase that differs by 0.15 degrees
+    assert "a loop below 320 Hz" in fact.text
+    lag = 1.0 / (1.0 + 2j * np.pi * 320.0 * 1e-4)
+    assert abs(lag) == pytest.approx(0.98, abs=0.002)
+    phase_deg = np.degrees(np.angle(lag * np.exp(2j * np.pi * 320.0 * 1e-4)))
+    assert phase_deg == pytest.approx(0.15, abs=0.01)
+    for rivals in (("rate_dependence",), ("lag", "resonance")):
+        others = diagnosis_statements(diagnosed(finding("delay", rivals=rivals)))
+        assert not any("a loop below" in other.text for other in others)
 
 
 def test_findings_are_listed_without_recordings_or_model():
