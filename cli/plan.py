@@ -133,7 +133,7 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
             (
                 rich_text(name, style="bold" if name == planned.drive.name else ""),
                 f"{candidate.duration_s:.0f} s",
-                *(() if is_single else (f"{max(100.0 * estimate.separability, 0.01):.2g} %",)),
+                *(() if is_single else (_percent(estimate.separability),)),
                 f"{100 * error:.2g} %" if error < 10.0 else "not shown",
             )
         )
@@ -149,3 +149,7 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
     remark = "" if planned.answers else ", which does not answer the question"
     console.print(rich_text(f"Chosen: {planned.drive.name}, {why}{remark}."))
     console.print(rich_text(f"drive: {drive}"))
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %" if share >= 1e-4 else "below 0.01 %"
