@@ -69,6 +69,11 @@ class ActuatorModel(Summarised):
     controller_rate_Hz: float | None = None
     coupled: CoupledStage | None = None
 
+    def __post_init__(self) -> None:
+        for name, axis in self.axes.items():
+            if axis.axis != name:
+                raise ValueError(f"axes: axis {axis.axis!r} is stored under {name!r}")
+
     def __getitem__(self, axis: str) -> AxisModel:
         """Return one axis, or raise an error that lists the fitted axes."""
         if axis not in self.axes:

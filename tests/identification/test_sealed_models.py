@@ -70,6 +70,11 @@ def test_an_impossible_number_is_refused(path, value):
         read_model(with_entry(path, value))
 
 
+def test_an_axis_under_another_name_is_refused():
+    with pytest.raises(ParameterFileError, match="axis 'tip' is stored under 'x'"):
+        read_model(with_entry("axes x axis", "tip"))
+
+
 def test_an_integer_is_accepted_for_a_measured_number():
     model = read_model(with_entry("axes x lag time_s", 0))
     assert write_model(read_model(write_model(model))) == write_model(model)
