@@ -315,6 +315,10 @@ def test_every_candidate_drive_stays_inside_range_and_slew_rate(experiment, slew
     jumps_V = np.abs(np.diff(drive.voltage_V, axis=0)).max()
     assert jumps_V * drive.sampling_rate_Hz <= 1.01 * slew_V_per_s
     assert (drive.voltage_V[[0, -1]] == 1.0).all()
+    if experiment.waveform is not None:  # within the range before drive_of limits it
+        body_V = experiment.waveform(limits, drive.sampling_rate_Hz, np.random.default_rng(0))
+        assert body_V.min() >= limits.voltage_min_V - 1e-9
+        assert body_V.max() <= limits.voltage_max_V + 1e-9
 
 
 def test_a_drive_for_coupling_requires_another_axis():
