@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.extensions.linear_mode import rows_after_steps
+from piezoid.identification.extensions.linear_mode import ROWS_AFTER_STEP, rows_after_steps
 from piezoid.identification.forward import MAX_ENTRIES
 from piezoid.identification.hysteresis.pieces import cycle_edges
 from piezoid.identification.loop_shape import (
@@ -159,7 +159,9 @@ def piece_rows(axis: AxisModel, recordings: Sequence[Recording]) -> tuple[PieceR
         for piece in fitted_pieces(axis, recording):
             where, start, voltage_V = piece.where, piece.start, piece.voltage_V
             level = 2.0 * (voltage_V - low_V) / (high_V - low_V) - 1.0
-            after_steps = rows_after_steps(level, where.rate_Hz, axis.extensions, min_rows=2)
+            after_steps = rows_after_steps(
+                level, where.rate_Hz, axis.extensions, min_rows=ROWS_AFTER_STEP
+            )
             excluded = np.concatenate([bridged - piece.samples.start, after_steps])
             rows = start.first + spread_rows(start.last - start.first, max_rows)
             rows = np.setdiff1d(rows, excluded)

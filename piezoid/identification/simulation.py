@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from piezoid.errors import IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.extension import Where
+from piezoid.identification.extensions.linear_mode import ROWS_AFTER_STEP, rows_after_steps
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, PieceStart, where_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, freeze, same_length
@@ -102,13 +103,24 @@ def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
 def simulate_fitted_rows(axis_model: AxisModel, recording: Recording) -> Array:
     """Return ``simulate_recording`` at the rows of the fit, and NaN at all other rows.
 
+    A model with extensions or loop shape is not fitted to rows after an isolated step of the
+    drive, whose instant between two samples is unknown.
+
     Raises ``IdentificationError`` as ``simulate_recording`` does.
     """
     displacement_m = simulate_recording(axis_model, recording)
     is_fitted = np.zeros(recording.samples, dtype=bool)
+    half_range_V = 0.5 * (axis_model.voltage_V[1] - axis_model.voltage_V[0])
     for piece in fitted_pieces(axis_model, recording):
         first = piece.samples.start
         is_fitted[first + piece.start.first : first + piece.start.last] = True
+        ringing = rows_after_steps(
+            piece.voltage_V / half_range_V,
+            piece.where.rate_Hz,
+            axis_model.extensions,
+            min_rows=0 if axis_model.loop_shape is None else ROWS_AFTER_STEP,
+        )
+        is_fitted[first + ringing] = False
     is_fitted[list(recording.bridged)] = False
     displacement_m[~is_fitted] = np.nan
     return displacement_m

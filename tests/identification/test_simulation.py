@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.errors import IdentificationError
+from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig, where_of
 from piezoid.identification.simulation import (
@@ -45,6 +46,26 @@ def test_rows_excluded_from_the_fit_are_nan():
     assert is_left_out[BREAK : BREAK + 100].all()
     assert not is_left_out[BREAK + 100 : BREAK + second.last].any()
     np.testing.assert_array_equal(fitted_m[~is_left_out], simulated_m[~is_left_out])
+
+
+def test_rows_in_which_a_mode_rings_after_a_step_of_the_drive_are_nan():
+    exact = recording(noise_m=0.0)
+    jump, frequency_Hz, quality = BREAK // 2, 0.2 * exact.sampling_rate_Hz, 5.0
+    voltage_V = exact.voltage_V("x").copy()
+    voltage_V[jump:] = voltage_V[jump] - 0.5 * np.ptp(voltage_V)
+    channels = tuple(
+        replace(c, values=voltage_V) if c.quantity is Quantity.VOLTAGE else c
+        for c in exact.channels
+    )
+    ringing = replace(exact, channels=channels)
+    mode = LinearMode(frequency_Hz=frequency_Hz, quality=quality)
+    is_left_out = np.isnan(
+        simulate_fitted_rows(replace(axis_model(), extensions=(mode,)), ringing)
+    )
+    decay_samples = quality / (np.pi * frequency_Hz) * exact.sampling_rate_Hz
+    assert is_left_out[jump : jump + round(5.0 * decay_samples)].all()
+    assert not is_left_out[jump + round(12.0 * decay_samples) : BREAK].any()
+    assert not np.isnan(simulate_fitted_rows(axis_model(), ringing))[jump:BREAK].any()
 
 
 def test_the_zero_is_constant_outside_the_fitted_rows():

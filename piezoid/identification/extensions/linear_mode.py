@@ -29,6 +29,7 @@ MAX_HALF, MAX_FACTOR = 0.5, 3.0
 MIN_STEP = 0.03  # half ranges in one sample
 ISOLATION = 4.0  # step over its neighbours
 RESOLVED = 0.1  # of the sampling rate: within a sample the phase of the ringing turns 36 degrees
+ROWS_AFTER_STEP = 2  # to which loop shape is not fitted
 DECAY_TIMES = 8.0  # time constants of the ringing, after which 3e-4 remain
 
 
