@@ -43,7 +43,7 @@ def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     stated_Hz = None if axis.bandwidth is None else axis.bandwidth.stated_Hz
     if unseen_modes.peak < FIRST_MODE:
         seen_Hz = with_unit(unseen_modes.from_Hz, "Hz")
-        reason = f"the recordings show the response only up to {seen_Hz}. {record}."
+        reason = f"the recorded response exceeds the noise only up to {seen_Hz}. {record}."
     elif resonance_Hz is not None:
         reason = f"the resonance near {with_unit(resonance_Hz, 'Hz', 3)} could not be fitted."
     elif stated_Hz is None:

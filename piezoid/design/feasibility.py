@@ -77,16 +77,23 @@ def refuse(
     """
     worst, nearest_Hz = violations[0], nearest_feasible_Hz(specification, violations, attempt)
     relaxation_dB = {v.template: v.excess_dB for v in reversed(violations)}
-    relaxed = " and ".join(
-        f"'{name}' by {np.ceil(excess_dB * 100.0) / 100.0:.2f} dB"
-        for name, excess_dB in sorted(relaxation_dB.items(), key=lambda item: -item[1])
-        if name != ATTENUATION  # follows from the bandwidth
-    )
+    margins_set = {
+        "modulus margin": ("modulus_margin", specification.modulus_margin),
+        "delay margin": ("delay_margin_s", specification.delay_margin_s),
+    }
+    steps = []
+    for name, excess_dB in sorted(relaxation_dB.items(), key=lambda item: -item[1]):
+        if name in margins_set:
+            key, value = margins_set[name]
+            steps.append(f"set {key} = {rounded_down(value / 10.0 ** (excess_dB / 20.0)):g}")
+        elif name != ATTENUATION:  # which follows from the bandwidth
+            steps.append(f"relax '{name}' by {np.ceil(excess_dB * 100.0) / 100.0:.2f} dB")
+    relaxed = " and ".join(steps)
     if nearest_Hz is None:
-        relaxed = f"relax {relaxed}, or " if relaxed else ""
+        relaxed = f"{relaxed}, or " if relaxed else ""
         remedy = f"No bandwidth helps: {relaxed}describe the plant family more narrowly."
     else:
-        relaxed = f", or relax {relaxed}" if relaxed else ""
+        relaxed = f", or {relaxed}" if relaxed else ""
         remedy = f"Ask for bandwidth_Hz = {nearest_Hz:g}, which meets every limit{relaxed}."
     raise TemplateError(
         f"axis {axis}, bandwidth {specification.bandwidth_Hz:.6g} Hz: {worst.sentence}"

@@ -101,7 +101,10 @@ def _nothing_found(diagnosis: Diagnosis) -> Statement:
     count = (
         "1 effect was tested and not" if n_tested == 1 else f"{n_tested} effects were tested, none"
     )
-    text = f"{count} detected: the residual {where} is {with_unit(residual_m, 'm')} rms{times}."
+    fitted = " and ".join(words(part.part) for part in diagnosis.budget if part.is_explained)
+    beyond = f" beyond the {fitted} of the fit" if fitted else ""
+    residual = with_unit(residual_m, "m")
+    text = f"{count} detected{beyond}: the residual {where} is {residual} rms{times}."
     structure = diagnosis.unexplained
     if structure is not None and structure.gain >= MIN_GAIN:
         coordinate, percent = coordinate_words(structure.coordinate), 100 * structure.p_value

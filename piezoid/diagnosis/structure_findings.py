@@ -189,14 +189,14 @@ def noise_finding(
 ) -> Finding:
     """Return the finding of noise that depends on a coordinate.
 
-    Its size is the rms of the noise beyond its lowest level, with an interval over blocks.
+    Its size is the rms of the noise beyond its lowest level, with an interval over blocks. The
+    level counts, not the magnitudes: a few large ones, as of ringing, exceed the highest level.
 
     error_m  held-out error of the model, which includes this noise
     """
     score, view, quietest = noise.score, noise.view, noise.range[0]
-    power, rows = np.add.reduceat(noise.local**2, view.null.edges), len(noise.local)
-    mean = float(power.sum()) / rows
-    margin = 1.96 * float(np.std(power, ddof=1)) * sqrt(len(power)) / rows
+    power, mean = np.add.reduceat(noise.local**2, view.null.edges), float(np.mean(noise.level**2))
+    margin = 1.96 * mean * float(np.std(power, ddof=1) / np.mean(power)) / sqrt(len(power))
     low_m, rms_m, high_m = (
         view.half_stroke_m * sqrt(max(mean + side * margin - quietest**2, 0.0))
         for side in (-1.0, 0.0, 1.0)
@@ -213,7 +213,8 @@ def noise_finding(
         not_separable_from=(),
         explanation=f"The noise of the readings changes along {coordinate_words(score.coordinate)}"
         f", from {quiet} rms in the quietest region to {loud} in the loudest: "
-        f"{with_unit(rms_m, 'm')} rms above the quietest on average. No model removes it.",
+        f"{with_unit(rms_m, 'm')} rms above the quietest on average. It is noise, or ringing of a mode "
+        "that no recording resolves.",
         next_experiment=NOISE_EXPERIMENT,
         parameters={},
         coordinate=score.coordinate,

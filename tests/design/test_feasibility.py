@@ -180,6 +180,14 @@ def test_a_default_bandwidth_is_lowered_to_the_nearest_feasible_one():
     assert 300.0 < at_feasible_bandwidth(design, lateral_specification(900.0)) <= 330.0
 
 
+def test_an_advised_margin_is_a_line_of_the_specification():
+    (violation,) = violations_of(6.0)
+    violation = replace(violation, template="modulus margin")
+    with pytest.raises(TemplateError) as refusal:
+        refuse("x", lateral_specification(), (violation,), lambda _: ())
+    assert "set modulus_margin = 0.25" in str(refusal.value)  # half of 0.5
+
+
 def test_the_advised_relaxation_is_the_worst_violation_of_each_template():
     with pytest.raises(TemplateError) as refusal:
         refuse("x", lateral_specification(), violations_of(5.0, 4.0, 3.0, 2.0), lambda _: ())
