@@ -8,7 +8,7 @@ between them. A jump that returns on the way down (a dead spot, a converter) fai
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -250,25 +250,17 @@ def _repeated_readings(
         means = reading[: count * REST_BLOCK].reshape(count, REST_BLOCK).mean(axis=1)
         middle = REST_BLOCK * np.arange(count) + REST_BLOCK // 2
         return middle[:-2], middle[2:], means[2:] - means[:-2]
-    first_samples: list[int] = []
-    second_samples: list[int] = []
-    difference: list[float] = []
+    no_samples = np.empty(0, dtype=np.intp)
+    pairs: list[tuple[Samples, Samples, Array]] = [(no_samples, no_samples, np.empty(0))]
     low, range_ = float(drive.min()), float(np.ptp(drive))
-    for share in LEVELS if range_ > 0.0 else ():
-        for direction in (1.0, -1.0):
-            v = direction * (drive - (low + share * range_))
-            samples = np.flatnonzero((v[:-1] < 0.0) & (v[1:] >= 0.0))
-            part = -v[samples] / (v[samples + 1] - v[samples])
-            level = reading[samples] + part * (reading[samples + 1] - reading[samples])
-            # A drive with read-back noise crosses a level several times in succession.
-            is_first = np.ones(len(samples), dtype=bool)
-            is_first[1:] = np.diff(samples) > REST_BLOCK
-            for first, second in pairwise(np.flatnonzero(is_first).tolist()):
-                first_samples.append(int(samples[first]))
-                second_samples.append(int(samples[second]))
-                difference.append(float(level[second] - level[first]))
-    return (
-        np.array(first_samples, dtype=np.intp),
-        np.array(second_samples, dtype=np.intp),
-        np.array(difference),
-    )
+    for share, direction in product(LEVELS if range_ > 0.0 else (), (1.0, -1.0)):
+        v = direction * (drive - (low + share * range_))
+        samples = np.flatnonzero((v[:-1] < 0.0) & (v[1:] >= 0.0))
+        part = -v[samples] / (v[samples + 1] - v[samples])
+        level = reading[samples] + part * (reading[samples + 1] - reading[samples])
+        # A drive with read-back noise crosses a level several times in succession.
+        is_first = np.diff(samples, prepend=-REST_BLOCK - 1) > REST_BLOCK
+        samples, level = samples[is_first], level[is_first]
+        pairs.append((samples[:-1], samples[1:], np.diff(level)))
+    earlier, later, difference = zip(*pairs, strict=True)
+    return np.concatenate(earlier), np.concatenate(later), np.concatenate(difference)

@@ -333,20 +333,18 @@ def constant_rate_segments(time_s: Array) -> tuple[slice, ...]:
     # The intervals of most files hardly differ, and need no search.
     if not (intervals_s > 0).all() or np.ptp(np.log(intervals_s)) <= np.log(_MIN_RATE_CHANGE):
         return (slice(0, len(time_s)),)
-    # The first block of each segment with another interval.
     log_intervals, min_change = np.log(intervals_s), np.log(_MIN_RATE_CHANGE)
-    changes: list[int] = []
-    begin = 0
+    edges: list[int] = []
+    begin = 0  # the first block of the segment
     for block in range(1, len(log_intervals) - _MIN_BLOCKS + 1):
         changes_after = log_intervals[block : block + _MIN_BLOCKS] - np.median(
             log_intervals[begin:block]
         )
         is_lasting = np.ptp(changes_after) < min_change / 2
-        if block - begin >= _MIN_BLOCKS and is_lasting and abs(changes_after[0]) > min_change:
-            changes.append(block)
-            begin = block
-    edges = []
-    for block in changes:
+        is_change = is_lasting and abs(changes_after[0]) > min_change
+        if block - begin < _MIN_BLOCKS or not is_change:
+            continue
+        begin = block
         before_s, after_s = intervals_s[block - 1], intervals_s[block]
         first = max((block - 2) * _BLOCK_STEPS, 0)
         nearby_steps_s = steps[first : min((block + 2) * _BLOCK_STEPS, len(steps))]

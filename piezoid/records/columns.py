@@ -370,26 +370,30 @@ def _counts_statement(
     return finding("counts", text, place=column.place)
 
 
-def ambiguous_columns(table: RawTable, problem: str) -> UnitError:
-    """Return an error with the columns and the lines of lab.toml that resolve the ambiguity."""
-    return UnitError(
-        f"{table.name}: {problem} (seen: {first_values(table)})",
-        needed="one meaning, one axis and one unit for every column that is read",
-        remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
-        f"columns:\n\n{entry_template(table)}\n",
-        columns=tuple(column.label for column in table.columns),
-    )
+def ambiguous_columns(
+    table: RawTable,
+    problem: str,
+    *,
+    needed: str = "one meaning, one axis and one unit for every column that is read",
+    template: str = "",
+) -> UnitError:
+    """Return an error with the columns and the lines of lab.toml that resolve the ambiguity.
 
-
-def first_values(table: RawTable) -> str:
-    """Return the first columns of a table with their first values, for messages."""
+    template  the ``[[recording]]`` entry to complete; default: that of a recording over time
+    """
     columns = [
         f"{c.place}: {', '.join(f'{value:.6g}' for value in c.values[:_MAX_VALUES])}, ..."
         for c in table.columns[:_MAX_COLUMNS]
     ]
     remaining = len(table.columns) - _MAX_COLUMNS
     columns += [f"and {remaining} more columns"] if remaining > 0 else []
-    return "; ".join(columns)
+    return UnitError(
+        f"{table.name}: {problem} (seen: {'; '.join(columns)})",
+        needed=needed,
+        remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
+        f"columns:\n\n{template or entry_template(table)}\n",
+        columns=tuple(column.label for column in table.columns),
+    )
 
 
 def entry_template(table: RawTable) -> str:

@@ -24,7 +24,13 @@ from piezoid.records.clock import (
     refuse_newest_first,
     stated_clock,
 )
-from piezoid.records.columns import Assignment, assign_columns, clocks_of, entry_template
+from piezoid.records.columns import (
+    AssignedColumn,
+    Assignment,
+    assign_columns,
+    clocks_of,
+    entry_template,
+)
 from piezoid.records.invalid_samples import (
     find_invalid_readings,
     find_invalid_rows,
@@ -178,6 +184,7 @@ def _make_channels(
     values = [rows.values(a.column.values) for a in columns]  # in the file's units
     is_invalid = [np.zeros(len(rows.position), dtype=bool) for _ in columns]
     drive_of = {a.axis: k for k, a in enumerate(columns) if a.quantity is Quantity.VOLTAGE}
+    row_name = table.row_names(rows.complete[rows.position.astype(np.intp)])
     for k, assigned in enumerate(columns):
         if assigned.quantity is not Quantity.DISPLACEMENT:
             continue
@@ -195,7 +202,7 @@ def _make_channels(
                     is_invalid[k],
                     column=assigned.column.place,
                     unit=assigned.unit,
-                    row_name=lambda k: table.row_name(int(rows.complete[int(rows.position[k])])),
+                    row_name=row_name,
                 )
             )
     channels = tuple(
@@ -209,7 +216,14 @@ def _make_channels(
         for assigned, mask in zip(columns, is_invalid, strict=True)
         if assigned.quantity is not None
     )
-    # An impossible size indicates a wrong unit.
+    _refuse_impossible_sizes(table.name, columns, channels)
+    return channels, np.flatnonzero(np.any(is_invalid, axis=0)).tolist()
+
+
+def _refuse_impossible_sizes(
+    name: str, columns: Sequence[AssignedColumn], channels: Sequence[Channel]
+) -> None:
+    """Refuse a motion or voltage of impossible size, which indicates a wrong unit."""
     driven = {c.axis for c in channels if c.quantity is Quantity.VOLTAGE and np.ptp(c.values) > 0}
     for assigned, channel in zip(columns, channels, strict=True):
         low, high = _POSSIBLE.get(channel.quantity, (0.0, np.inf))
@@ -226,12 +240,11 @@ def _make_channels(
         unit = channel.quantity.value
         instead = f"In {' or '.join(usual)} it would be usual. " if usual else ""
         raise UnitError(
-            f"{table.name}: {assigned.column.place} in {assigned.unit.symbol} goes over "
+            f"{name}: {assigned.column.place} in {assigned.unit.symbol} goes over "
             f"{size:.3g} {unit}",
             needed=f"a range from {low:g} to {high:g} {unit}",
             remedy=f"{instead}Write its unit under units of its [[recording]] in lab.toml.",
         )
-    return channels, np.flatnonzero(np.any(is_invalid, axis=0)).tolist()
 
 
 def _select_axis(

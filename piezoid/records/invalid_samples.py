@@ -18,11 +18,11 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from piezoid.numerics.arrays import Array, runs_of
 from piezoid.numerics.robust import white_noise_rms
-from piezoid.records.sample_statistics import clipped_samples, step_size
+from piezoid.records.sample_statistics import clipped_samples, runs_of_equal, step_size
 from piezoid.records.units import Unit
 from piezoid.statement import Statement, finding
 
@@ -79,9 +79,11 @@ def find_invalid_readings(
     driven = np.zeros(len(values))
     if drive is not None and np.ptp(drive) > 0.0:
         bend = np.abs(np.diff(drive, 2, prepend=drive[0], append=drive[-1]))
-        padded = np.pad(bend, (MAX_RESPONSE, 1), mode="edge")
-        windows = np.lib.stride_tricks.sliding_window_view(padded, MAX_RESPONSE + 2)
-        largest_bend, drive_range = windows.max(axis=1), _robust_range(drive)
+        # From MAX_RESPONSE samples before to one sample behind.
+        largest_bend = maximum_filter1d(
+            bend, MAX_RESPONSE + 2, mode="nearest", origin=MAX_RESPONSE // 2 - 1
+        )
+        drive_range = _robust_range(drive)
         # Pulses alone do not show how far they move the stage.
         driven = np.where(largest_bend > 0.0, np.inf, 0.0)
         if drive_range > 0.0:
@@ -91,26 +93,19 @@ def find_invalid_readings(
     scatters &= white_noise_rms(values, spacing=2) < MAX_NOISE_GROWTH * noise
     clipped, stuck = _find_constant(values, drive if scatters else None)
     invalid: Mask = clipped | stuck
-    written: dict[float, Mask] = {}
-    for _ in range(MAX_PASSES):
-        new_values = _find_written(values, invalid, noise, driven, step)
-        if not new_values:
-            break
-        for value, mask in new_values.items():
-            written[value] = mask | written.get(value, False)
-            invalid |= mask
-    spikes = np.zeros_like(invalid)
-    for _ in range(MAX_PASSES):
-        new_spikes = _find_spikes(values, invalid, noise, driven, range_)
-        if not new_spikes.any():
-            break
-        spikes |= new_spikes
-        invalid |= new_spikes
+    written, spikes = np.zeros_like(invalid), np.zeros_like(invalid)
+    for mask, find, scale in ((written, _find_written, step), (spikes, _find_spikes, range_)):
+        for _ in range(MAX_PASSES):
+            new = find(values, invalid, noise, driven, scale)
+            mask |= new
+            invalid |= new
+            if not new.any():
+                break
     repeats = _find_repeats(values, invalid, noise, drive) & ~(clipped | stuck)
     if (invalid | repeats)[~(clipped | stuck)].mean() > MAX_SHARE:
         return ()
     masks: list[tuple[str, Mask]] = [
-        *(("written", mask) for _, mask in sorted(written.items())),
+        *(("written", written & (values == x)) for x in np.unique(values[written]).tolist()),
         ("held", repeats),
         ("stuck", stuck),
         ("spike", spikes),
@@ -142,10 +137,10 @@ def _find_constant(values: Array, drive: Array | None) -> tuple[Mask, Mask]:
     clipped = np.isin(values, levels)
     clipped = clipped if clipped.mean() < MAX_CLIPPED else no_samples
     stuck = no_samples.copy()
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1, [len(values)]])
     extremes = (values.min(), values.max())
-    for run in np.flatnonzero(np.diff(edges) > MAX_RUN).tolist():
-        start, stop = int(edges[run]), int(edges[run + 1])
+    starts, stops = runs_of_equal(values)
+    is_long = stops - starts > MAX_RUN
+    for start, stop in zip(starts[is_long].tolist(), stops[is_long].tolist(), strict=True):
         # At the end of the range without a jump the reading is clipped, or the stage stands.
         jump = abs(values[start] - values[max(start - 1, 0)])
         if values[start] not in extremes or jump > MIN_SPIKE * np.ptp(values):
@@ -162,8 +157,7 @@ def _robust_range(values: Array) -> float:
 
 def _constant_runs(values: Array) -> tuple[Indices, Indices]:
     """Return start and stop of runs of one value, except runs at the ends and long runs."""
-    edges = np.flatnonzero(np.diff(values)) + 1
-    starts, stops = edges[:-1], edges[1:]
+    starts, stops = runs_of_equal(values)
     inner = (starts >= 2) & (stops <= len(values) - 2) & (stops - starts <= MAX_RUN)
     return starts[inner], stops[inner]
 
@@ -185,9 +179,7 @@ def _deviations(values: Array, starts: Indices, stops: Indices) -> tuple[Array, 
     return np.abs(values[starts] - mean), np.asarray(np.abs(misses).max(axis=0))
 
 
-def _find_written(
-    values: Array, invalid: Mask, noise: float, driven: Array, step: float
-) -> dict[float, Mask]:
+def _find_written(values: Array, invalid: Mask, noise: float, driven: Array, step: float) -> Mask:
     """Return the samples of every value that lies far from its neighbours repeatedly."""
     valid = np.flatnonzero(~invalid)
     readings = values[valid]
@@ -199,7 +191,7 @@ def _find_written(
     repeated, counts = np.unique(readings[starts[deviation > limit]], return_counts=True)
     # A valid reading of a coarse converter may have the same value.
     is_coarse = (step_size(readings) if invalid.any() else step) > 0.0
-    written = {}
+    written = np.zeros(len(values), dtype=bool)
     for value in repeated[counts >= MIN_REPEATS].tolist():
         mask = (values == value) & ~invalid
         if is_coarse:
@@ -208,7 +200,7 @@ def _find_written(
         for start, stop in runs_of(mask):
             if stop - start > MAX_RUN:  # may be a rest
                 mask[start:stop] = False
-        written[value] = mask
+        written |= mask
     return written
 
 

@@ -8,6 +8,7 @@ one. Everything is optional. An unknown name is refused, because it is usually a
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from itertools import product
 from os.path import exists, realpath
 from pathlib import Path
 
@@ -276,38 +277,33 @@ def _check_tables(lab: Lab) -> None:
         if len(mark) != 1 or mark.isalnum() or mark == ".":
             needed = 'one character, as ";", "\\t" or " " for any white space'
             raise lab_error(f"{location} separator is {mark[:20]!r}", needed)
+
     # A key that has no effect because another key is missing.
-    axes, converter = lab.coupled.axes, lab.acquisition
-    rules = [
-        (
-            len(set(axes)) != len(axes) or len(axes) == 1,
-            f"[coupled] axes are {list(axes)}",
-            "two axes or more, each once",
-        ),
-        *(
-            (
-                getattr(converter, key) is not None and converter.input_range_V is None,
-                f"[acquisition] declares {key} and no input_range_V",
-                "input_range_V = [low, high], the volts of all codes",
-            )
-            for key in ("dac_bits", "adc_bits")
-        ),
-        (
-            lab.coupled.settling_periods != Coupled().settling_periods and not axes,
-            "[coupled] declares settling_periods and no axes",
-            "the names of the axes that are coupled",
-        ),
-        *(
-            (
-                getattr(lab.amplifier, key) is not None and getattr(rig.amplifier, key) is None,
-                f"[amplifier] limits {key}, and [axis.{name}.amplifier] does not",
-                f"{key} of axis {name}: its table replaces [amplifier]",
-            )
-            for name, rig in lab.axes.items()
-            for key in ("output_min_V", "output_max_V", "slew_V_per_s")
-            if rig.amplifier is not None
-        ),
-    ]
-    for is_violated, problem, needed in rules:
+    def refuse(is_violated: bool, problem: str, needed: str) -> None:
         if is_violated:
             raise lab_error(f"{lab.place}: {problem}", needed)
+
+    axes, converter = lab.coupled.axes, lab.acquisition
+    is_repeated = len(set(axes)) != len(axes) or len(axes) == 1
+    refuse(is_repeated, f"[coupled] axes are {list(axes)}", "two axes or more, each once")
+    for key in ("dac_bits", "adc_bits"):
+        refuse(
+            getattr(converter, key) is not None and converter.input_range_V is None,
+            f"[acquisition] declares {key} and no input_range_V",
+            "input_range_V = [low, high], the volts of all codes",
+        )
+    refuse(
+        lab.coupled.settling_periods != Coupled().settling_periods and not axes,
+        "[coupled] declares settling_periods and no axes",
+        "the names of the axes that are coupled",
+    )
+    for (name, rig), key in product(
+        lab.axes.items(), ("output_min_V", "output_max_V", "slew_V_per_s")
+    ):
+        refuse(
+            rig.amplifier is not None
+            and getattr(lab.amplifier, key) is not None
+            and getattr(rig.amplifier, key) is None,
+            f"[amplifier] limits {key}, and [axis.{name}.amplifier] does not",
+            f"{key} of axis {name}: its table replaces [amplifier]",
+        )

@@ -13,7 +13,7 @@ import numpy as np
 
 from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.records.column_roles import meaning_of
-from piezoid.records.columns import clocks_of, first_values, missing_column
+from piezoid.records.columns import ambiguous_columns, clocks_of, missing_column
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.lab_tables import entry_text
 from piezoid.records.recording import Quantity
@@ -302,13 +302,12 @@ def _assign_axes(
 
 def ambiguous_response(table: RawTable, reason: str) -> UnitError:
     """Return an error with the columns and the lines of lab.toml that resolve the ambiguity."""
-    return UnitError(
-        f"{table.name}: a frequency response: {reason} (seen: {first_values(table)})",
+    return ambiguous_columns(
+        table,
+        f"a frequency response: {reason}",
         needed="a frequency in Hz, kHz or rad/s; magnitude in m/V, um/V, nm/V, V/V or decibels of "
         "one of these, with phase in deg or rad; or real and imaginary part",
-        remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
-        f"columns:\n\n{response_block(table)}\n",
-        columns=tuple(column.label for column in table.columns),
+        template=response_block(table),
     )
 
 

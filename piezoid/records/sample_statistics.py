@@ -86,6 +86,12 @@ def step_size(values: Array) -> float:
     return step if fits.mean() > 0.9 else 0.0
 
 
+def runs_of_equal(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first sample of each run of equal values, and the sample behind its last one."""
+    edges = np.flatnonzero(np.diff(values)) + 1
+    return np.concatenate(([0], edges)), np.concatenate((edges, [len(values)]))
+
+
 def clipped_samples(values: Array, *, idle_value: float | None = None) -> NDArray[np.bool_]:
     """Return which samples are clipped at the largest or smallest value, (samples,).
 
@@ -97,8 +103,7 @@ def clipped_samples(values: Array, *, idle_value: float | None = None) -> NDArra
     is_clipped = np.zeros(len(values), dtype=bool)
     if len(values) < 4 * _CLIPPED_RUN or np.ptp(values) == 0:
         return is_clipped
-    edges = np.flatnonzero(np.diff(values)) + 1
-    starts, stops = np.concatenate(([0], edges)), np.concatenate((edges, [len(values)]))
+    starts, stops = runs_of_equal(values)
     lengths, levels = stops - starts, values[starts]
     extreme = (levels == values.max()) | (levels == values.min())
     typical = float(np.median(np.abs(np.diff(levels))))

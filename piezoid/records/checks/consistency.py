@@ -19,7 +19,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from piezoid.errors import RecordingError
 from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array, runs_of
-from piezoid.raw_counts import record_in_counts
+from piezoid.raw_counts import in_counts
 from piezoid.records.checks.plausibility import MAX_GAIN_m_per_V, MIN_GAIN_m_per_V, held_span
 from piezoid.records.lab_tables import entry_text
 from piezoid.records.recording import Quantity, Recording, counted_in
@@ -210,33 +210,26 @@ def refuse_inconsistent(recordings: Sequence[Recording]) -> None:
 
     Raises ``RecordingError`` with the lines of lab.toml that would reconcile them.
     """
-    mixed = check_mixed_units(recordings)
-    if mixed:
+    needed = "one unit in all recordings of a stage"
+    advice = "Write into lab.toml:"
+    contradictions = [(s, "scale = { ... }") for s in check_mixed_units(recordings)]
+    counted: tuple[str, ...] = ()
+    if not contradictions:
+        needed = "recordings of one stage, in true units and with one polarity"
+        advice = (
+            "Find out which recording is wrong. Correct it in lab.toml, as below if it is the one "
+            "named there, or leave out a file of another stage:"
+        )
+        contradictions, counted = _inconsistencies(recordings), counted_in(recordings)
+    if contradictions:
+        texts = in_counts(" ".join(statement.text for statement, _ in contradictions), counted)
+        # A recording may be a part of its file.
+        entries = [entry_text(s.recording.partition(" (part ")[0], x) for s, x in contradictions]
         raise RecordingError(
-            "the recordings contradict each other: " + " ".join(s.text for s in mixed).rstrip("."),
-            needed="one unit in all recordings of a stage",
-            remedy="Write into lab.toml:\n\n"
-            + "\n\n".join(_entry(s.recording, "scale = { ... }") for s in mixed)
-            + "\n",
+            f"the recordings contradict each other: {texts.rstrip('.')}",
+            needed=needed,
+            remedy="\n\n".join([advice, *entries]) + "\n",
         )
-    inconsistencies = _inconsistencies(recordings)
-    if inconsistencies:
-        texts = record_in_counts(
-            tuple(statement.text for statement, _ in inconsistencies), counted_in(recordings)
-        )
-        raise RecordingError(
-            f"the recordings contradict each other: {' '.join(texts).rstrip('.')}",
-            needed="recordings of one stage, in true units and with one polarity",
-            remedy="Find out which recording is wrong. Correct it in lab.toml, as below if it is "
-            "the one named there, or leave out a file of another stage:\n\n"
-            + "\n\n".join(_entry(s.recording, line) for s, line in inconsistencies)
-            + "\n",
-        )
-
-
-def _entry(name: str, line: str) -> str:
-    """Return an entry of lab.toml about the file of a recording, which may be a part of it."""
-    return entry_text(name.partition(" (part ")[0], line)
 
 
 def _is_alike(ratio: float) -> bool:

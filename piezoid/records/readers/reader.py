@@ -275,13 +275,10 @@ def text_of(source: Source) -> str:
         refuse_zero_bytes(source)
     with source.open() as stream:
         content = stream.read()
-    if encoding == "latin-1" or encoding.startswith("utf-16"):
-        text = content.decode(encoding, errors="replace")
-    else:
-        try:
-            text = content.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = content.decode("latin-1")
+    try:
+        text = content.decode(encoding, errors="strict" if encoding == "utf-8-sig" else "replace")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
     return with_hyphens(text.replace("\r\n", "\n").replace("\r", "\n"))
 
 

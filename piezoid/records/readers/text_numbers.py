@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.errors import UnreadableFileError
 from piezoid.numerics.arrays import Array
 from piezoid.records.readers.reader import check_columns, unreadable
 from piezoid.statement import Statement, finding
@@ -140,23 +139,7 @@ def parse_numbers(text: str, layout: Layout, name: str, first_line: int) -> Numb
     if frame is not None:
         columns = tuple(frame[k].to_numpy(dtype=np.float64) for k in frame.columns)
         return NumberTable(columns=columns, textual=frozenset(), statements=())
-    try:
-        table = _parse_cells(text, layout, name, first_line)
-    except UnreadableFileError:
-        _refuse_prefixes(text, layout, name, first_line, frozenset())  # the clearer message
-        raise
-    if any(statement.quantity == "not_a_number" for statement in table.statements):
-        _refuse_prefixes(text, layout, name, first_line, table.textual)
-    return table
-
-
-def _refuse_prefixes(
-    text: str, layout: Layout, name: str, first_line: int, textual: frozenset[int]
-) -> None:
-    for line, content in enumerate(text.split("\n"), start=first_line):
-        for k, cell in enumerate(cells_of(content, layout)):
-            if k not in textual:
-                refuse_prefix(cell, name, line, k + 1)
+    return _parse_cells(text, layout, name, first_line)
 
 
 def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, ...]]:
@@ -175,7 +158,8 @@ def without_comments(text: str, first_line: int) -> tuple[str, tuple[Statement, 
 def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> NumberTable:
     """Read cells as numbers or times of day, and report other cells.
 
-    Raises ``UnreadableFileError`` if more than a quarter of the rows have text or surplus cells.
+    Raises ``UnreadableFileError`` if more than a quarter of the rows have text or surplus cells,
+    and for a number with a prefix.
     """
     import pandas as pd
 
@@ -186,12 +170,12 @@ def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> Numbe
     for k in range(layout.fields):
         cells = rows[k].str.strip()
         # At once without marks of thousands, then cell by cell where that gives no number.
-        column, texts = np.full(len(cells), np.nan), cells.tolist()
+        column, contents = np.full(len(cells), np.nan), cells.tolist()
         if not layout.grouped:
             points = cells.str.replace(",", ".") if layout.decimal == "," else cells
             column = pd.to_numeric(points, errors="coerce").to_numpy(dtype=np.float64, copy=True)
         for row in np.flatnonzero(np.isnan(column)).tolist():
-            value = number_of(texts[row], layout.decimal, grouped=layout.grouped)
+            value = number_of(contents[row], layout.decimal, grouped=layout.grouped)
             is_text[row, k] = value is None
             column[row] = np.nan if value is None else value
         numbers[:, k] = column
@@ -199,28 +183,15 @@ def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> Numbe
             numbers[:, k], is_text[:, k] = seconds, False
             stamped.add(k)
     counts = is_text.sum(axis=0)
-    textual = frozenset(np.flatnonzero(2 * counts > len(numbers)).tolist())
-    statements = [
-        finding(
-            "not_a_number",
-            f"{counts[k]} fields of column {k + 1} hold text instead of a number",
-            place=f"line {lines[is_text[:, k].argmax()]}, column {k + 1}",
-        )
-        for k in np.flatnonzero(counts).tolist()
-        if k not in textual
-    ]
+    is_textual = 2 * counts > len(numbers)
     wide = np.flatnonzero(fields > layout.fields)
-    if len(wide):
-        numbers[wide] = np.nan
-        text = (
-            f"{len(wide)} rows have more fields than the table ({fields[wide[0]]} > "
-            f"{layout.fields})"
-        )
-        location = f"line {lines[wide[0]]}"
-        statements.append(finding("field_count", text, place=location))
-    numeric_counts = [count for k, count in enumerate(counts.tolist()) if k not in textual]
-    damaged = len(wide) + max(numeric_counts, default=0)
-    if not numeric_counts or 4 * damaged > len(numbers):
+    damaged = len(wide) + int(counts[~is_textual].max(initial=0))
+    is_unreadable = bool(is_textual.all()) or 4 * damaged > len(numbers)
+    # The message about a prefix is clearer than that about text.
+    texts = rows.to_numpy()
+    for row, k in np.argwhere(is_text if is_unreadable else is_text & ~is_textual).tolist():
+        refuse_prefix(texts[row, k].strip(), name, int(lines[row]), k + 1)
+    if is_unreadable:
         first = wide[0] if len(wide) else is_text.any(axis=1).argmax()
         raise unreadable(
             name,
@@ -230,9 +201,25 @@ def _parse_cells(text: str, layout: Layout, name: str, first_line: int) -> Numbe
             remedy="Export the recording again, or remove the rows that are no data.",
             line=int(lines[first]),
         )
+    statements = [
+        finding(
+            "not_a_number",
+            f"{counts[k]} fields of column {k + 1} hold text instead of a number",
+            place=f"line {lines[is_text[:, k].argmax()]}, column {k + 1}",
+        )
+        for k in np.flatnonzero((counts > 0) & ~is_textual).tolist()
+    ]
+    if len(wide):
+        numbers[wide] = np.nan
+        text = (
+            f"{len(wide)} rows have more fields than the table ({fields[wide[0]]} > "
+            f"{layout.fields})"
+        )
+        location = f"line {lines[wide[0]]}"
+        statements.append(finding("field_count", text, place=location))
     return NumberTable(
         columns=tuple(numbers[:, k].copy() for k in range(layout.fields)),
-        textual=textual,
+        textual=frozenset(np.flatnonzero(is_textual).tolist()),
         stamped=frozenset(stamped),
         statements=tuple(statements),
     )
