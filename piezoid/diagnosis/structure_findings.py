@@ -213,8 +213,8 @@ def noise_finding(
         not_separable_from=(),
         explanation=f"The noise of the readings changes along {coordinate_words(score.coordinate)}"
         f", from {quiet} rms in the quietest region to {loud} in the loudest: "
-        f"{with_unit(rms_m, 'm')} rms above the quietest on average. It is noise, or ringing of a mode "
-        "that no recording resolves.",
+        f"{with_unit(rms_m, 'm')} rms above the quietest on average. It is noise, or ringing "
+        "of a mode that no recording resolves.",
         next_experiment=NOISE_EXPERIMENT,
         parameters={},
         coordinate=score.coordinate,
