@@ -153,8 +153,8 @@ def table(results: list[tuple[Mutation, LimitProof]]) -> str:
     return (
         "# Mutants that the proof must refuse\n\n"
         f"{refused} of {len(results)} are refused. Measured by `benchmarks/proof_mutants.py`, "
-        "whose first\nlines define the counts; [](../proof.md) states the proved properties of "
-        "the runtime.\n\n"
+        "whose first\nlines define the counts; [What is proved about the exported C](../proof.md) "
+        "states the proved properties of the runtime.\n\n"
         "| axis | function | original | mutant | alarms: the first |\n"
         "| --- | --- | --- | --- | --- |\n"
         f"{rows}"
