@@ -1,6 +1,5 @@
 """Sampled linear plants and their families."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
@@ -217,30 +216,3 @@ def _fraction(A: Array, taps: Array, C: Array) -> tuple[Array, Array]:
         impulse[k] = output @ state
         state = transition @ state
     return np.convolve(impulse, denominator)[: order + count], denominator
-
-
-def cascade(sections: Sequence[Section]) -> tuple[Array, Array, list[int]]:
-    """Return A and B of sections of unit gain in series, and the output state of each.
-
-    A first-order section has one state, a section with damping two, the first of which is its
-    output.
-    """
-    orders = [1 if section.damping is None else 2 for section in sections]
-    A, B = np.zeros((sum(orders), sum(orders))), np.zeros(sum(orders))
-    outputs: list[int] = []
-    index = 0
-    for section, order in zip(sections, orders, strict=True):
-        w = 2.0 * np.pi * section.frequency_Hz
-        driven = index + order - 1
-        if section.damping is None:
-            A[index, index] = -w
-        else:
-            A[index, driven] = w
-            A[driven, index], A[driven, driven] = -w, -2.0 * section.damping * w
-        if outputs:
-            A[driven, outputs[-1]] = w
-        else:
-            B[driven] = w
-        outputs.append(index)
-        index += order
-    return A, B, outputs
