@@ -11,14 +11,15 @@ from piezoid.design.certificate import impulse_response
 from piezoid.design.plant import Fraction
 from piezoid.design.sensitivity import (
     ATTENUATION,
+    Template,
     Violation,
     closed_loop_polynomial,
     margins,
-    violations,
+    sensitivities,
 )
 from piezoid.design.specification import Specification
 from piezoid.errors import TemplateError
-from piezoid.numerics.polynomial import decibel, product
+from piezoid.numerics.polynomial import decibel, grid_Hz, product
 
 _BISECTIONS = 4
 _STEPS_DOWN, _STEP_DOWN = 20, -0.02  # the step is in ln(bandwidth)
@@ -141,37 +142,60 @@ def rounded_down(value: float) -> float:
 
 
 def unmet(
-    members: Sequence[Fraction], R: ArrayLike, S: ArrayLike, specification: Specification
+    members: Sequence[Fraction],
+    R: ArrayLike,
+    S: ArrayLike,
+    specification: Specification,
+    *,
+    templates: Sequence[Template] | None = None,
 ) -> tuple[Violation, ...]:
-    """Return the requirements that members of the family do not meet, worst first."""
-    unmet_limits = list(
-        violations(
-            members,
-            R,
-            S,
-            templates=specification.all_templates,
-            modulus_margin=specification.modulus_margin,
-            delay_margin_s=specification.delay_margin_s,
-        )
-    )
-    limit = specification.noise_limit_rms
-    if limit is None:
-        return tuple(unmet_limits)
+    """Return the requirements that members of the family do not meet, on a fine grid, worst first.
+
+    templates  the templates to check; None: all templates of the specification
+    """
+    templates = specification.all_templates if templates is None else templates
+    unmet_limits: list[Violation] = []
     for member in members:
-        is_stable = margins(member, R, S).is_stable
-        rms = noise_rms(member, R, S, specification) if is_stable else 1e3 * limit
-        if rms > limit:
-            unmet_limits.append(
-                Violation(
-                    template="noise budget",
-                    member=member.label,
-                    frequency_Hz=0.5 * member.sampling_rate_Hz,
-                    found=rms,
-                    limit=limit,
-                    unit="rms",
-                    excess_dB=float(decibel(rms / limit)),
-                )
+        m, rate_Hz = margins(member, R, S), member.sampling_rate_Hz
+        # Name, frequency, value, limit, unit and excess in dB of each requirement.
+        delay_Hz, delay_s = m.delay_Hz or m.modulus_Hz, m.delay_margin_s
+        rows = []
+        for name, f_Hz, value, limit, unit in (
+            ("modulus margin", m.modulus_Hz, m.modulus_margin, specification.modulus_margin, "1"),
+            ("delay margin", delay_Hz, delay_s, specification.delay_margin_s, "s"),
+        ):
+            if value is not None:
+                excess_dB = float(decibel(limit / max(value, 1e-6 * limit)))
+                rows.append((name, f_Hz, value, limit, unit, excess_dB))
+        for template in templates:
+            lowest_Hz = min(1.0, float(template.frequency_Hz[0]))
+            grid = grid_Hz(rate_Hz, lowest_Hz=lowest_Hz, count=2000)
+            f = np.union1d(grid, template.frequency_Hz[template.frequency_Hz < 0.5 * rate_Hz])
+            f = f[np.isfinite(template.limit_dB(f))]
+            if f.size:
+                magnitude = np.abs(getattr(sensitivities(member, R, S, f), template.function))
+                level_dB, limit_dB = decibel(magnitude), template.limit_dB(f)
+                worst = int(np.argmax(level_dB - limit_dB))
+                level, limit = float(level_dB[worst]), float(limit_dB[worst])
+                rows.append((template.name, float(f[worst]), level, limit, "dB", level - limit))
+        limit_rms = specification.noise_limit_rms
+        if limit_rms is not None:
+            rms = noise_rms(member, R, S, specification) if m.is_stable else 1e3 * limit_rms
+            excess_dB = float(decibel(rms / limit_rms))
+            rows.append(("noise budget", 0.5 * rate_Hz, rms, limit_rms, "rms", excess_dB))
+        unmet_limits += [
+            Violation(
+                template=name,
+                member=member.label,
+                frequency_Hz=f,
+                found=value,
+                limit=limit,
+                unit=unit,
+                excess_dB=excess_dB,
             )
+            for name, f, value, limit, unit, excess_dB in rows
+            if excess_dB > 0.0
+        ]
     return tuple(sorted(unmet_limits, key=lambda violation: -violation.excess_dB))
 
 

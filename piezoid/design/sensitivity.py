@@ -4,7 +4,7 @@ All are computed from R, S and a plant alone. Landau's notation: S u = T r - R y
 (Longchamp exchanges R and S).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -249,55 +249,3 @@ def delay_limit(frequency_Hz: Array, delay_s: float) -> Array:
     """
     angle = np.minimum(np.pi * frequency_Hz * delay_s, 0.5 * np.pi)
     return np.asarray(0.5 / np.maximum(np.sin(angle), 1e-12))
-
-
-def violations(
-    members: Sequence[Fraction],
-    R: ArrayLike,
-    S: ArrayLike,
-    *,
-    templates: Sequence[Template],
-    modulus_margin: float,
-    delay_margin_s: float,
-) -> tuple[Violation, ...]:
-    """Return the violations of every limit by every member on a fine grid, worst first."""
-    violated: list[Violation] = []
-
-    def check(
-        name: str, frequency_Hz: float, value: float, limit: float, unit: str, excess_dB: float
-    ) -> None:
-        if excess_dB > 0.0:
-            violated.append(
-                Violation(
-                    template=name,
-                    member=plant.label,
-                    frequency_Hz=frequency_Hz,
-                    found=value,
-                    limit=limit,
-                    unit=unit,
-                    excess_dB=excess_dB,
-                )
-            )
-
-    for plant in members:
-        m = margins(plant, R, S)
-        limits = [("modulus margin", m.modulus_Hz, m.modulus_margin, modulus_margin, "1")]
-        if m.delay_margin_s is not None:
-            delay_Hz = m.delay_Hz or m.modulus_Hz
-            limits.append(("delay margin", delay_Hz, m.delay_margin_s, delay_margin_s, "s"))
-        for name, frequency_Hz, value, limit, unit in limits:
-            excess_dB = float(decibel(limit / max(value, 1e-6 * limit)))
-            check(name, frequency_Hz, value, limit, unit, excess_dB)
-        for template in templates:
-            lowest_Hz = min(1.0, float(template.frequency_Hz[0]))
-            grid = grid_Hz(plant.sampling_rate_Hz, lowest_Hz=lowest_Hz, count=2000)
-            knots_Hz = template.frequency_Hz[template.frequency_Hz < 0.5 * plant.sampling_rate_Hz]
-            f = np.union1d(grid, knots_Hz)
-            f = f[np.isfinite(template.limit_dB(f))]
-            if f.size:
-                magnitude = np.abs(getattr(sensitivities(plant, R, S, f), template.function))
-                level_dB, limit_dB = decibel(magnitude), template.limit_dB(f)
-                worst = int(np.argmax(level_dB - limit_dB))
-                level, limit = float(level_dB[worst]), float(limit_dB[worst])
-                check(template.name, float(f[worst]), level, limit, "dB", level - limit)
-    return tuple(sorted(violated, key=lambda violation: -violation.excess_dB))

@@ -9,6 +9,7 @@ from itertools import product as combinations
 
 import numpy as np
 
+from piezoid.design.feasibility import unmet
 from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.lateral import with_sector
 from piezoid.design.lateral_task import plant_family
@@ -20,7 +21,6 @@ from piezoid.design.sensitivity import (
     Template,
     closed_loop_polynomial,
     margins,
-    violations,
 )
 from piezoid.design.specification import Specification
 from piezoid.errors import DesignError
@@ -206,6 +206,7 @@ def tuned_pid(
         DesignError: no settings reach a loop of 1 Hz
     """
     efforts = tuple(template for template in specification.templates if template.function == "Sup")
+    limits = replace(specification, noise_limit_rms=None)
     largest_gain = _gain_search(family, efforts, specification)
     sign = float(np.sign(family.nominal.gain))
     best: Pid | None = None
@@ -215,13 +216,7 @@ def tuned_pid(
     min_integral = 2.0 * np.pi * _MIN_LOOP_Hz / abs(family.nominal.gain)
     while best is not None and abs(best.integral_V_per_m_s) >= min_integral:
         R, S = best.polynomials()
-        if not violations(
-            family.members,
-            *(R, S),
-            templates=efforts,
-            modulus_margin=specification.modulus_margin,
-            delay_margin_s=specification.delay_margin_s,
-        ):
+        if not unmet(family.members, R, S, limits, templates=efforts):
             return best, tuple(margins(member, R, S) for member in family.members)
         best = best.scaled(0.93)
     gains = sorted((member.gain for member in family.members), key=lambda gain: gain * sign)

@@ -1,19 +1,28 @@
 """Margins and sensitivity functions against independent computations."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from benchmarks.varied_chains import plant_from_chain
+from piezoid.design.feasibility import unmet
 from piezoid.design.sensitivity import (
     Template,
     delay_limit,
     margins,
     sensitivities,
-    violations,
 )
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
 from tests.design.placed import plant_from_fraction
-from tests.design.rig import LOOPS, RATE_Hz, loop, vertical_chain, vertical_family
+from tests.design.rig import (
+    LOOPS,
+    RATE_Hz,
+    lateral_specification,
+    loop,
+    vertical_chain,
+    vertical_family,
+)
 
 PLANT = plant_from_chain(vertical_chain())
 
@@ -96,9 +105,8 @@ def test_a_violation_names_template_member_frequency_and_amount():
         frequency_Hz=np.array([200.0, 400.0]),
         upper_dB=np.array([-10.0, -10.0]),
     )
-    all_violations = violations(
-        family.members, R, S, templates=[limit], modulus_margin=0.6, delay_margin_s=1e-9
-    )
+    specification = replace(lateral_specification(), modulus_margin=0.6, delay_margin_s=1e-9)
+    all_violations = unmet(family.members, R, S, specification, templates=[limit])
     worst = all_violations[0]
     assert (worst.template, worst.member) == ("ceiling", "0.25 eV")
     level = 20 * np.log10(
@@ -115,9 +123,8 @@ def test_every_member_with_too_small_a_delay_margin_is_reported():
     members, (R, S) = vertical_family().members, loop(1e3, 0.9)
     margins_s = {m.label: margins(m, R, S).delay_margin_s for m in members}
     limit_s = 1.01 * sorted(margins_s.values())[1]
-    all_violations = violations(
-        members, R, S, templates=[], modulus_margin=1e-3, delay_margin_s=limit_s
-    )
+    specification = replace(lateral_specification(), modulus_margin=1e-3, delay_margin_s=limit_s)
+    all_violations = unmet(members, R, S, specification, templates=[])
     expected = {label: s for label, s in margins_s.items() if s < limit_s}
     assert len(expected) == 2
     assert {v.member: v.found for v in all_violations} == pytest.approx(expected)
