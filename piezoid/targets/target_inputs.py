@@ -18,7 +18,7 @@ from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.toml_files import read_toml
-from piezoid.verification.closed_loop import run_path
+from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import AxisPlant
 
 SEED = 0  # of the sensor noise in every comparison
@@ -154,7 +154,8 @@ class TargetInputs:
 
 def exported_position_m(axis: AxisParameters, plant: AxisPlant, path_m: Array) -> Array:
     """Simulate the exported controller along a path; return the position, (samples,)."""
-    return run_path(plant, axis, path_m, rng=np.random.default_rng(SEED)).position
+    rng = np.random.default_rng(SEED)
+    return run_axis(plant, axis, path_m, rng=rng, has_approach=True).position
 
 
 def worst_errors(errors_m: Errors) -> dict[str, str]:

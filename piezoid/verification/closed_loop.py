@@ -45,6 +45,7 @@ def run_axis(
     added_m: Array | None = None,
     fault: Array | None = None,
     reset_at: int | None = None,
+    has_approach: bool = False,
     precision: str = "double",
 ) -> LoopRecord:
     """Simulate one axis from rest, with the exported parameters.
@@ -54,6 +55,8 @@ def run_axis(
     added_m      (samples,)  m added to position and reading
     fault        (samples,)  a ``Fault`` in every sample; NaN: the reading is NaN
     reset_at     sample before which the controller is reset; None: never
+    has_approach whether the axis moves from rest to the first reference, as ``approach_path``
+                 does, before the record begins
     precision    of the runtime, ``double`` or ``float``
 
     Raises ``ParameterFileError`` if plant and parameters have different sampling rates.
@@ -66,7 +69,12 @@ def run_axis(
             needed="one sampling rate",
             remedy="Make the plant for the rate of the parameter file.",
         )
-    samples = len(reference)
+    approach = approach_path(plant, float(reference[0])) if has_approach else np.zeros(0)
+    lead, samples = len(approach), len(approach) + len(reference)
+    reference = np.concatenate([approach, reference])
+    if disturbance is not None:
+        disturbance = np.pad(disturbance, (lead, 0), "edge")
+    added = np.zeros(samples) if added_m is None else np.pad(added_m, (lead, 0), "edge")
     settled = SettledPlant(plant, disturbance)
     preview = int(parameters.values["preview_samples"])
     ahead = np.minimum(np.arange(samples) + preview, samples - 1)
@@ -74,47 +82,15 @@ def run_axis(
     reading = float(np.clip(settled.rest_position, *plant.reading_range))
     step = plant.reading_step
     controller.start(plant.rest_voltage_V, step * round(reading / step) if step > 0 else reading)
-    added = np.zeros(samples) if added_m is None else added_m
     function, state, values = controller.addresses
     run = LoopRun(state=state, parameters=values, samples=samples)
-    run.reset, run.reset_at = controller.reset_address, samples if reset_at is None else reset_at
+    run.reset = controller.reset_address
+    run.reset_at = samples if reset_at is None else lead + reset_at
     setattr(run, f"step_{precision}", function)
-    record = _run_loop(
-        settled, run, reference[ahead], plant.noise(samples, rng) + added, disturbance, fault
-    )
-    return replace(
-        record, reference=np.asarray(reference, float), position=record.position + added
-    )
-
-
-def run_path(
-    plant: AxisPlant,
-    parameters: AxisParameters,
-    reference: Array,
-    *,
-    rng: np.random.Generator,
-    disturbance: Array | None = None,
-    added_m: Array | None = None,
-    fault: Array | None = None,
-    reset_at: int | None = None,
-) -> LoopRecord:
-    """Simulate one axis as ``run_axis`` does, after an approach that is not in the record."""
-    approach = approach_path(plant, float(reference[0]))
-    lead = len(approach)
-
-    def held(signal: Array | None) -> Array | None:
-        return None if signal is None else np.pad(signal, (lead, 0), "edge")
-
-    return run_axis(
-        plant,
-        parameters,
-        np.concatenate([approach, reference]),
-        rng=rng,
-        disturbance=held(disturbance),
-        added_m=held(added_m),
-        fault=None if fault is None else np.pad(fault, (lead, 0)),
-        reset_at=None if reset_at is None else lead + reset_at,
-    ).after(lead)
+    fault = np.zeros(samples) if fault is None else np.pad(fault, (lead, 0))
+    noise = plant.noise(samples, rng) + added
+    record = _run_loop(settled, run, reference[ahead], noise, disturbance, fault)
+    return replace(record, reference=reference, position=record.position + added).after(lead)
 
 
 def run_law(
@@ -137,7 +113,8 @@ def run_law(
     run = LoopRun(state=state.ctypes.data, samples=samples, reset_at=samples)
     run.step_double = ctypes.cast(step, ctypes.c_void_p).value
     settled = SettledPlant(plant, disturbance)
-    return _run_loop(settled, run, reference, plant.noise(samples, rng), disturbance, None)
+    noise = plant.noise(samples, rng)
+    return _run_loop(settled, run, reference, noise, disturbance, np.zeros(samples))
 
 
 def _run_loop(
@@ -146,7 +123,7 @@ def _run_loop(
     reference: Array,
     noise: Array,
     disturbance: Array | None,
-    fault: Array | None,
+    fault: Array,
 ) -> LoopRecord:
     plant, samples = settled.plant, run.samples
     padded = np.zeros(samples + 1)
@@ -154,7 +131,6 @@ def _run_loop(
         padded[:-1], padded[-1] = disturbance, disturbance[-1]
     if isinstance(plant.response, Junction):
         padded += plant.response.gain_nepers_per_V * plant.rest_voltage_V
-    fault = np.zeros(samples) if fault is None else fault
     inputs = {"reference": reference, "disturbance": padded, "noise": noise, "fault": fault}
     outputs = {name: np.empty(samples) for name in ("driven", "position", "measured", "voltage_V")}
     status = np.empty(samples, dtype=np.uint32)

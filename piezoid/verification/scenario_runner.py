@@ -1,6 +1,6 @@
 """Simulate the axes of a parameter file along paths, and collect the results."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
-from piezoid.verification.closed_loop import reference_range, run_axis, run_path
+from piezoid.verification.closed_loop import reference_range, run_axis
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction
 from piezoid.verification.scenarios import Path, Scenario
@@ -150,9 +150,7 @@ class ScenarioRunner:
 
     def _run(self, numbered: tuple[int, AxisRun]) -> LoopRecord:
         number, run = numbered
-        is_lateral = run.axis.axis in self.lateral
-        simulate: Callable[..., LoopRecord] = run_path if is_lateral else run_axis
-        return simulate(
+        return run_axis(
             run.plant,
             run.axis,
             run.reference,
@@ -160,4 +158,5 @@ class ScenarioRunner:
             disturbance=run.disturbance,
             fault=run.fault,
             reset_at=run.reset_at,
+            has_approach=run.axis.axis in self.lateral,
         )

@@ -21,7 +21,7 @@ from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.executor import Executor
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
-from piezoid.verification.closed_loop import run_path
+from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.criteria import Limits, Verdict, none_of, verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.plant import AxisPlant
@@ -336,12 +336,13 @@ def _amplitudes(
         # the motion of each axis by its drive, with the coupled motion of the other axes
         driven_m = np.empty_like(reference_m)
         for i, axis in enumerate(axes):
-            record = run_path(
+            record = run_axis(
                 runner.plants[axis],
                 runner.file.axis(axis),
                 reference_m[i],
                 rng=np.random.default_rng(runner.seed),
                 added_m=coupled_m[i],
+                has_approach=True,
             )
             driven_m[i] = record.position - coupled_m[i] - runner.centre_m[axis]
         lines = np.fft.rfft(driven_m, 2 * samples, axis=1)
