@@ -11,6 +11,7 @@ forward model. They are printed as the shortest decimals that read as the same d
 Source: Functional Mock-up Interface Specification 2.0.4, Modelica Association.
 """
 
+import ctypes
 import io
 import platform
 import zipfile
@@ -25,9 +26,8 @@ from piezoid.digests import digest_of_bytes
 from piezoid.export.bundle import SAMPLES, runtime_source
 from piezoid.export.c_header import c_header, plain_ascii
 from piezoid.export.parameter_file import ParameterFile, digest_of
-from piezoid.operators.dead_zone import KernelMap
 from piezoid.targets.library import LINUX, shared_library
-from piezoid.verification.loop_plant import Linear, SettledPlant
+from piezoid.verification.loop_plant import SettledPlant
 from piezoid.verification.plant import AxisPlant, Junction
 
 _RUNTIME_SOURCES = ("piezoid_runtime.h", "piezoid_runtime.c", "fmu_controller.h")
@@ -219,31 +219,8 @@ def controller_units(file: ParameterFile) -> Mapping[str, Unit]:
     return units
 
 
-_SCALARS = (
-    *("substeps", "late", "kind", "plays", "edges", "low_V", "high_V"),
-    *("activation_step", "activation_m", "irreversible_m", "second_plays", "second_powers"),
-    *("second_centre_V", "second_reach_V", "cyclic_orders", "cyclic_per_m", "polarity"),
-    *("voltage_offset_V", "displacement_offset_m", "current_A", "current_most"),
-    *("slew_step", "driven", "w"),
-    *("reading_zero", "reading_lsb", "reading_least", "reading_most"),
-)
-_BLOCK = ("A", "B_old", "B_new", "C")
-_POINTERS = (
-    *("threshold_V", "weight", "edge_V", "value_m", "second_threshold_V", "second_weight_m"),
-    *("cyclic_cosine_m", "cyclic_sine_m"),
-)
-_ARRAYS = (
-    *(
-        f"{block}_{name}"
-        for block in ("before", "after")
-        for name in ("A", "B_old", "B_new", "x", "C")
-    ),
-    *("after_settled", "envelope_knot", "envelope_slope", "zones_knot", "zones_slope"),
-    *("threshold_V", "play_V", "weight", "edge_V", "value_m"),
-    *("second_threshold_V", "second_play_V", "second_weight_m"),
-    *("cyclic_cosine_m", "cyclic_sine_m", "late_V", "hum_Hz", "hum"),
-)
-
+# Arrays of the state, of which fmu_plant.h gives every instance its own copy.
+_STATES = frozenset({"late_V", "play_V", "second_play_V", "before_x", "after_x"})
 _PLANT_SOURCES = ("fmu_plant.h", "plant_loop.c")
 
 
@@ -326,33 +303,35 @@ def plant_header(plant: AxisPlant) -> str:
     arrays["after_settled"] = np.asarray(np.linalg.solve(transition, driven), dtype=np.float64)
     arrays["hum_Hz"] = np.array([frequency_Hz for frequency_Hz, _ in plant.hums])
     arrays["hum"] = np.array([amplitude for _, amplitude in plant.hums])
-    for name in _ARRAYS:
+    initialiser, pointers = _initialiser(initial)
+    for name in (*pointers, "after_settled", "hum_Hz", "hum"):
         numbers = ", ".join(map(_c_number, arrays.get(name, np.zeros(0)).ravel())) or "0.0"
         lines.append(f"static const double plant_{name}[] = {{{numbers}}};")
-    members = [f".{name} = {_c_number(getattr(initial, name))}" for name in _SCALARS]
-    members += [
-        f".before = {_linear('before', initial.before)}",
-        f".after = {_linear('after', initial.after)}",
-        f".envelope = {_map('envelope', initial.envelope)}",
-        f".zones = {_map('zones', initial.zones)}",
-    ]
-    members += [f".{name} = plant_{name}" for name in _POINTERS]
-    initialiser = "".join(f"    {member},\n" for member in members)
-    return "\n".join([*lines, f"static const pl_plant plant_at_rest = {{\n{initialiser}}};", ""])
+    return "\n".join([*lines, f"static const pl_plant plant_at_rest = {initialiser};", ""])
+
+
+def _initialiser(structure: ctypes.Structure, prefix: str = "") -> tuple[str, list[str]]:
+    """Return the C initialiser of a structure, and the names of the arrays it refers to."""
+    members, pointers = [], list[str]()
+    for name, kind, *_ in structure._fields_:
+        value = getattr(structure, name)
+        if kind is ctypes.c_void_p:
+            pointers.append(prefix + name)
+            if pointers[-1] not in _STATES:
+                members.append(f".{name} = plant_{pointers[-1]}")
+        elif isinstance(value, ctypes.Structure):
+            text, inner = _initialiser(value, f"{name}_")
+            pointers += inner
+            members.append(f".{name} = {text}")
+        elif isinstance(value, ctypes.Array):
+            members.append(f".{name} = {{{', '.join(map(_c_number, value))}}}")
+        elif isinstance(value, int | float):  # not a function
+            members.append(f".{name} = {_c_number(value)}")
+    lines = "".join(f"    {member},\n" for member in members)
+    return f"{{\n{lines}}}", pointers
 
 
 def _c_number(value: float) -> str:
     if isinstance(value, float) and np.isinf(value):
         return "HUGE_VAL" if value > 0 else "-HUGE_VAL"
     return repr(int(value)) if isinstance(value, int) else repr(float(value))
-
-
-def _linear(name: str, block: Linear) -> str:
-    pointers = ", ".join(f".{array} = plant_{name}_{array}" for array in _BLOCK)
-    direct = ", ".join(_c_number(float(value)) for value in block.D)
-    return f"{{.states = {block.states}, {pointers}, .D = {{{direct}}}}}"
-
-
-def _map(name: str, curve: KernelMap) -> str:
-    pointers = f".knot = plant_{name}_knot, .slope = plant_{name}_slope"
-    return f"{{.knots = {curve.knots}, {pointers}, .zero = {curve.zero}}}"
