@@ -4,7 +4,6 @@ Header, bundle, verification and report use this record, so that all of them hav
 ship.
 """
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.digests import seal, unseal
+from piezoid import record_json
+from piezoid.digests import digest_in, seal
 from piezoid.errors import ParameterFileError
 from piezoid.numerics.arrays import Array, expect_shapes, freeze
-from piezoid.record_json import from_json as records_from_json
-from piezoid.record_json import to_json as records_to_json
+from piezoid.record_json import RecordLayout
 from piezoid.runtime.library import PRECISIONS, SEALED, Values, complete, library
 from piezoid.runtime.schema import METHODS, PARAMETERS, SCHEMA, Parameter
 
@@ -178,39 +177,57 @@ class ParameterFile:
         )
 
 
+def _axis_entry(axis: AxisParameters) -> dict[str, Any]:
+    alternatives = [
+        {"method": method_of(values), "parameters": _entries(values)}
+        for values in axis.alternatives
+    ]
+    robustness = {} if axis.robustness is None else {"robustness": axis.robustness}
+    return {
+        "axis": axis.axis,
+        "method": axis.method,
+        "parameters": _entries(axis.values),
+        "alternatives": alternatives,
+        **robustness,
+    }
+
+
+def _axis_of_entry(entry: Mapping[str, Any]) -> AxisParameters:
+    robustness = entry.get("robustness")
+    return AxisParameters(
+        axis=entry["axis"],
+        values=_values(entry["parameters"]),
+        alternatives=tuple(_values(other["parameters"]) for other in entry["alternatives"]),
+        robustness=None if robustness is None else record_json.from_json(Robustness, robustness),
+    )
+
+
+# The entries of params.json, in their order.
+_ENTRIES = ("name", "sources", "unshipped", "decoupled", "axes")
+LAYOUTS: tuple[RecordLayout, ...] = (
+    RecordLayout(kind=AxisParameters, write=_axis_entry, read=_axis_of_entry),
+    RecordLayout(
+        kind=ParameterFile,
+        write=lambda file: {
+            name: value
+            for name in _ENTRIES
+            if (value := getattr(file, name)) is not None  # of ``decoupled``
+        },
+        read=lambda table: record_json.from_fields(
+            ParameterFile, {name: table[name] for name in _ENTRIES if name in table}, LAYOUTS
+        ),
+    ),
+)
+
+
 def to_json(file: ParameterFile) -> bytes:
     """Return ``params.json``: sealed, one entry per parameter with its unit and meaning."""
-    decoupled = {} if file.decoupled is None else {"decoupled": records_to_json(file.decoupled)}
-    return seal(
-        SCHEMA,
-        {
-            "name": file.name,
-            "sources": dict(file.sources),
-            "unshipped": dict(file.unshipped),
-            **decoupled,
-            "axes": [
-                {
-                    "axis": a.axis,
-                    "method": a.method,
-                    "parameters": _entries(a.values),
-                    "alternatives": [
-                        {"method": method_of(v), "parameters": _entries(v)} for v in a.alternatives
-                    ],
-                    **(
-                        {}
-                        if a.robustness is None
-                        else {"robustness": records_to_json(a.robustness)}
-                    ),
-                }
-                for a in file.axes
-            ],
-        },
-    )
+    return seal(SCHEMA, record_json.to_json(file, LAYOUTS))
 
 
 def digest_of(file: ParameterFile) -> str:
     """Return the digest in ``params.json`` of a parameter file."""
-    return str(json.loads(to_json(file))["digest"])
+    return digest_in(to_json(file))
 
 
 def from_json(content: bytes, source: str) -> ParameterFile:
@@ -222,44 +239,10 @@ def from_json(content: bytes, source: str) -> ParameterFile:
     Raises ``ParameterFileError`` for another schema version, one changed bit, a missing or unknown
     parameter, another unit, and numbers that the runtime cannot use.
     """
-    record = unseal(content, SCHEMA, source)
-    try:
-        axes = [
-            (
-                *(a["axis"], a["parameters"]),
-                [entry["parameters"] for entry in a["alternatives"]],
-                None
-                if a.get("robustness") is None
-                else records_from_json(Robustness, a["robustness"]),
-            )
-            for a in record["axes"]
-        ]
-        name, sources = str(record["name"]), dict(record["sources"])
-        unshipped = dict(record.get("unshipped", {}))
-        if not all(isinstance(text, str) for text in (*sources.values(), *unshipped.values())):
-            raise TypeError("text for every name")
-        decoupling = record.get("decoupled")
-        decoupled = None if decoupling is None else records_from_json(Decoupled, decoupling)
-    except (KeyError, TypeError, ValueError) as error:
-        raise _incomplete(source, f"no {error}") from error
-    try:
-        return ParameterFile(
-            name=name,
-            axes=tuple(
-                AxisParameters(
-                    axis=axis,
-                    values=_values(entries, source),
-                    alternatives=tuple(_values(entries, source) for entries in alternatives),
-                    robustness=robustness,
-                )
-                for axis, entries, alternatives, robustness in axes
-            ),
-            sources=sources,
-            unshipped=unshipped,
-            decoupled=decoupled,
-        )
-    except (ArithmeticError, TypeError, ValueError, AttributeError) as error:
-        raise _incomplete(source, f"{type(error).__name__}: {error}") from error
+    remedy = "Export the parameters again with this version of piezoid."
+    return record_json.read_sealed(
+        ParameterFile, content, SCHEMA, source, remedy=remedy, layouts=LAYOUTS
+    )
 
 
 def _entries(values: Values) -> dict[str, Any]:
@@ -285,32 +268,20 @@ def used_values(parameter: Parameter, value: Array) -> Any:
     return numbers[tuple(slice(int(n)) for n in extent)]
 
 
-def _values(entries: Mapping[str, Any], source: str) -> Values:
+def _values(entries: Mapping[str, Any]) -> Values:
     expected = {p.name: p.unit for p in _SHIPPED}
-    try:
-        units = {name: entry["unit"] for name, entry in entries.items()}
-        values = {name: entry["value"] for name, entry in entries.items()}
-    except (KeyError, TypeError, AttributeError) as error:
-        raise _incomplete(source, f"an entry without {error}") from error
+    units = {name: entry["unit"] for name, entry in entries.items()}
     if not units.keys() & FUNCTIONS:
         expected = {name: unit for name, unit in expected.items() if name not in FUNCTIONS}
     if units != expected:
-        differing = sorted(set(units.items()) ^ set(expected.items()))
-        raise _incomplete(source, f"{differing[0][0]} in {differing[0][1]!r} is not the schema's")
+        name, unit = sorted(set(units.items()) ^ set(expected.items()))[0]
+        raise ValueError(f"{name} in {unit!r}, which is not the schema's")
     arrays = {}
     for name in expected:
         try:
-            array = np.asarray(values[name], dtype=np.float64)
+            array = np.asarray(entries[name]["value"], dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise _incomplete("parameter file", f"{name} holds no numbers") from error
+            raise ValueError(f"{name}, which holds no numbers") from error
         if array.size:
             arrays[name] = array
     return complete(arrays)
-
-
-def _incomplete(source: str, fault: str) -> ParameterFileError:
-    return ParameterFileError(
-        f"{source}: {fault}",
-        needed=f"the entries of schema {SCHEMA}, each with its unit",
-        remedy="Export the parameters again with this version of piezoid.",
-    )

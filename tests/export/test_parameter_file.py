@@ -57,7 +57,7 @@ def test_the_reason_of_an_unshipped_axis_is_read_and_is_optional():
 @pytest.mark.parametrize("value", [7, None, ["x"], {"a": "b"}])
 def test_a_reason_or_a_digest_that_is_not_text_is_refused(change, value):
     content = sealed_after(lambda fields: fields.update({change: {"x": value}}))
-    with pytest.raises(ParameterFileError, match="no text for every name"):
+    with pytest.raises(ParameterFileError, match=f"{change}.x: Expected `str`"):
         from_json(content, "params.json")
 
 
