@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from piezoid.errors import ParameterFileError
-from piezoid.export.parameter_file import AxisParameters, ParameterFile
+from piezoid.export.parameter_file import ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 from piezoid.verification.closed_loop import reference_range, run_axis
@@ -15,18 +16,6 @@ from piezoid.verification.plant import AxisPlant, Hysteresis, Junction
 from piezoid.verification.scenarios import Path, Scenario
 from piezoid.verification.tracking import LoopRecord, SpiralTrace, Tracking, track
 from piezoid.verification.verification import ComparisonRow, CurrentRow, SpiralRow
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class AxisRun:
-    """One axis, its plant and the signals that act on it, (samples,) each."""
-
-    axis: AxisParameters
-    plant: AxisPlant
-    reference: Array
-    disturbance: Array | None = None
-    fault: Array | None = None
-    reset_at: int | None = None
 
 
 @dataclass(kw_only=True, eq=False)
@@ -97,14 +86,22 @@ class ScenarioRunner:
             for k in range(count)
         ]
 
-    def run(self, runs: Sequence[AxisRun]) -> dict[str, LoopRecord]:
-        """Simulate axes, each with independent noise; return their records by axis."""
-        numbered = list(enumerate(runs, self.run_count + 1))
+    def run(self, runs: Sequence[partial[LoopRecord]]) -> dict[str, LoopRecord]:
+        """Simulate axes, each with independent noise; return their records by axis.
+
+        runs  ``run_axis`` with a plant, parameters and all other arguments except ``rng``
+        """
+        numbers = range(self.run_count + 1, self.run_count + 1 + len(runs))
+        generators = [np.random.default_rng([self.seed, number]) for number in numbers]
         self.run_count += len(runs)
-        records = self.executor.map(self._run, numbered)
+        jobs = list(zip(runs, generators, strict=True))
+        records = self.executor.map(lambda job: job[0](rng=job[1]), jobs)
         for run, record in zip(runs, records, strict=True):
-            low_V, high_V = (run.axis.values[f"voltage_{end}_V"] for end in ("minimum", "maximum"))
-            is_inside = (record.voltage_V >= float(low_V)) & (record.voltage_V <= float(high_V))
+            _, parameters, *_ = run.args
+            low_V, high_V = (
+                float(parameters.values[f"voltage_{end}_V"]) for end in ("minimum", "maximum")
+            )
+            is_inside = (record.voltage_V >= low_V) & (record.voltage_V <= high_V)
             self.outside_voltages += int(np.sum(~(np.isfinite(record.voltage_V) & is_inside)))
         return {record.axis: record for record in records}
 
@@ -127,12 +124,14 @@ class ScenarioRunner:
             axis, plant = self.file.axis(name), (plants or self.plants)[name]
             motion_m = plant.motion_m(len(path.x), signals[(index + 1) % 2])
             runs.append(
-                AxisRun(
-                    axis=axis if method is None else axis.for_method(method),
-                    plant=plant,
-                    reference=self.centre_m[name] + self.radius_m * signals[index % 2],
+                partial(
+                    run_axis,
+                    plant,
+                    axis if method is None else axis.for_method(method),
+                    self.centre_m[name] + self.radius_m * signals[index % 2],
                     disturbance=motion_m if plant.motions else None,
                     fault=fault,
+                    has_approach=True,
                 )
             )
         return self.run(runs)
@@ -146,17 +145,4 @@ class ScenarioRunner:
             radius_m=self.radius_m,
             frequency_Hz=scenario.frequency_Hz,
             sampling_rate_Hz=self.rate_Hz,
-        )
-
-    def _run(self, numbered: tuple[int, AxisRun]) -> LoopRecord:
-        number, run = numbered
-        return run_axis(
-            run.plant,
-            run.axis,
-            run.reference,
-            rng=np.random.default_rng([self.seed, number]),
-            disturbance=run.disturbance,
-            fault=run.fault,
-            reset_at=run.reset_at,
-            has_approach=run.axis.axis in self.lateral,
         )

@@ -11,6 +11,7 @@ closer to the surface than at its set point, without the step of the surface.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,10 +19,10 @@ from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
-from piezoid.verification.closed_loop import Fault
+from piezoid.verification.closed_loop import Fault, run_axis
 from piezoid.verification.criteria import Verdict, none_of, verdict
 from piezoid.verification.plant import AxisPlant, Junction
-from piezoid.verification.scenario_runner import AxisRun, ScenarioRunner
+from piezoid.verification.scenario_runner import ScenarioRunner
 from piezoid.verification.scenarios import Path, Scenario
 from piezoid.verification.tracking import LoopRecord
 from piezoid.verification.verification import CurrentRow
@@ -98,10 +99,11 @@ def run_tips(
     junctions = {name: _junction(plants[name]) for name in runner.tunnelling}
     return runner.run(
         [
-            AxisRun(
-                axis=runner.file.axis(name),
-                plant=plants[name],
-                reference=np.full(len(height_m), junction.current_A),
+            partial(
+                run_axis,
+                plants[name],
+                runner.file.axis(name),
+                np.full(len(height_m), junction.current_A),
                 disturbance=junction.decay_per_m * height_m,
             )
             for name, junction in junctions.items()
@@ -207,10 +209,11 @@ def _trial_verdicts(
     start = round((_EVENT_s + (_FAULT_DELAY_s if any(trial.steps_m) else 0.0)) * rate_Hz)
     duration = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
     fault[start : start + duration] = trial.fault
-    run = AxisRun(
-        axis=axis,
-        plant=plant,
-        reference=np.full(samples, junction.current_A),
+    run = partial(
+        run_axis,
+        plant,
+        axis,
+        np.full(samples, junction.current_A),
         disturbance=-junction.decay_per_m * height_m,
         fault=fault,
         reset_at=None if reset_s is None else round(reset_s * rate_Hz),
