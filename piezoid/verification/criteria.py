@@ -19,6 +19,7 @@ SHAPE_ERROR = "shape error of the controller"
 HOLD_TIME = "time without sensor until the output is held"
 SHAPE_RATIO = "shape error, ratio to no compensation"
 _Positive = Annotated[float, msgspec.Meta(gt=0.0, le=sys.float_info.max)]
+_Limit = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 _SETTLED = 0.02  # of the largest step
 _BEFORE_NEXT_s = 5e-3  # a loop with preview moves before the next step
 _AFTERWARDS = 0.25  # share of a record, at its end, in which a fault must have no effect
@@ -70,7 +71,7 @@ class Verdict:
     name: str
     scenario: str
     value: float
-    limit: float
+    limit: _Limit
     unit: str
 
     @property

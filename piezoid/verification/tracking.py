@@ -6,12 +6,14 @@ spirals, rasters and steps are thinned to a few hundred points.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
+from piezoid.runtime.schema import METHODS
 from piezoid.verification.scenarios import Path
 
 if TYPE_CHECKING:
@@ -28,6 +30,12 @@ SPIRAL_POINTS = 300
 SPIRALS_Hz = (10.0, 100.0)  # compared spirals that are plotted
 UNCOMPENSATED = "none"  # method plotted with the shipped method
 _DECIMALS = 12  # a picometre
+
+# Values of a file that a stage can have and a picture can show.
+MethodName = Annotated[str, msgspec.Meta(pattern=f"^({'|'.join(METHODS)})$")]
+Plottable_Hz = Annotated[float, msgspec.Meta(ge=1e-9, le=1e9)]
+Plottable_s = Annotated[float, msgspec.Meta(ge=1e-9, le=1e9)]
+Plottable_m = Annotated[float, msgspec.Meta(ge=-1e3, le=1e3)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -222,10 +230,10 @@ class Motion:
 
     scenario: str
     axis: str
-    duration_s: float
-    reference_m: tuple[float, ...]
-    shipped_m: tuple[float, ...]
-    uncompensated_m: tuple[float, ...]
+    duration_s: Plottable_s
+    reference_m: tuple[Plottable_m, ...]
+    shipped_m: tuple[Plottable_m, ...]
+    uncompensated_m: tuple[Plottable_m, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -239,12 +247,12 @@ class SpiralTrace:
                            this point to the next
     """
 
-    method: str
-    frequency_Hz: float
+    method: MethodName
+    frequency_Hz: Plottable_Hz
     axes: tuple[str, ...]
-    x_m: tuple[float, ...]
-    y_m: tuple[float, ...]
-    shape_error_m: tuple[float, ...]
+    x_m: tuple[Plottable_m, ...]
+    y_m: tuple[Plottable_m, ...]
+    shape_error_m: tuple[Plottable_m, ...]
 
 
 def spiral_trace(

@@ -12,28 +12,33 @@ from piezoid.record_json import (
     refusing,
     to_json,
 )
-from piezoid.runtime.schema import METHOD_NAMES, METHODS
+from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.summary import Summarised, Summary
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.rebuild import Proof
-from piezoid.verification.tracking import Motion, SpiralTrace
+from piezoid.verification.tracking import (
+    MethodName,
+    Motion,
+    Plottable_Hz,
+    Plottable_m,
+    SpiralTrace,
+)
 
 SCHEMA = "piezoid.verification/1"
-_LARGEST_m, _SMALLEST_m = 1e3, 1e-15  # of distances that a stage has and a picture can show
-_SLOWEST_Hz, _FASTEST_Hz = 1e-9, 1e9
+_MIN_RADIUS_m = 1e-15  # of a spiral that a picture can show
 
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonRow:
     """One method at one frequency; see ``Tracking`` for the numbers."""
 
-    method: str
-    frequency_Hz: float
+    method: MethodName
+    frequency_Hz: Plottable_Hz
     rms_m: float
     rms_percent: float
     max_m: float
-    aligned_rms_m: float
+    aligned_rms_m: Plottable_m
     delay_s: float
 
 
@@ -74,7 +79,7 @@ class ErrorBound:
 class SpiralRow:
     """Radial and pitch errors of one method on a spiral of one frequency; see ``Tracking``."""
 
-    method: str
+    method: MethodName
     frequency_Hz: float
     radial_rms_m: float
     pitch_error: float | None
@@ -137,8 +142,8 @@ class Verification(Summarised):
     """
 
     name: str
-    methods: dict[str, str]
-    radius_m: float
+    methods: dict[str, MethodName]
+    radius_m: Plottable_m
     comparison: tuple[ComparisonRow, ...]
     spirals: tuple[SpiralRow, ...]
     currents: tuple[CurrentRow, ...]
@@ -231,44 +236,20 @@ def verification_from_json(content: bytes, source: str = "verification.json") ->
         Verification, content, SCHEMA, source, remedy=remedy, layouts=LAYOUTS
     )
     with refusing(SCHEMA, source, remedy=remedy):
-        methods = [row.method for row in verification.comparison]
-        methods += [row.method for row in verification.spirals]
-        methods += [row.method for row in verification.traces]
-        for method in (*verification.methods.values(), *methods):
-            METHODS.index(method)  # raises ValueError for a method that the report cannot name
         spirals = {(row.method, row.frequency_Hz) for row in verification.spirals}
         for row in verification.comparison:
             if (row.method, row.frequency_Hz) not in spirals:
                 raise ValueError(f"no spiral of {row.method} at {row.frequency_Hz} Hz")
-        _check_pictures(verification)
+        for trace in verification.traces:
+            if not len(trace.x_m) == len(trace.y_m) == len(trace.shape_error_m) > 0:
+                points = len(trace.x_m)
+                raise ValueError(f"x_m of a spiral has {points} points, other arrays differ")
+        for motion in verification.motions:
+            if motion.axis not in verification.methods:
+                raise ValueError(f"a motion is of axis {motion.axis}, which does not ship")
+            count, n_uncompensated = len(motion.reference_m), len(motion.uncompensated_m)
+            if not (len(motion.shipped_m) == count > 1 and n_uncompensated in (0, count)):
+                raise ValueError(f"reference_m has {count} points, other arrays differ")
+        if verification.traces and not verification.radius_m >= _MIN_RADIUS_m:
+            raise ValueError(f"radius_m is {verification.radius_m}")
     return verification
-
-
-def _check_pictures(verification: Verification) -> None:
-    """Raise ``ValueError`` for numbers that no stage has and no plot can show."""
-    frequencies_Hz = [row.frequency_Hz for row in verification.comparison]
-    for frequency_Hz in (*frequencies_Hz, *(trace.frequency_Hz for trace in verification.traces)):
-        if not _SLOWEST_Hz <= frequency_Hz <= _FASTEST_Hz:
-            raise ValueError(f"frequency_Hz is {frequency_Hz}")
-    sizes_m = [abs(row.aligned_rms_m) for row in verification.comparison]
-    for trace in verification.traces:
-        if not len(trace.x_m) == len(trace.y_m) == len(trace.shape_error_m) > 0:
-            raise ValueError(f"x_m of a spiral has {len(trace.x_m)} points, other arrays differ")
-        sizes_m += map(abs, (*trace.x_m, *trace.y_m, *trace.shape_error_m))
-    for motion in verification.motions:
-        if motion.axis not in verification.methods:
-            raise ValueError(f"a motion is of axis {motion.axis}, which does not ship")
-        count, n_uncompensated = len(motion.reference_m), len(motion.uncompensated_m)
-        if not 1.0 / _FASTEST_Hz <= motion.duration_s <= 1.0 / _SLOWEST_Hz:
-            raise ValueError(f"duration_s is {motion.duration_s}")
-        if not (len(motion.shipped_m) == count > 1 and n_uncompensated in (0, count)):
-            raise ValueError(f"reference_m has {count} points, other arrays differ")
-        positions_m = (*motion.reference_m, *motion.shipped_m, *motion.uncompensated_m)
-        sizes_m += map(abs, positions_m)
-    if verification.traces and not verification.radius_m >= _SMALLEST_m:
-        raise ValueError(f"radius_m is {verification.radius_m}")
-    largest_m = max([verification.radius_m, *sizes_m])
-    if largest_m > _LARGEST_m:
-        raise ValueError(f"a path reaches {largest_m} m")
-    if max((abs(verdict.limit) for verdict in verification.verdicts), default=0.0) > _FASTEST_Hz:
-        raise ValueError(f"a limit is larger than {_FASTEST_Hz:g}")

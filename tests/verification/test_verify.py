@@ -123,16 +123,17 @@ def test_a_record_with_a_comparison_but_no_spiral_is_refused(verification):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"radius_m": 1e30}, "a path reaches"),
-        ({"motion": {"duration_s": 0.0}}, "duration_s is 0"),
+        ({"radius_m": 1e30}, "radius_m: Expected `float` <= 1000"),
+        ({"motion": {"duration_s": 0.0}}, "duration_s: Expected `float` >= 1e-09"),
         ({"motion": {"shipped_m": (1e-9,)}}, "reference_m has 1000 points"),
         ({"motion": {"axis": "q"}}, "axis q, which does not ship"),
         ({"radius_m": 0.0}, "radius_m is 0.0"),
         ({"radius_m": -1.0}, "radius_m is -1.0"),
-        ({"trace": {"frequency_Hz": 0.0}}, "frequency_Hz is 0.0"),
-        ({"trace": {"x_m": (1e308,)}}, "x_m of a spiral has 1 points"),
+        ({"trace": {"frequency_Hz": 0.0}}, "frequency_Hz: Expected `float` >= 1e-09"),
+        ({"trace": {"x_m": (1e308,)}}, r"x_m\[0\]: Expected `float` <= 1000"),
+        ({"trace": {"x_m": (1e-6,)}}, "x_m of a spiral has 1 points"),
         ({"trace": {"x_m": (), "y_m": (), "shape_error_m": ()}}, "x_m of a spiral has 0 points"),
-        ({"verdict": {"limit": 1e300}}, "a limit is larger"),
+        ({"verdict": {"limit": 1e300}}, "limit: Expected `float` <= 1000000000"),
     ],
 )
 def test_numbers_outside_the_range_of_the_plots_are_refused(verification, changed, message):
