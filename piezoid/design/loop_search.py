@@ -134,13 +134,18 @@ def family_grid(
     )
 
 
-def mode_lines_Hz(plant: Plant) -> Array:
-    """Return lines about the lightly damped modes of a plant, spaced below their width."""
+def light_modes(plant: Plant) -> tuple[Array, Array]:
+    """Return natural frequency in Hz and damping ratio of the lightly damped modes of a plant."""
     s, damping = np.log(plant.poles), damping_ratios(plant.poles)
     light = (damping < LIGHT) & (s.imag > 0.0)
-    natural_Hz = np.abs(s[light]) * plant.sampling_rate_Hz / (2.0 * np.pi)
+    return np.abs(s[light]) * plant.sampling_rate_Hz / (2.0 * np.pi), damping[light]
+
+
+def mode_lines_Hz(plant: Plant) -> Array:
+    """Return lines about the lightly damped modes of a plant, spaced below their width."""
+    natural_Hz, damping = light_modes(plant)
     widths = np.linspace(-_WIDTHS, _WIDTHS, _LINES)
-    lines = natural_Hz[:, None] * (1.0 + damping[light][:, None] * widths)
+    lines = natural_Hz[:, None] * (1.0 + damping[:, None] * widths)
     return np.asarray(lines.ravel())
 
 

@@ -10,12 +10,10 @@ from itertools import product as combinations
 import numpy as np
 
 from piezoid.design.feasibility import unmet
-from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.lateral import with_sector
-from piezoid.design.lateral_task import plant_family
-from piezoid.design.loop_search import mode_lines_Hz
+from piezoid.design.lateral_task import affine_bounds_of, plant_family
+from piezoid.design.loop_search import light_modes, mode_lines_Hz
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.rst import LIGHT
 from piezoid.design.sensitivity import (
     Margins,
     Template,
@@ -289,12 +287,9 @@ def _gain_search(
 
 def _candidates(nominal: Plant, blank: Pid, notches: int, sign: float) -> Iterator[Pid]:
     """Yield settings with an integral gain of 1, with notches on the modes and without."""
-    # frequency and damping of the lightly damped modes, the lowest first
-    s = np.log(nominal.poles.astype(np.complex128))
-    damping = -s.real / np.abs(s)
-    natural_Hz = np.abs(s) * nominal.sampling_rate_Hz / (2.0 * np.pi)
-    light = (damping < LIGHT) & (s.imag > 0.0)
-    modes = sorted(zip(natural_Hz[light].tolist(), damping[light].tolist(), strict=True))[:notches]
+    modes = sorted(zip(*(values.tolist() for values in light_modes(nominal)), strict=True))[
+        :notches
+    ]
     banks: list[tuple[Notch, ...]] = [
         tuple(Notch(frequency_Hz=f, depth=max(z, _MIN_DEPTH), width=width) for f, z in modes)
         for width in (_WIDTHS if modes else ())
@@ -424,13 +419,10 @@ def pid_of(inputs: TargetInputs, axis: AxisParameters) -> tuple[Pid, tuple[Margi
     """
     design, model, hardware = inputs.designs[axis.axis], inputs.models[axis.axis], inputs.hardware
     specification, rate_Hz = design.specification, design.sampling_rate_Hz
-    bounds = affine_bounds(
-        model.operator, model.certificate.reach_V, remainder_m=model.certificate.bound_m
-    )
     plants = inputs.family(axis.axis)
     pid, margins = tuned_pid(
         axis.axis,
-        with_sector(plant_family(model, rate_Hz), bounds),
+        with_sector(plant_family(model, rate_Hz), affine_bounds_of(model)),
         Pid(
             sampling_rate_Hz=rate_Hz,
             rest_V=plants[0].rest_voltage_V,
