@@ -368,17 +368,23 @@ def draw_replicates(
     thetas = uncertainty.values + rng.standard_normal((draws, len(values))) @ root.T
     model = axis.hysteresis
     plays, zones, envelope = model.plays, model.dead_zones, model.envelope
+    fitted = {
+        "play_threshold_V": plays.threshold,
+        "play_weight_m_per_V": plays.weight,
+        "dead_zone_threshold_m": zones.threshold,
+        "dead_zone_weight": zones.weight,
+        "envelope_weight": envelope.weight,
+    }
     operators = []
     for theta in thetas:
         parameters = dict(zip(uncertainty.names, theta, strict=True))
-        play_V = _replicate_of("play_threshold_V", plays.threshold, parameters)
-        zone_m = _replicate_of("dead_zone_threshold_m", zones.threshold, parameters)
+        play_V, play_weight, zone_m, zone_weight, envelope_weight = (
+            np.array([parameters.get(f"{name}[{i}]", v) for i, v in enumerate(values.tolist())])
+            for name, values in fitted.items()
+        )
         play_V[0], zone_m[zones.zero] = 0.0, 0.0
         if not ((np.diff(play_V) > 0).all() and (np.diff(zone_m) > 0).all()):
             continue
-        play_weight = _replicate_of("play_weight_m_per_V", plays.weight, parameters)
-        zone_weight = _replicate_of("dead_zone_weight", zones.weight, parameters)
-        envelope_weight = _replicate_of("envelope_weight", envelope.weight, parameters)
         operator = replace(
             model,
             plays=PrandtlIshlinskii(threshold=play_V, weight=play_weight),
@@ -388,10 +394,3 @@ def draw_replicates(
         if operator.is_invertible:
             operators.append(operator)
     return tuple(operators)
-
-
-def _replicate_of(stem: str, fitted: Array, parameters: dict[str, float]) -> Array:
-    """Return one array of parameters with the drawn values; values that were not fitted stay."""
-    return np.array(
-        [parameters.get(f"{stem}[{i}]", value) for i, value in enumerate(fitted.tolist())]
-    )
