@@ -172,17 +172,25 @@ def set_point_A(lab: Lab) -> float:
     return abs(set_point_A)
 
 
-def reading_noise_A(plant: JunctionPlant, lab: Lab, axis: str) -> float:
-    """Return the physical minimum of the rms noise of one current reading at the set point.
+def current_chain(plant: JunctionPlant, lab: Lab, axis: str) -> CurrentChain:
+    """Return bandwidth, resistor and converter of the current readings, as lab.toml declares them.
 
-    sqrt(2 e i B + 4 k T B / R + step^2 / 12),   B = pi f / 2 of a first-order sensor
+    The bandwidth of a first-order sensor is B = pi f / 2.
     """
     resistor_ohm = lab.tunnelling.feedback_ohm
-    chain = CurrentChain(
+    return CurrentChain(
         bandwidth_Hz=0.5 * math.pi * plant.sensor_pole_Hz,
         feedback_ohm=resistor_ohm,
         adc_step_A=converters_of(lab, axis).reading_step_V / (resistor_ohm or math.inf),
     )
+
+
+def reading_noise_A(plant: JunctionPlant, lab: Lab, axis: str) -> float:
+    """Return the physical minimum of the rms noise of one current reading at the set point.
+
+    sqrt(2 e i B + 4 k T B / R + step^2 / 12)
+    """
+    chain = current_chain(plant, lab, axis)
     return math.hypot(chain.shot_A(set_point_A(lab)), chain.johnson_A, chain.quantisation_A)
 
 

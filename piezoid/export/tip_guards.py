@@ -20,6 +20,7 @@ import math
 from numpy.typing import ArrayLike
 
 from piezoid.design.junction_task import (
+    current_chain,
     junction_family,
     missing_line,
     reading_range_A,
@@ -28,7 +29,6 @@ from piezoid.design.junction_task import (
 from piezoid.design.specification import Specification, converters_of
 from piezoid.errors import LabFileError
 from piezoid.identification.tunnelling.closed_loop import LoopPlant
-from piezoid.identification.tunnelling.loop_noise import CurrentChain
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab
 
@@ -170,13 +170,13 @@ def _stuck_sensor(
     step_V, ohm = converters_of(lab, loop.axis).reading_step_V, lab.tunnelling.feedback_ohm
     if ohm is None or step_V == 0.0 or lab.tunnelling.floor_A is None:
         return max(min_samples, _MAX_STUCK), lab.tunnelling.floor_A or 0.0
-    pole_Hz, step_A = loop.plant.sensor_pole_Hz, step_V / ohm
-    innovation = math.sqrt(1.0 - math.exp(-2.0 * math.pi * pole_Hz / rate_Hz) ** 2)
-    chain = CurrentChain(bandwidth_Hz=0.5 * math.pi * pole_Hz, feedback_ohm=ohm)
+    chain = current_chain(loop.plant, lab, loop.axis)
+    pole = math.exp(-2.0 * math.pi * loop.plant.sensor_pole_Hz / rate_Hz)
+    innovation = math.sqrt(1.0 - pole**2)
     samples = []
     for current_A in (0.0, contact_A):
         innovation_A = math.hypot(chain.johnson_A, chain.shot_A(current_A)) * innovation
-        p = math.erf(step_A / (2.0 * math.sqrt(2.0) * innovation_A))
+        p = math.erf(chain.adc_step_A / (2.0 * math.sqrt(2.0) * innovation_A))
         samples.append(_MAX_SAMPLES if p >= 1.0 else math.ceil(math.log(_CHANCE) / math.log(p)))
     without_current, in_contact = samples
     if without_current <= _MAX_STUCK:

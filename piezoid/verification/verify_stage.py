@@ -7,7 +7,7 @@ import numpy as np
 
 from piezoid.design.design import Design
 from piezoid.design.hysteresis_bounds import draw_replicates
-from piezoid.design.junction_task import junction_family, reading_range_A
+from piezoid.design.junction_task import current_chain, junction_family, reading_range_A
 from piezoid.design.specification import converters_of
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
@@ -15,7 +15,6 @@ from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.closed_loop import LoopPlant
 from piezoid.identification.tunnelling.junction import TunnellingModel
-from piezoid.identification.tunnelling.loop_noise import CurrentChain
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab
 from piezoid.verification.bounds import error_bounds
@@ -212,10 +211,8 @@ def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
         if gain_V_per_m is None:
             return plant
         return replace(plant, reading_step=converters.reading_step_V / abs(gain_V_per_m))
-    loop, resistor_ohm = _loop_of(axis, model.tunnelling), lab.tunnelling.feedback_ohm
-    set_point_A = float(values["current_reference_A"])
-    bandwidth_Hz = 0.5 * np.pi * loop.plant.sensor_pole_Hz
-    chain = CurrentChain(bandwidth_Hz=bandwidth_Hz, feedback_ohm=resistor_ohm)
+    loop, set_point_A = _loop_of(axis, model.tunnelling), float(values["current_reference_A"])
+    chain = current_chain(loop.plant, lab, axis.axis)
     plant = junction_axis_plant(
         loop.plant,
         axis=axis.axis,
@@ -225,12 +222,10 @@ def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
         modes=loop.modes[:1],
     )
     middle_V = 0.5 * (float(values["voltage_minimum_V"]) + float(values["voltage_maximum_V"]))
-    if resistor_ohm is None or converters.reading_V is None:
-        return replace(plant, rest_voltage_V=middle_V)
     return replace(
         plant,
         rest_voltage_V=middle_V,
-        reading_step=converters.reading_step_V / resistor_ohm,
+        reading_step=chain.adc_step_A,
         reading_range=reading_range_A(lab, axis.axis) or plant.reading_range,
     )
 
