@@ -53,7 +53,6 @@ class Unit:
     macros       additional lines of ``fmu_of_axis.h``
     sources      contents of the C sources other than ``fmu2.c``, by name
     period_s     sampling period
-    samples      length of the default experiment
     variables    their value references are their indices, from 1
     """
 
@@ -64,7 +63,6 @@ class Unit:
     variables: tuple[Variable, ...]
     sources: Mapping[str, bytes]
     period_s: float
-    samples: int
 
 
 _AXIS_HEADER = """\
@@ -177,7 +175,7 @@ def _description(unit: Unit, token: str) -> str:
         identifier=unit.identifier,
         description=unit.description,
         token=token,
-        stop_s=unit.samples * unit.period_s,
+        stop_s=SAMPLES * unit.period_s,
         step_s=unit.period_s,
         variables="\n".join(described),
         outputs="".join(outputs),
@@ -214,7 +212,6 @@ def controller_units(file: ParameterFile) -> Mapping[str, Unit]:
             ),
             sources=sources,
             period_s=1.0 / float(axis.values["sampling_rate_Hz"]),
-            samples=SAMPLES,
         )
     return units
 
@@ -260,7 +257,6 @@ def plant_units(name: str, plants: Sequence[AxisPlant]) -> Mapping[str, Unit]:
             ),
             sources={**sources, "plant_of_axis.h": plant_header(plant).encode()},
             period_s=1.0 / plant.sampling_rate_Hz,
-            samples=SAMPLES,
         )
     return units
 
