@@ -3,7 +3,7 @@
 The text is ``README.md.j2``; what concerns no axis of the file is left out.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from ctypes import sizeof
 from importlib.metadata import version
 from importlib.resources import files
@@ -27,26 +27,18 @@ _METHODS = {
     "none": "a static gain without feedback",
     "rst": "a controller of the logarithm of a current",
 }
-# Heading and cell of each guard, for tips only (True), for X and Y only (False) or for both
-# (None).
-_GUARDS: tuple[tuple[str, str, bool | None], ...] = (
-    ("`stuck_samples`", "{stuck_samples:.0f}", None),
-    ("`stuck_voltage_V`", "{stuck_voltage_V:.4g}", None),
-    ("`blind_samples`", "{blind_samples:.0f} ({blind_s:.3g} s)", False),
-    (
-        "displacement limits, m",
-        "{displacement_minimum_m:.4g} to {displacement_maximum_m:.4g}",
-        False,
-    ),
-    ("`bad_samples`", "{bad_samples:.0f}", True),
-    ("`stuck_current_A`", "{stuck_current_A:.4g}", True),
-    ("`trip_limit`", "{trip_limit:.0f}", True),
-    ("`retract_voltage_V`", "{retract_voltage_V:.4g}", True),
+# Columns of the tables; one that applies to no axis is left out.
+_AXIS = (
+    *("axis", "index", "method", "rate, Hz", "preview, samples", "reference", "output, V"),
+    *("LSB, V", "codes"),
+)
+_LOOP = ("axis", "delay margin", "guaranteed error", "transient", "start", "jump")
+_GUARDS = (
+    *("axis", "`stuck_samples`", "`stuck_voltage_V`", "`blind_samples`"),
+    *("displacement limits, m", "`bad_samples`", "`stuck_current_A`", "`trip_limit`"),
+    "`retract_voltage_V`",
 )
 _START_SHARE = 0.05  # of the output range, by which a start stays inside its limits
-_OUTPUT = ("voltage_minimum", "voltage_maximum", "lsb")
-_RANGE_m = ("reference_minimum_m", "reference_maximum_m", "m")
-_RANGE_A = ("current_floor_A", "current_ceiling_A", "A")
 
 
 def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> str:
@@ -76,17 +68,18 @@ def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> st
         f"- {DRIVE_VOLTAGE_NOTE} Outputs stay within the drive of the recordings, and within the "
         "converter and amplifier of lab.toml."
     )
-    decoupled, matrix = [], np.zeros((0, 0))
+    decoupled, matrix = list[str](), np.zeros((0, 0))
     if file.decoupled is not None:
         decoupled, matrix = list(map(plain_ascii, file.decoupled.axes)), file.decoupled.matrix
-    rows = [
-        (name, *(f"{value:.6g}" for value in row))
+    coupling = [
+        dict(zip(("", *decoupled), (name, *(f"{value:.6g}" for value in row)), strict=True))
         for name, row in zip(decoupled, matrix, strict=True)
     ]
+    rows = [_cells(index, axis) for index, axis in enumerate(file.axes)]
     return template.render(
         name=plain_ascii(file.name),
         samples=samples,
-        axes="\n".join(_axis_row(index, axis) for index, axis in enumerate(file.axes)),
+        axes=_table(_AXIS, rows),
         unshipped=[
             (plain_ascii(axis), plain_ascii(reason, length=600))
             for axis, reason in file.unshipped.items()
@@ -102,75 +95,74 @@ def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> st
         unit="m (Z: A)" if has_lateral and has_tip else "A" if has_tip else "m",
         sizes=fill(_sizes(lateral), _WIDTH),
         first=file.axes[0].axis.upper(),
-        loops=_loop_table(file.axes),
-        guards=_guard_table(file.axes),
+        loops=_table(_LOOP, rows),
+        guards=_table(_GUARDS, rows),
         voltage_note=fill(voltage_note, _WIDTH, subsequent_indent="  "),
         voltage_steps=_limits_per_sample(file.axes, "voltage_step_V"),
         reference_steps=_limits_per_sample(lateral, "reference_step_m"),
         decoupled=decoupled,
-        decoupling=_table(("", *decoupled), rows),
+        decoupling=_table(("", *decoupled), coupling),
         version=version("piezoid"),
         digest=digest,
         source=source,
     )
 
 
-def _axis_row(index: int, axis: AxisParameters) -> str:
-    """Return the row of an axis in the first table."""
+def _cells(index: int, axis: AxisParameters) -> dict[str, str]:
+    """Return the cells of an axis in all tables, by heading."""
     values = _scalars(axis)
-    low_V, high_V, step_V = (values[f"{name}_V"] for name in _OUTPUT)
+    low_V, high_V, step_V = (
+        values[name] for name in ("voltage_minimum_V", "voltage_maximum_V", "lsb_V")
+    )
     codes = ""
     if step_V:
         first_code, last_code = np.ceil(low_V / step_V), np.floor(high_V / step_V)
         codes = f"{first_code:.0f} to {last_code:.0f}"
         low_V, high_V = first_code * step_V, last_code * step_V
-    is_tip = axis.method == "rst"
-    low, high, unit = _RANGE_A if is_tip else _RANGE_m
-    if is_tip:
-        unit += f", set point {values['current_reference_A']:.4g}"
-    cells = (
-        *(axis.axis, index, axis.method, f"{values['sampling_rate_Hz']:g}"),
-        f"{values['preview_samples']:g}",
-        f"{values[low]:.7g} to {values[high]:.7g} {unit}",
-        *(f"{low_V:.7g} to {high_V:.7g}", f"{step_V:.12g}", codes),
+    margin, error, transient = _robustness_cells(axis.robustness)
+    cells = {
+        "axis": axis.axis,
+        "index": str(index),
+        "method": axis.method,
+        "rate, Hz": f"{values['sampling_rate_Hz']:g}",
+        "preview, samples": f"{values['preview_samples']:g}",
+        "output, V": f"{low_V:.7g} to {high_V:.7g}",
+        "LSB, V": f"{step_V:.12g}",
+        "codes": codes,
+        "delay margin": margin,
+        "`stuck_samples`": f"{values['stuck_samples']:.0f}",
+        "`stuck_voltage_V`": f"{values['stuck_voltage_V']:.4g}",
+    }
+    if axis.method == "rst":
+        low_A, high_A = values["current_floor_A"], values["current_ceiling_A"]
+        set_point_A = values["current_reference_A"]
+        return cells | {
+            "reference": f"{low_A:.7g} to {high_A:.7g} A, set point {set_point_A:.4g}",
+            "`bad_samples`": f"{values['bad_samples']:.0f}",
+            "`stuck_current_A`": f"{values['stuck_current_A']:.4g}",
+            "`trip_limit`": f"{values['trip_limit']:.0f}",
+            "`retract_voltage_V`": f"{values['retract_voltage_V']:.4g}",
+        }
+    low_m, high_m, min_m, max_m = (
+        values[f"{quantity}_{end}_m"]
+        for quantity in ("reference", "displacement")
+        for end in ("minimum", "maximum")
     )
-    return f"| {' | '.join(map(str, cells))} |"
-
-
-def _guard_table(axes: Sequence[AxisParameters]) -> str:
-    """Return the table of guards, without columns that apply to no axis."""
-    tips = {axis.method == "rst" for axis in axes}
-    guards = [guard for guard in _GUARDS if guard[2] is None or guard[2] in tips]
-    rows = []
-    for axis in axes:
-        values, is_tip = _scalars(axis), axis.method == "rst"
-        blind_s = values["blind_samples"] / values["sampling_rate_Hz"]
-        rows.append(
-            (
-                axis.axis,
-                *(
-                    text.format(**values, blind_s=blind_s) if only_tip in (None, is_tip) else ""
-                    for _, text, only_tip in guards
-                ),
-            )
-        )
-    return _table(("axis", *(name for name, _, _ in guards)), rows)
-
-
-def _loop_table(axes: Sequence[AxisParameters]) -> str:
-    """Return the table of margins and guaranteed errors, and of the switch-on of X and Y."""
-    headings = ["axis", "delay margin"]
-    if any(axis.method != "rst" for axis in axes):
-        headings += ["guaranteed error", "transient", "start", "jump"]
-    rows = []
-    for axis in axes:
-        margin, *bounds = _robustness_cells(axis.robustness)
-        cells = [] if axis.method == "rst" else [*bounds, *_start_cells(axis)]
-        rows.append((axis.axis, margin, *(cells or [""] * (len(headings) - 2))))
-    return _table(headings, rows)
+    blind_s = values["blind_samples"] / values["sampling_rate_Hz"]
+    start, jump = _start_cells(axis)
+    return cells | {
+        "reference": f"{low_m:.7g} to {high_m:.7g} m",
+        "guaranteed error": error,
+        "transient": transient,
+        "start": start,
+        "jump": jump,
+        "`blind_samples`": f"{values['blind_samples']:.0f} ({blind_s:.3g} s)",
+        "displacement limits, m": f"{min_m:.4g} to {max_m:.4g}",
+    }
 
 
 def _robustness_cells(robustness: Robustness | None) -> tuple[str, str, str]:
+    """Return delay margin, guaranteed error and transient."""
     if robustness is None:
         return "unknown", "unknown", "unknown"
     delay_s, error_m = robustness.delay_margin_s, robustness.guaranteed_error_m
@@ -225,6 +217,9 @@ def _scalars(axis: AxisParameters) -> dict[str, float]:
     return {name: float(value) for name, value in axis.values.items() if not value.ndim}
 
 
-def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = (headings, ["---"] * len(headings), *rows)
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+def _table(headings: Sequence[str], rows: Sequence[Mapping[str, str]]) -> str:
+    """Return a Markdown table of the columns with a cell in any row."""
+    columns = [heading for heading in headings if any(heading in row for row in rows)]
+    cells = [[row.get(heading, "") for heading in columns] for row in rows]
+    lines = (columns, ["---"] * len(columns), *cells)
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
