@@ -106,13 +106,12 @@ def verify(
             model,
             lab=folder.lab,
             limits=applied_limits,
-            proofs=proofs,
-            limit_proofs=limit_proofs,
             seed=seed,
             threads=threads,
             design=design if bounds else None,
             bounds=bounds,
         )
+        verification = replace(verification, proofs=proofs, limit_proofs=limit_proofs)
         if changed := changed_in_bundle(stage, file):
             verdict = Verdict(
                 name="files of bundle/ that are missing or differ from those of params.json",

@@ -23,9 +23,7 @@ from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.criteria import Limits, Verdict, none_of, verdict
-from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.plant import AxisPlant
-from piezoid.verification.rebuild import Proof
 from piezoid.verification.scenario_runner import ScenarioRunner
 from piezoid.verification.scenarios import SCENARIOS, Path, Scenario
 from piezoid.verification.tip_trials import (
@@ -67,11 +65,8 @@ def verify(
     limits: Limits | None = None,
     scenarios: Sequence[Scenario] = SCENARIOS,
     trials: Sequence[TipTrial] = TIP_TRIALS,
-    proofs: Sequence[Proof] = (),
-    limit_proofs: Sequence[LimitProof] = (),
     seed: int = 0,
     threads: int = 1,
-    lab_digest: str = "",
     coupled: CoupledStage | None = None,
 ) -> Verification:
     """Simulate the exported controllers in every scenario, and compare figures with limits.
@@ -83,11 +78,8 @@ def verify(
         limits: by default those of ``Limits``
         scenarios: of lateral axes, and of tips above a surface
         trials: events for every tip
-        proofs: comparisons of builds, for the record
-        limit_proofs: proofs for every input, for the record
         seed: of the noise
         threads: axes of a path that run in parallel; the result does not depend on it
-        lab_digest: of the lab.toml that declared plants and limits, for the record
         coupled: coupling between the axes, which their plants do not contain; None: none
 
     Raises:
@@ -132,12 +124,10 @@ def verify(
         traces=tuple(runner.traces),
         motions=_motions(runner, plotted),
         verdicts=(outside, *runner.verdicts),
-        proofs=tuple(proofs),
-        limit_proofs=tuple(limit_proofs),
+        proofs=(),
         plants=tuple(f"{plant.label}, axis {plant.axis}" for plant in (*plants, *varied)),
         parameters_digest=digest_of(file),
         runtime_digest=source_digest(),
-        lab_digest=lab_digest,
         coupling=coupling,
     )
 

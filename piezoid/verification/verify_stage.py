@@ -1,6 +1,6 @@
 """Verify a parameter file against the model of its stage, and release the axes that pass."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,7 +19,6 @@ from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab
 from piezoid.verification.bounds import error_bounds
 from piezoid.verification.criteria import Limits, describe_failure, limits_from
-from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.plant import (
     AxisPlant,
     junction_axis_plant,
@@ -27,7 +26,6 @@ from piezoid.verification.plant import (
     varied_plant,
     with_gain,
 )
-from piezoid.verification.rebuild import Proof
 from piezoid.verification.verification import Verification
 from piezoid.verification.verify import verify
 
@@ -114,8 +112,6 @@ def verify_stage(
     *,
     lab: Lab | None = None,
     limits: Limits | None = None,
-    proofs: Sequence[Proof] = (),
-    limit_proofs: Sequence[LimitProof] = (),
     seed: int = 0,
     threads: int = 1,
     design: Design | None = None,
@@ -150,13 +146,11 @@ def verify_stage(
         plants,
         variations=list(zip(*variations, strict=False)),  # as many sets as the axis with fewest
         limits=limits or limits_from(declared.verification, stated_in),
-        proofs=proofs,
-        limit_proofs=limit_proofs,
         seed=seed,
         threads=threads,
-        lab_digest=declared.digest,
         coupled=model.coupled,
     )
+    verification = replace(verification, lab_digest=declared.digest)
     if design is None or not bounds:
         return verification
     largest_errors = error_bounds(

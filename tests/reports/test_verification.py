@@ -33,7 +33,7 @@ AT_10_Hz = [s for s in SCENARIOS if s.name == "spiral, 10 Hz"]
 @pytest.fixture(scope="module")
 def result() -> Verification:
     built = Proof(build="cc", is_built=True, samples=12, differing=0)
-    return verify(stage(), PLANTS, scenarios=AT_10_Hz, proofs=[built])
+    return replace(verify(stage(), PLANTS, scenarios=AT_10_Hz), proofs=(built,))
 
 
 def chapter(result: Verification) -> tuple[Section, Anatomy]:

@@ -103,7 +103,7 @@ def test_an_edited_bundle_is_not_proved():
 def test_an_alarm_fails_the_verification_and_is_in_its_file():
     alarmed = replace(PROVED, alarms=(ALARM,))
     for proof, passed in ((PROVED, True), (alarmed, False)):
-        verification = verify(stage("x"), PLANTS[:1], scenarios=(), limit_proofs=[proof])
+        verification = replace(verify(stage("x"), PLANTS[:1], scenarios=()), limit_proofs=(proof,))
         assert verification.passed is passed
         read = verification_from_json(verification.to_json())
         assert read.limit_proofs == (proof,)
