@@ -157,9 +157,8 @@ def unmet(
     unmet_limits: list[Violation] = []
     for member in members:
         m, rate_Hz = margins(member, R, S), member.sampling_rate_Hz
-        # Name, frequency, value, limit, unit and excess in dB of each requirement.
         delay_Hz, delay_s = m.delay_Hz or m.modulus_Hz, m.delay_margin_s
-        rows = []
+        rows = []  # name, frequency, value, limit, unit and excess in dB of each requirement
         for name, f_Hz, value, limit, unit in (
             ("modulus margin", m.modulus_Hz, m.modulus_margin, specification.modulus_margin, "1"),
             ("delay margin", delay_Hz, delay_s, specification.delay_margin_s, "s"),
@@ -187,13 +186,13 @@ def unmet(
             Violation(
                 template=name,
                 member=member.label,
-                frequency_Hz=f,
+                frequency_Hz=f_Hz,
                 found=value,
                 limit=limit,
                 unit=unit,
                 excess_dB=excess_dB,
             )
-            for name, f, value, limit, unit, excess_dB in rows
+            for name, f_Hz, value, limit, unit, excess_dB in rows
             if excess_dB > 0.0
         ]
     return tuple(sorted(unmet_limits, key=lambda violation: -violation.excess_dB))
