@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.plant import Fraction
-from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
+from piezoid.design.sensitivity import closed_loop_polynomial, sensitivities
 from piezoid.errors import UnstableLoopError
 from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
@@ -154,7 +154,7 @@ def certify(
     grid = grid_Hz(members[0].sampling_rate_Hz, lowest_Hz=1e-2, count=4000)
     peak = max(float(np.abs(sensitivities(m, R, S, grid).Syb).max()) for m in members)
     for member in members:
-        radius = margins(member, R, S).spectral_radius
+        radius = spectral_radius(closed_loop_polynomial(member, R, S))
         if not radius < 1.0:
             raise UnstableLoopError(
                 f"the loop of the member '{member.label}' has a pole of magnitude {radius:.6g}",

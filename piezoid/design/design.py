@@ -26,7 +26,6 @@ from piezoid.summary import Summarised, Summary
 if TYPE_CHECKING:
     from scipy.signal import TransferFunction
 
-_PARTS = ("controller", "prefilter", "plant", "sensitivity", "closed_loop")
 SCHEMA = "piezoid.design/1"
 METHODS = ("dob", "mpi_dob", "rst")
 _REPORTED_Hz = (1.0, 10.0, 100.0)
@@ -345,24 +344,24 @@ def _fraction_of(loop: LoopDesign, part: str) -> tuple[Array, Array]:
 
         S u = T r' - R y,   A y = B u,   P = A S + B R          [Landau & Zito 2006]
 
-    Raises ``DesignError`` for a part that is none of ``_PARTS``.
+    Raises ``DesignError`` for an unknown part.
     """
     R, S, T, B, A = loop.R, loop.S, loop.T, loop.members[0].B, loop.members[0].A
-    if part not in _PARTS:
-        raise DesignError(
-            f"{part!r} is not a part of a loop",
-            needed=f"one of {', '.join(_PARTS)}",
-            remedy="Name one of these parts.",
-        )
     P = closed_loop_polynomial(loop.members[0], R, S)
-    numerator, denominator = {
+    parts = {
         "controller": (R, S),
         "prefilter": (T, R),
         "plant": (B, A),
         "sensitivity": (product(A, S), P),
         "closed_loop": (product(T, B), P),
-    }[part]
+    }
+    if part not in parts:
+        raise DesignError(
+            f"{part!r} is not a part of a loop",
+            needed=f"one of {', '.join(parts)}",
+            remedy="Name one of these parts.",
+        )
     # Polynomials of equal length in q^-1 have the same coefficients in z.
-    length = max(len(numerator), len(denominator))
-    numerator, denominator = (np.pad(p, (0, length - len(p))) for p in (numerator, denominator))
+    length = max(map(len, parts[part]))
+    numerator, denominator = (np.pad(p, (0, length - len(p))) for p in parts[part])
     return numerator, denominator
