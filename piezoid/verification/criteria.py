@@ -57,7 +57,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     approach_s: _Positive = 10.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Verdict:
     """A figure and its limit.
 
@@ -103,14 +103,9 @@ def describe_failure(verdict: Verdict) -> str:
     return f"{verdict.name} ({verdict.scenario}): {value}, allowed {limit}"
 
 
-def verdict(name: str, scenario: str, value: float, limit: float, unit: str) -> Verdict:
-    """Return the verdict of a value and its limit."""
-    return Verdict(name=name, scenario=scenario, value=value, limit=limit, unit=unit)
-
-
 def none_of(name: str, scenario: str, count: int) -> Verdict:
     """Return the verdict on a number of events that must be zero."""
-    return verdict(name, scenario, float(count), 0.0, "1")
+    return Verdict(name, scenario, float(count), 0.0, "1")
 
 
 def shape_verdict(
@@ -118,7 +113,7 @@ def shape_verdict(
 ) -> Verdict:
     """Compare the shape error of a path, in percent of its diameter, with its limit."""
     error_percent = 100.0 * tracking.aligned_rms_m / (2.0 * radius_m)
-    return verdict(SHAPE_ERROR, scenario, error_percent, limit_percent, "% of the diameter")
+    return Verdict(SHAPE_ERROR, scenario, error_percent, limit_percent, "% of the diameter")
 
 
 def step_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
@@ -138,8 +133,8 @@ def step_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Ve
     overshoot = max(100.0 * (float(progress.max()) - 1.0), 0.0)
     names = f"overshoot of axis {record.axis}", f"settling of axis {record.axis} to 2 %"
     return (
-        verdict(names[0], scenario, overshoot, limits.overshoot_percent, "% of the step"),
-        verdict(names[1], scenario, settled_s, limits.settling_s, "s"),
+        Verdict(names[0], scenario, overshoot, limits.overshoot_percent, "% of the step"),
+        Verdict(names[1], scenario, settled_s, limits.settling_s, "s"),
     )
 
 
@@ -157,8 +152,8 @@ def fault_verdicts(
     ratio = float(error_m[-int(_AFTERWARDS * len(error_m)) :].max()) / baseline_m
     name, allowed = "largest distance from the path", limits.fault_percent
     return (
-        verdict(name, scenario, largest_percent, allowed, "% of the diameter"),
-        verdict("error after the fault, ratio to no fault", scenario, ratio, 1.5, "1"),
+        Verdict(name, scenario, largest_percent, allowed, "% of the diameter"),
+        Verdict("error after the fault, ratio to no fault", scenario, ratio, 1.5, "1"),
     )
 
 
@@ -167,7 +162,7 @@ def current_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple
     deviation = float(np.std(np.log(record.position)))
     retracted = int(np.sum((record.status & Status.RETRACTED) != 0))
     return (
-        verdict("standard deviation of ln i", scenario, deviation, limits.ln_current, "1"),
+        Verdict("standard deviation of ln i", scenario, deviation, limits.ln_current, "1"),
         none_of("samples with the tip retracted", scenario, retracted),
     )
 
@@ -186,7 +181,7 @@ def hold_verdicts(
     )
     blind_s = (start - lost_at) / record.sampling_rate_Hz
     return (
-        verdict(HOLD_TIME, scenario, blind_s, limits.blind_s, "s"),
+        Verdict(HOLD_TIME, scenario, blind_s, limits.blind_s, "s"),
         none_of("samples that moved while the output was held", scenario, changes),
     )
 
