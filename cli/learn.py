@@ -77,7 +77,7 @@ def learn(
             rate_Hz = controller_rate_Hz(model, None)
         else:
             selected = _select_axis([parameters.axis for parameters in controller.axes], axis)
-            rate_Hz = float(controller.axis(selected).values["sampling_rate_Hz"])
+            rate_Hz = controller.axis(selected).sampling_rate_Hz
         reference_m = read_reference(reference, rate_Hz)
         previous = None if table is None else learned_from_json(content_of(table), str(table))
         recordings = () if period is None else collect([period], declared).recordings

@@ -85,7 +85,7 @@ def golden_inputs(axis: AxisParameters, rng: np.random.Generator) -> tuple[Array
     swing = np.sin(np.linspace(0, 8 * np.pi, SAMPLES)) * np.linspace(0.1, 1.0, SAMPLES)
     delayed = np.r_[np.zeros(20), swing[:-20]] + rng.normal(0, 0.01, SAMPLES)
     values = axis.values
-    if axis.method == "rst":
+    if axis.is_tip:
         setpoint_A = float(values["current_reference_A"])
         reference, measured = setpoint_A * np.exp(0.1 * swing), setpoint_A * np.exp(0.2 * delayed)
     else:

@@ -59,7 +59,7 @@ def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> st
     template = environment.from_string(
         files("piezoid.export").joinpath("README.md.j2").read_text()
     )
-    lateral = [axis for axis in file.axes if axis.method != "rst"]
+    lateral = [axis for axis in file.axes if not axis.is_tip]
     has_tip, has_lateral = len(lateral) < len(file.axes), bool(lateral)
     shipped = {axis.method for axis in file.axes}
     states = [f"{library(name).state_size} ({name})" for name in ("float", "double")]
@@ -111,9 +111,7 @@ def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> st
 def _cells(index: int, axis: AxisParameters) -> dict[str, str]:
     """Return the cells of an axis in all tables, by heading."""
     values = _scalars(axis)
-    low_V, high_V, step_V = (
-        values[name] for name in ("voltage_minimum_V", "voltage_maximum_V", "lsb_V")
-    )
+    (low_V, high_V), step_V = axis.voltage_range_V, values["lsb_V"]
     codes = ""
     if step_V:
         first_code, last_code = np.ceil(low_V / step_V), np.floor(high_V / step_V)
@@ -133,7 +131,7 @@ def _cells(index: int, axis: AxisParameters) -> dict[str, str]:
         "`stuck_samples`": f"{values['stuck_samples']:.0f}",
         "`stuck_voltage_V`": f"{values['stuck_voltage_V']:.4g}",
     }
-    if axis.method == "rst":
+    if axis.is_tip:
         low_A, high_A = values["current_floor_A"], values["current_ceiling_A"]
         set_point_A = values["current_reference_A"]
         return cells | {
@@ -181,7 +179,7 @@ def _start_cells(axis: AxisParameters) -> tuple[str, str]:
     On seven stages no voltage or reading inside these ends has a larger jump.
     """
     values = _scalars(axis)
-    low_V, high_V = values["voltage_minimum_V"], values["voltage_maximum_V"]
+    low_V, high_V = axis.voltage_range_V
     inset_V = _START_SHARE * (high_V - low_V)
     start_V = float(np.clip(0.0, low_V + inset_V, high_V - inset_V))
     jump_V = 0.0

@@ -99,7 +99,7 @@ def c_header(file: ParameterFile, digest: str) -> str:
         enumerators=", ".join(
             f"PIEZO_AXIS_{axis.axis.upper()} = {index}" for index, axis in enumerate(file.axes)
         ),
-        tip_axes=sum(1 << i for i, axis in enumerate(file.axes) if axis.method == "rst"),
+        tip_axes=sum(1 << i for i, axis in enumerate(file.axes) if axis.is_tip),
         **sealed,
     )
     axes = []
@@ -111,7 +111,7 @@ def c_header(file: ParameterFile, digest: str) -> str:
         lines = []
         for parameter in PARAMETERS:
             value = symbols.get(parameter.name)
-            is_for_tips = parameter.name in TIP_PARAMETERS and axis.method != "rst"
+            is_for_tips = parameter.name in TIP_PARAMETERS and not axis.is_tip
             if is_for_tips and not axis.values[parameter.name].any():
                 continue  # C sets the members that are left out to 0
             if value is None:
@@ -127,7 +127,7 @@ def c_header(file: ParameterFile, digest: str) -> str:
                 break_long_words=False,
                 break_on_hyphens=False,
             )
-        if axis.method != "rst":
+        if not axis.is_tip:
             lines.append("        /* All other members are for Z only, and 0. */")
         axes.append(f"    [PIEZO_AXIS_{name}] = {{\n" + "\n".join(lines) + "\n    },\n")
     return top + "".join(axes) + _BOTTOM.format(decoupling=decoupling)

@@ -86,6 +86,22 @@ class AxisParameters:
         return method_of(self.values)
 
     @property
+    def is_tip(self) -> bool:
+        """Whether the axis regulates the current of a tip."""
+        return self.method == "rst"
+
+    @property
+    def sampling_rate_Hz(self) -> float:
+        """Samples per second of the controller."""
+        return float(self.values["sampling_rate_Hz"])
+
+    @property
+    def voltage_range_V(self) -> tuple[float, float]:
+        """Lowest and highest output of the controller."""
+        low, high = (self.values[f"voltage_{end}_V"] for end in ("minimum", "maximum"))
+        return float(low), float(high)
+
+    @property
     def methods(self) -> tuple[str, ...]:
         """The method that ships, then the alternatives."""
         return (self.method, *map(method_of, self.alternatives))

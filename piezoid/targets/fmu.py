@@ -194,7 +194,7 @@ def controller_units(file: ParameterFile) -> Mapping[str, Unit]:
     units = {}
     for axis in file.axes:
         unit, start = "m", 0.0
-        if axis.method == "rst":
+        if axis.is_tip:
             unit, start = "A", float(axis.values["current_reference_A"])
         units[f"{axis.axis}_controller"] = Unit(
             identifier=f"piezoid_{axis.axis}_controller",
@@ -211,7 +211,7 @@ def controller_units(file: ParameterFile) -> Mapping[str, Unit]:
                 ("start_voltage_V", "parameter", "V", 0.0, start_voltage),
             ),
             sources=sources,
-            period_s=1.0 / float(axis.values["sampling_rate_Hz"]),
+            period_s=1.0 / axis.sampling_rate_Hz,
         )
     return units
 

@@ -151,7 +151,7 @@ def shared_library_files(file: ParameterFile) -> tuple[Mapping[str, bytes], tupl
     sources = {name: runtime_source(name) for name in _SOURCES}
     sources["piezo_params.h"] = c_header(file, digest).encode()
     axes = "\n".join(
-        f"| {axis.axis} | {index} | {float(axis.values['sampling_rate_Hz']):g} "
+        f"| {axis.axis} | {index} | {axis.sampling_rate_Hz:g} "
         f"| {'A' if axis.method == 'rst' else 'm'} |"
         for index, axis in enumerate(file.axes)
     )

@@ -176,8 +176,7 @@ def hysteresis_table(inputs: TargetInputs, axis: AxisParameters) -> Table:
     forward_m = np.linspace(-half_m, half_m, _DENSE)
     loop_V = inverse_V(plant, centre_m + np.concatenate([forward_m, forward_m[::-1]]))
     ends_V = (float(loop_V.min()), float(loop_V.max()))
-    limits_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
-    check_range(axis.axis, loop_V, limits_V, half_m, "frame_half_range_m", "[nanonis]")
+    check_range(axis.axis, loop_V, axis.voltage_range_V, half_m, "frame_half_range_m", "[nanonis]")
     branch_V = loop_V[:_DENSE]
     sensitivity = _single(2.0 * half_m / float(branch_V[-1] - branch_V[0]))
     middle_V = 0.5 * (ends_V[0] + ends_V[1])
@@ -257,9 +256,8 @@ def settings_json(inputs: TargetInputs, tables: list[Table]) -> str:
         sensitivity, low_V, high_V, speed = None, None, None, 0.0
         if table is not None:
             gain = inputs.amplifier_V_per_V[table.axis] if is_declared else 1.0
-            values = inputs.file.axis(table.axis).values
             sensitivity = _single(table.sensitivity_m_per_V / gain)
-            ends_V = [gain * float(values[f"voltage_{end}_V"]) for end in ("minimum", "maximum")]
+            ends_V = [gain * end_V for end_V in inputs.file.axis(table.axis).voltage_range_V]
             low_V, high_V = map(_single, sorted(ends_V))
             speed = _single(-creep_after_move(inputs, table)[0])
         sensitivities[f"Calibration_{letter}_mPerV"] = sensitivity
@@ -293,11 +291,11 @@ def creep_after_move(inputs: TargetInputs, table: Table) -> tuple[float, float, 
     The third number is the largest deviation from that mean speed, m. The creep is
     y sum of share_i (1 - exp(-t / tau_i)), with the elements that ship.
     """
-    values = inputs.file.axis(table.axis).values
-    rate = np.asarray(values["relaxation_rate"], dtype=np.float64)
-    share = np.asarray(values["relaxation_share"], dtype=np.float64)
+    axis = inputs.file.axis(table.axis)
+    rate = np.asarray(axis.values["relaxation_rate"], dtype=np.float64)
+    share = np.asarray(axis.values["relaxation_share"], dtype=np.float64)
     rate, share = rate[rate > 0.0], share[rate > 0.0]
-    tau_s = -1.0 / (np.log1p(-rate) * float(values["sampling_rate_Hz"]))
+    tau_s = -1.0 / (np.log1p(-rate) * axis.sampling_rate_Hz)
     time_s = np.linspace(*_CREEP_s, 200)
     creep_m = table.half_m * np.sum(share * (1.0 - np.exp(-time_s[:, None] / tau_s)), axis=1)
     distance_m = float(creep_m[-1] - creep_m[0])

@@ -426,8 +426,8 @@ def pid_of(inputs: TargetInputs, axis: AxisParameters) -> tuple[Pid, tuple[Margi
         Pid(
             sampling_rate_Hz=rate_Hz,
             rest_V=plants[0].rest_voltage_V,
-            minimum_V=float(axis.values["voltage_minimum_V"]),
-            maximum_V=float(axis.values["voltage_maximum_V"]),
+            minimum_V=axis.voltage_range_V[0],
+            maximum_V=axis.voltage_range_V[1],
             lsb_V=float(axis.values["lsb_V"]),
             slew_V_per_s=hardware.slew_V_per_s or specification.voltage_slew_V_per_s or np.inf,
         ),

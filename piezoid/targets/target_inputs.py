@@ -144,7 +144,7 @@ class TargetInputs:
     @property
     def tips(self) -> tuple[str, ...]:
         """Names of the axes that regulate a current."""
-        return tuple(axis.axis for axis in self.file.axes if axis.method == "rst")
+        return tuple(axis.axis for axis in self.file.axes if axis.is_tip)
 
     def family(self, axis: str) -> tuple[AxisPlant, ...]:
         """Return the identified plant of an axis, then other plants that the recordings allow."""

@@ -79,7 +79,7 @@ def inputs_of(
         file=file,
         plants=plants,
         drawn=dict(zip(axes, variations, strict=True)),
-        models={axis.axis: model[axis.axis] for axis in file.axes if axis.method != "rst"},
+        models={axis.axis: model[axis.axis] for axis in file.axes if not axis.is_tip},
         designs={axis.axis: axis for axis in design.axes},
         converter_V=declared.acquisition.input_range_V,
         amplifier_V_per_V={axis: gain for axis, gain in gains.items() if gain is not None},

@@ -193,7 +193,7 @@ def waveform_of(inputs: TargetInputs, axis: AxisParameters) -> Waveform:
 
     first_V = inverse_V(plant, wanted_m, model)
     voltage_V = damped_iteration(first_V, evaluate, share=_SHARE, iterations=_ROUNDS)
-    limits_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
+    limits_V = axis.voltage_range_V
     range_V = hardware.range_V or inputs.converter_V
     waveform = Waveform(
         axis=axis.axis, rate_Hz=rate_Hz, hold=hold, wanted_m=wanted_m, voltage_V=voltage_V

@@ -61,7 +61,7 @@ def run_axis(
 
     Raises ``ParameterFileError`` if plant and parameters have different sampling rates.
     """
-    rate_Hz = float(parameters.values["sampling_rate_Hz"])
+    rate_Hz = parameters.sampling_rate_Hz
     if rate_Hz != plant.sampling_rate_Hz:
         raise ParameterFileError(
             f"axis {plant.axis}: parameters for {rate_Hz:g} Hz, a plant sampled at "

@@ -233,8 +233,8 @@ def _claims(axis: AxisParameters) -> dict[str, str]:
         "the last reading kept is finite": "\\is_finite(state.measured)",
     }
     values = axis.values
-    ends_V = [float(values[f"voltage_{end}_V"]) for end in ("minimum", "maximum")]
-    if axis.method == "rst":
+    ends_V = axis.voltage_range_V
+    if axis.is_tip:
         within = "p->current_floor_A <= state.reference_m <= p->current_ceiling_A"
         widest = f"{_ROUNDED * (ends_V[1] - ends_V[0])!r}"
         return {

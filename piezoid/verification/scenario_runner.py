@@ -98,9 +98,7 @@ class ScenarioRunner:
         records = self.executor.map(lambda job: job[0](rng=job[1]), jobs)
         for run, record in zip(runs, records, strict=True):
             _, parameters, *_ = run.args
-            low_V, high_V = (
-                float(parameters.values[f"voltage_{end}_V"]) for end in ("minimum", "maximum")
-            )
+            low_V, high_V = parameters.voltage_range_V
             is_inside = (record.voltage_V >= low_V) & (record.voltage_V <= high_V)
             self.outside_voltages += int(np.sum(~(np.isfinite(record.voltage_V) & is_inside)))
         return {record.axis: record for record in records}

@@ -202,7 +202,7 @@ def _trial_verdicts(
     height_m = trial.drift_m_per_s * time_s
     height_m[round(_EVENT_s / (time_s[1] - time_s[0])) :] += step_m
     if trial.away_m:
-        low_V, high_V = (float(axis.values[f"voltage_{e}_V"]) for e in ("minimum", "maximum"))
+        low_V, high_V = axis.voltage_range_V
         range_m = (high_V - low_V) * junction.gain_nepers_per_V / junction.decay_per_m
         height_m -= min(trial.away_m, _MAX_APPROACH * range_m)
     fault = np.zeros(samples)
@@ -244,7 +244,7 @@ def _plant(plant: AxisPlant, axis: AxisParameters, trial: TipTrial) -> AxisPlant
     saturation_A = _SATURATION * float(axis.values["current_ceiling_A"])
     low_A, high_A = plant.reading_range
     low_A, high_A = max(low_A, -saturation_A), min(high_A, saturation_A)
-    retracted_V = float(axis.values["voltage_minimum_V"])
+    retracted_V, _ = axis.voltage_range_V
     return replace(
         plant,
         response=replace(

@@ -173,7 +173,7 @@ def stage_plants(
     variations: list[tuple[AxisPlant, ...]] = []
     for axis in file.axes:
         plants.append(plant_of(axis, model, lab))
-        if axis.method == "rst":
+        if axis.is_tip:
             loop = _loop_of(axis, model.tunnelling)
             # the junctions that a controller must stabilise, extreme gains first
             nominal = loop.plant.gain_nepers_per_V
@@ -197,15 +197,14 @@ def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
 
     Raises ``ParameterFileError`` for a tunnelling axis without a plant in the model.
     """
-    values, converters = axis.values, converters_of(lab, axis.axis)
-    if axis.method != "rst":
-        rate_Hz = float(values["sampling_rate_Hz"])
-        plant = lateral_plant(model[axis.axis], sampling_rate_Hz=rate_Hz)
+    converters = converters_of(lab, axis.axis)
+    if not axis.is_tip:
+        plant = lateral_plant(model[axis.axis], sampling_rate_Hz=axis.sampling_rate_Hz)
         gain_V_per_m = lab.sensor_of(axis.axis).gain_V_per_m
         if gain_V_per_m is None:
             return plant
         return replace(plant, reading_step=converters.reading_step_V / abs(gain_V_per_m))
-    loop, set_point_A = _loop_of(axis, model.tunnelling), float(values["current_reference_A"])
+    loop, set_point_A = _loop_of(axis, model.tunnelling), float(axis.values["current_reference_A"])
     chain = current_chain(loop.plant, lab, axis.axis)
     plant = junction_axis_plant(
         loop.plant,
@@ -215,10 +214,9 @@ def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
         noise_rms_A=float(np.hypot(chain.shot_A(set_point_A), chain.johnson_A)),
         modes=loop.modes[:1],
     )
-    middle_V = 0.5 * (float(values["voltage_minimum_V"]) + float(values["voltage_maximum_V"]))
     return replace(
         plant,
-        rest_voltage_V=middle_V,
+        rest_voltage_V=0.5 * sum(axis.voltage_range_V),
         reading_step=chain.adc_step_A,
         reading_range=reading_range_A(lab, axis.axis) or plant.reading_range,
     )
