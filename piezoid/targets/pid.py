@@ -442,14 +442,11 @@ def pid_of(inputs: TargetInputs, axis: AxisParameters) -> tuple[Pid, tuple[Margi
         approach_m = approach_path(plant, float(path_m[0]))
         reference_m = np.concatenate([approach_m, path_m])
         rng = np.random.default_rng(SEED)
-        record = run_law(plant, pid_law(pid), reference_m, rng=rng)
-        positions_m = {
-            "exported": exported_position_m(axis, plant, path_m),
-            "pid": record.position[len(approach_m) :],
-        }
+        record = run_law(plant, pid_law(pid), reference_m, rng=rng).after(len(approach_m))
+        exported_error_m = exported_position_m(axis, plant, path_m) - path_m
         errors_m[plant.label] = {
-            name: float(np.sqrt(np.mean((position_m - path_m) ** 2)))
-            for name, position_m in positions_m.items()
+            "exported": float(np.sqrt(np.mean(exported_error_m**2))),
+            "pid": record.rms_error,
         }
     return pid, margins, errors_m
 
