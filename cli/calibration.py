@@ -33,19 +33,12 @@ def calibrate(
 
         declared = None if lab is None else read_lab(lab)
         collection = collect(files, declared)
-        from piezoid.calibration.calibrate import (
-            estimated_cost,
-            finish,
-            jobs_of,
-            run_job,
-            with_results,
-        )
+        from piezoid.calibration.calibrate import estimated_cost, finish, jobs_of, run_job
 
         stage, jobs = jobs_of(collection, declared, processes, progress)
         results = map_jobs(run_job, jobs, progress, pool=pool, cost=estimated_cost)
     from piezoid_reports.render import with_report
 
-    model = with_results(stage, results)
-    calibration = finish(model, results, declared, progress, processes)
+    calibration = finish(stage, results, declared, progress, processes)
     progress("writing the report")
     return with_report(calibration, collection, declared)

@@ -276,32 +276,25 @@ def calibrate(
     """
     stage, jobs = jobs_of(collection, lab, threads, progress)
     results = [run_job(job, progress) for job in jobs]
-    return finish(with_results(stage, results), results, lab, progress, threads)
-
-
-def with_results(stage: ActuatorModel, results: Sequence[JobResult]) -> ActuatorModel:
-    """Add the models of the axes and of the tip to a stage."""
-    models = [result.model for result in results if result.model is not None]
-    tips = [result.tunnelling for result in results if result.tunnelling is not None]
-    return replace(
-        stage,
-        axes={model.axis: model for model in models},
-        tunnelling=tips[0] if tips else None,
-    )
+    return finish(stage, results, lab, progress, threads)
 
 
 def finish(
-    model: ActuatorModel,
+    stage: ActuatorModel,
     results: Sequence[JobResult],
     lab: Lab | None,
     progress: Progress,
     threads: int,
 ) -> Calibration:
-    """Export and verify a stage whose axes are fitted and designed.
+    """Assemble a stage from its fitted and designed axes, export it and verify it.
 
-    results  of the jobs: diagnoses and designs
+    results  of the jobs; their models are added to those of the stage
     threads  of the verification; its result does not depend on them
     """
+    models = {r.model.axis: r.model for r in results if r.model is not None}
+    tips = [r.tunnelling for r in results if r.tunnelling is not None]
+    tunnelling = tips[0] if tips else stage.tunnelling
+    model = replace(stage, axes={**stage.axes, **models}, tunnelling=tunnelling)
     diagnoses = tuple(r.diagnosis for r in results if r.diagnosis is not None)
     axes_first = sorted(results, key=lambda result: result.model is None)
     files = {"model.json": write_model(model)}
