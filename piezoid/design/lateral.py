@@ -17,7 +17,7 @@ from piezoid.design.feasibility import at_feasible_bandwidth, refuse, rounded_do
 from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.plant import Fraction, Plant, PlantFamily
 from piezoid.design.rst import Mode, ringing_mode
-from piezoid.design.sensitivity import Template, Violation
+from piezoid.design.sensitivity import Violation, constant_limit
 from piezoid.design.specification import MODE_SHARE, Specification
 from piezoid.design.tuning import DAMPED, METHODS, tune_observer
 from piezoid.errors import DesignError, TemplateError
@@ -262,12 +262,8 @@ def raise_bandwidth(
     if mode is None or certificate is None or certificate.increment_gain >= _RESERVE:
         return base
     level_dB = float(decibel(_RESERVE / certificate.increment_gain))
-    small_gain = Template(
-        name=HYSTERESIS,
-        function="Syb",
-        frequency_Hz=np.array([1.0, 0.5 * family.nominal.sampling_rate_Hz]),
-        upper_dB=np.array([level_dB, level_dB]),
-    )
+    band_Hz = (1.0, 0.5 * family.nominal.sampling_rate_Hz)
+    small_gain = constant_limit(HYSTERESIS, "Syb", band_Hz, level_dB)
     guarded = replace(default, templates=(*default.templates, small_gain))
 
     def at_bandwidth(bandwidth_Hz: float) -> Specification:

@@ -23,7 +23,7 @@ from piezoid.design.hysteresis_bounds import (
 )
 from piezoid.design.lateral import with_sector
 from piezoid.design.plant import Plant, PlantFamily, sampled_plant
-from piezoid.design.sensitivity import Template
+from piezoid.design.sensitivity import constant_limit
 from piezoid.design.specification import Specification, default_specification
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
@@ -116,12 +116,7 @@ def lateral_task(
     if unseen_modes.from_Hz < nyquist_Hz:
         min_gain = min(abs(member.gain) for member in inverse.members)
         level_dB = -float(decibel(unseen_modes.peak * min_gain))
-        limit = Template(
-            name=BEYOND,
-            function="Sup",
-            frequency_Hz=np.array([unseen_modes.from_Hz, nyquist_Hz]),
-            upper_dB=np.array([level_dB, level_dB]),
-        )
+        limit = constant_limit(BEYOND, "Sup", (unseen_modes.from_Hz, nyquist_Hz), level_dB)
         bandwidth_Hz = min(specification.bandwidth_Hz, unseen_modes.fastest_Hz or np.inf)
         specification = replace(
             specification,

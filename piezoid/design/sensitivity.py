@@ -239,6 +239,18 @@ def attenuation(bandwidth_Hz: float, level_dB: float) -> Template:
     )
 
 
+def constant_limit(
+    name: str, function: str, band_Hz: tuple[float, float], level_dB: float
+) -> Template:
+    """Return the template of one level within a band."""
+    return Template(
+        name=name,
+        function=function,
+        frequency_Hz=np.array(band_Hz),
+        upper_dB=np.full(2, level_dB),
+    )
+
+
 def delay_limit(frequency_Hz: Array, delay_s: float) -> Array:
     """Return the limit of |Syb| below which every additional delay up to tau preserves stability.
 

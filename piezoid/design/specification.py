@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.sensitivity import FUNCTIONS, Template, attenuation
+from piezoid.design.sensitivity import FUNCTIONS, Template, attenuation, constant_limit
 from piezoid.errors import LabFileError
 from piezoid.numerics.polynomial import decibel
 from piezoid.records.checks.command_range import command_range_V, gain_of
@@ -118,12 +118,7 @@ def default_specification(
     min_gain = min(abs(member.gain) for member in family.members)
     limit_dB = _CONTROL_LIMIT_dB - float(decibel(min_gain))
     nyquist_Hz = 0.5 * plant.sampling_rate_Hz
-    control = Template(
-        name="control effort",
-        function="Sup",
-        frequency_Hz=np.array([1e-3, nyquist_Hz]),
-        upper_dB=np.array([limit_dB, limit_dB]),
-    )
+    control = constant_limit("control effort", "Sup", (1e-3, nyquist_Hz), limit_dB)
     return Specification(
         bandwidth_Hz=bandwidth_Hz,
         delay_margin_s=1.0 / plant.sampling_rate_Hz,
