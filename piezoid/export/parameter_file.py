@@ -213,7 +213,7 @@ def _axis_of_entry(entry: Mapping[str, Any]) -> AxisParameters:
     return AxisParameters(
         axis=entry["axis"],
         values=_values(entry["parameters"]),
-        alternatives=tuple(_values(other["parameters"]) for other in entry["alternatives"]),
+        alternatives=tuple(_values(method["parameters"]) for method in entry["alternatives"]),
         robustness=None if robustness is None else record_json.from_json(Robustness, robustness),
     )
 
