@@ -338,11 +338,6 @@ def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) 
         for _, (low, high) in (sweeps, loop)
     ]
 
-    def around(center: float, half: float) -> Interval:
-        if not math.isfinite(half):
-            return 0.0, math.inf
-        return math.exp(center - half), math.exp(center + half)
-
     log_ratio = math.log(loop[0]) - math.log(sweeps[0])
     half = NORMAL_95 * math.sqrt(sum(variances))
     agree = abs(log_ratio) <= half
@@ -355,10 +350,11 @@ def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) 
         mean = math.log(sweeps[0]) + share * log_ratio
         excess = weights[0] * share * log_ratio**2 if total > 0.0 else 0.0
         spread = math.sqrt(max(excess, 1.0) / total) if total > 0.0 else math.inf
-        decay, interval = math.exp(mean), around(mean, NORMAL_95 * spread)
+        decay, distance = math.exp(mean), NORMAL_95 * spread
+        interval = math.exp(mean - distance), math.exp(mean + distance)
     return JointBarrier(
         ratio=math.exp(log_ratio),
-        ratio_interval=around(log_ratio, half),
+        ratio_interval=(math.exp(log_ratio - half), math.exp(log_ratio + half)),
         agree=agree,
         decay_per_m=decay,
         decay_interval_per_m=interval,
