@@ -31,6 +31,7 @@ from piezoid.identification.dynamics.modal import (
     Hold,
     LinearDynamics,
     Structure,
+    filters_of,
 )
 from piezoid.identification.dynamics.response_validation import validate_response
 from piezoid.identification.hysteresis.pieces import Rig
@@ -272,5 +273,4 @@ def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
 
 
 def _declared(rig: Rig) -> tuple[Filter, ...]:
-    poles = (("amplifier", rig.amplifier_bandwidth_Hz), ("sensor", rig.sensor_bandwidth_Hz))
-    return tuple(Filter(name=name, frequency_Hz=f) for name, f in poles if f is not None)
+    return filters_of(amplifier=rig.amplifier_bandwidth_Hz, sensor=rig.sensor_bandwidth_Hz)

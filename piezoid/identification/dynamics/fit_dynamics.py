@@ -134,15 +134,9 @@ def fit_with_slow_part(
     start = [*logs, d.delay_s, slow.slope_dB / 20.0, np.radians(slow.phase_deg)]
     fit = _maximise_likelihood(measured, basis, np.array(start))
     refined, covariance = _linear_dynamics(measured, fit)
-    (power, phase), (power_std, phase_std) = fit.shape[-2:], np.sqrt(np.diag(covariance)[-2:])
-    part = SlowPart.of(
-        float(power),
-        float(power_std),
-        float(phase),
-        float(phase_std),
-        (slow.low_Hz, slow.high_Hz),
-        slow.from_Hz,
-    )
+    power, phase = np.stack([fit.shape, np.sqrt(np.diag(covariance))], axis=1)[-2:]
+    band_Hz = (slow.low_Hz, slow.high_Hz)
+    part = SlowPart.of(20.0 * power, np.degrees(phase), band_Hz, slow.from_Hz)
     return refined, replace(part, is_taken=slow.is_taken)
 
 

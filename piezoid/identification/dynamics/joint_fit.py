@@ -23,7 +23,13 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from piezoid.identification.dynamics.fit_dynamics import ModalBasis, sorted_terms
-from piezoid.identification.dynamics.modal import Declaration, JointFit, LinearDynamics, Structure
+from piezoid.identification.dynamics.modal import (
+    Declaration,
+    JointFit,
+    LinearDynamics,
+    Structure,
+    filters_of,
+)
 from piezoid.identification.hysteresis.pieces import behind_pole
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import fitted_pieces
@@ -58,8 +64,8 @@ class Segment:
     recording     name
     states_V      (plays, samples)  of the plays
     measured_m    (samples,)  rising with the drive
-    basis         modes and lags of unit gain at the lines of the padded spectrum
-    sensor        (lines,)  response of the declared sensor
+    basis         modes and lags of unit gain, behind the declared sensor, at the lines of the
+                  padded spectrum
     padded        number of samples of the padded signal
     """
 
@@ -67,7 +73,6 @@ class Segment:
     states_V: Array
     measured_m: Array
     basis: ModalBasis
-    sensor: ComplexArray
     padded: int
 
     def spectrum(self, signals: Array) -> ComplexArray:
@@ -94,6 +99,7 @@ def segments_of(
     structure    modes and lags of the basis
     """
     rate_Hz, operator = recording.sampling_rate_Hz, axis.hysteresis
+    sensor = filters_of(sensor=axis.rig.sensor_bandwidth_Hz)
     # The longest time constant; an overdamped mode has its slow pole at w / (2 zeta).
     w, zeta = 2.0 * np.pi * dynamics.mode_frequency_Hz, dynamics.mode_damping
     modes_s = np.maximum(1.0 / (zeta * w), np.where(zeta > 1.0, 2.0 * zeta / w, 0.0))
@@ -115,9 +121,6 @@ def segments_of(
         memory_V = np.interp(threshold_V, operator.plays.threshold, piece.start.memory_V)
         states_V, _ = play_columns(inside_V, threshold_V, memory_V)
         padded = next_fast_len(len(drive_V) + min(len(drive_V), ring), real=True)
-        frequency_Hz = np.asarray(rfftfreq(padded, 1.0 / rate_Hz))
-        sensor_Hz = axis.rig.sensor_bandwidth_Hz
-        lag = 0.0 if sensor_Hz is None else frequency_Hz / sensor_Hz
         segments.append(
             Segment(
                 recording=recording.name,
@@ -125,11 +128,10 @@ def segments_of(
                 measured_m=axis.polarity * measured_m[:MAX_SAMPLES],
                 basis=ModalBasis(
                     structure=structure,
-                    frequency_Hz=frequency_Hz,
+                    frequency_Hz=np.asarray(rfftfreq(padded, 1.0 / rate_Hz)),
                     sampling_rate_Hz=rate_Hz,
-                    declaration=Declaration(hold="band_limited"),
+                    declaration=Declaration(hold="band_limited", filters=sensor),
                 ),
-                sensor=np.asarray(np.ones(len(frequency_Hz)) / (1.0 + 1j * lag)),
                 padded=padded,
             )
         )
@@ -151,11 +153,8 @@ def _drive_at_operator(
     padded = next_fast_len(2 * count, real=True)
     fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, padded - count + 1) / (padded - count))
     level = voltage_V - voltage_V[0]
-    frequency_Hz = np.asarray(rfftfreq(padded, 1.0 / rate_Hz))
-    turn = frequency_Hz / rate_Hz
-    response: ComplexArray = np.sinc(turn) * np.exp(-1j * np.pi * turn)
-    if amplifier_Hz is not None:
-        response = response / (1.0 + 1j * frequency_Hz / amplifier_Hz)
+    chain = Declaration(filters=filters_of(amplifier=amplifier_Hz))
+    response = chain.response(np.asarray(rfftfreq(padded, 1.0 / rate_Hz)), rate_Hz)
     spectrum = response * rfft(np.concatenate([level, level[-1] * fade]))
     return np.asarray(voltage_V[0] + irfft(spectrum, padded)[:count])
 
@@ -294,7 +293,7 @@ class Layout:
         """Return the measured minus the modelled displacement without its line, (samples,)."""
         weight, zones, shape, shares = self.split(theta)
         static_m = zones.run(weight @ segment.states_V)
-        response = segment.sensor * (segment.basis.columns(shape) @ shares)
+        response = segment.basis.columns(shape) @ shares
         modelled_m = segment.signal(response * segment.spectrum(static_m))
         return _without_line(segment.measured_m - modelled_m)
 
@@ -304,12 +303,12 @@ class Layout:
         inner = weight @ segment.states_V
         static_m, slope = zones.run_with_slope(inner)
         fractions = segment.basis.columns(shape)
-        response = segment.sensor * (fractions @ shares)
+        response = fractions @ shares
         outer = np.delete(zones.columns(inner).T, zones.zero, axis=0)
         static = [*(slope * states for states in segment.states_V), *outer]
         by_shape = segment.basis.derivatives(shape) @ shares
         changes = [*by_shape, *(fractions[:, :-1] - fractions[:, -1:]).T]
-        spectrum = segment.sensor * segment.spectrum(static_m)
+        spectrum = segment.spectrum(static_m)
         signals = [segment.signal(response * segment.spectrum(signal)) for signal in static]
         signals += [segment.signal(change * spectrum) for change in changes]
         return _without_line(np.array(signals))

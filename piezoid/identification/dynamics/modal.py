@@ -71,6 +71,13 @@ class Filter:
         return butterworth(self.order, self.frequency_Hz)
 
 
+def filters_of(**poles_Hz: float | None) -> tuple[Filter, ...]:
+    """Return a first-order filter for every declared pole, by name; None: not declared."""
+    return tuple(
+        Filter(name=name, frequency_Hz=f) for name, f in poles_Hz.items() if f is not None
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Declaration:
     """Declared hold and filters of the chain, which are not fitted.
@@ -299,22 +306,21 @@ class SlowPart:
 
     @staticmethod
     def of(
-        power: float,
-        power_std: float,
-        phase: float,
-        phase_std: float,
-        band_Hz: tuple[float, float],
-        from_Hz: float,
+        slope_dB: Array, phase_deg: Array, band_Hz: tuple[float, float], from_Hz: float
     ) -> "SlowPart":
-        """Return the slow part of a power of the frequency and a phase, not yet taken."""
-        slope_dB, phase_deg = 20.0 * power, float(np.degrees(phase))
-        half_dB = 20.0 * NORMAL_95 * power_std
-        half_deg = NORMAL_95 * float(np.degrees(phase_std))
+        """Return the slow part of a slope and a phase, not yet taken.
+
+        slope_dB, phase_deg  (2,)  value and standard deviation
+        """
+        intervals = [
+            (float(value - NORMAL_95 * std), float(value + NORMAL_95 * std))
+            for value, std in (slope_dB, phase_deg)
+        ]
         return SlowPart(
-            slope_dB=slope_dB,
-            slope_ci95=(slope_dB - half_dB, slope_dB + half_dB),
-            phase_deg=phase_deg,
-            phase_ci95=(phase_deg - half_deg, phase_deg + half_deg),
+            slope_dB=float(slope_dB[0]),
+            slope_ci95=intervals[0],
+            phase_deg=float(phase_deg[0]),
+            phase_ci95=intervals[1],
             low_Hz=band_Hz[0],
             high_Hz=band_Hz[1],
             from_Hz=from_Hz,
