@@ -27,9 +27,10 @@ from the edges of the blocks to all lines, becomes a constant. A periodic dither
 periods, without leakage; any other dither into tapered blocks without overlap, which are
 independent. A block contains the response to the drive just before it: with poles of 2 kHz and
 blocks of 512 samples this reduces the gain by 0.2 %, more than noise does. The drive can therefore
-be filtered by a plant close to the true plant before it is cut, so that only their ratio is
-estimated. Lines at multiples of 50 and 60 Hz are left out: mains hum repeats in every period that
-contains a whole number of its cycles, and would look like a response to the dither.
+be filtered by a plant close to the true plant before it is cut, and divided by the response of
+that plant afterwards: only the ratio of both plants is subject to that error. Lines at multiples
+of 50 and 60 Hz are left out: mains hum repeats in every period that contains a whole number of its
+cycles, and would look like a response to the dither.
 """
 
 import math
@@ -74,16 +75,14 @@ class LoopSpectra:
 
     frequency_Hz  (lines,)
     reference     (blocks, lines)
-    drive         (blocks, lines)  filtered by ``through``
+    drive         (blocks, lines)
     output        (blocks, lines)  of the log current
-    through       plant by which the drive was filtered before it was cut; None: not filtered
     """
 
     frequency_Hz: Array
     reference: ComplexArray
     drive: ComplexArray
     output: ComplexArray
-    through: JunctionPlant | None = None
 
     @property
     def blocks(self) -> int:
@@ -106,7 +105,8 @@ def spectra_of_dither(
 ) -> LoopSpectra:
     """Return the spectra at the lines excited by the dither, up to a highest frequency.
 
-    through  plant close to the true one, by which the drive is filtered; None: not filtered
+    through  plant close to the true one: the drive is filtered by it before it is cut, and divided
+             by its response afterwards; None: the drive is cut as recorded
     """
     window = _block_window(record)
     length = len(window)
@@ -137,12 +137,12 @@ def spectra_of_dither(
             remedy="Add a small multisine to the set point or to the drive and record it.",
         )
     inside &= power > _MIN_POWER * np.max(power[inside])
+    frequency_Hz, drive = frequency_Hz[inside], drive[:, inside]
     return LoopSpectra(
-        frequency_Hz=frequency_Hz[inside],
+        frequency_Hz=frequency_Hz,
         reference=reference[:, inside],
-        drive=drive[:, inside],
+        drive=drive if through is None else drive / through.frequency_response(frequency_Hz),
         output=output[:, inside],
-        through=through,
     )
 
 
@@ -247,7 +247,7 @@ def fit_with_instrument(
     )
     moment = spectra.drive_moment
     drive = np.where(np.abs(moment) > 0.0, moment, 1e-300)
-    response = spectra.output_moment / drive * problem.filter_response  # S_yz / S_uz
+    response = spectra.output_moment / drive  # S_yz / S_uz
     gain = float(np.median(np.abs(response[: max(len(response) // 4, 1)])))
     poles_Hz = (0.1 * sampling_rate_Hz, 0.4 * sampling_rate_Hz)
     starts = [
@@ -299,14 +299,6 @@ class _Moments:
     declared_pole_Hz: float | None
     sampling_rate_Hz: float
 
-    @cached_property
-    def filter_response(self) -> ComplexArray:
-        """Response of the plant by which the drive was filtered, (lines,); 1 without one."""
-        through, frequency_Hz = self.spectra.through, self.spectra.frequency_Hz
-        if through is None:
-            return np.ones(len(frequency_Hz), dtype=np.complex128)
-        return through.frequency_response(frequency_Hz)
-
     def plant(self, logs: Array) -> JunctionPlant:
         return JunctionPlant(
             gain_nepers_per_V=math.exp(logs[0]),
@@ -329,24 +321,21 @@ class _Moments:
         return max(2 * len(self.spectra.frequency_Hz) - parameters, 1)
 
     def modelled(self, logs: Array) -> ComplexArray:
-        """Return the response over ``filter_response``, (lines,)."""
+        """Return the response of plant and mode or tail, (lines,)."""
         frequency_Hz = self.spectra.frequency_Hz
         response = self.plant(logs).frequency_response(frequency_Hz, self.mode(logs))
         if len(logs) == _WITH_TAIL:
             response = response * (1.0 + logs[_TAIL] * (frequency_Hz / self.sampling_rate_Hz) ** 2)
-        return np.asarray(response / self.filter_response)
+        return np.asarray(response)
 
-    def block_moments(self, relative: ComplexArray) -> ComplexArray:
-        """Return the moments of each block, (blocks, lines).
-
-        relative  (lines,)  response over ``filter_response``
-        """
-        bracket = self.spectra.output - relative * self.spectra.drive
+    def block_moments(self, response: ComplexArray) -> ComplexArray:
+        """Return the moments of each block for a response, (blocks, lines)."""
+        bracket = self.spectra.output - response * self.spectra.drive
         return np.asarray(bracket * self.spectra.reference.conj())
 
     def deviation(self, response: ComplexArray) -> Array:
         """Return the standard deviation of each part of the mean moments, (lines,)."""
-        moments = self.block_moments(response / self.filter_response)
+        moments = self.block_moments(response)
         variance = np.var(moments, axis=0, ddof=1) / (2.0 * len(moments))
         kernel = np.ones(min(_NEIGHBOURS, len(variance)))
         share = np.convolve(np.ones_like(variance), kernel, mode="same")
@@ -355,16 +344,15 @@ class _Moments:
 
     def weighted(self, logs: Array, deviation: Array) -> Array:
         """Return real and imaginary parts of the mean moments, standardised, (2 lines,)."""
-        mean = (
-            self.spectra.output_moment - self.modelled(logs) * self.spectra.drive_moment
-        ) / deviation
+        modelled = self.modelled(logs) * self.spectra.drive_moment
+        mean = (self.spectra.output_moment - modelled) / deviation
         return np.concatenate([mean.real, mean.imag])
 
     def settle(self, starts: Sequence[Array], deviation: Array) -> tuple[Array, float, Array]:
         """Solve from every start, then update weights and logs in turn: logs, cost, deviation."""
         logs, cost = min((self.solve(s, deviation) for s in starts), key=lambda pair: pair[1])
         for _ in range(_ROUNDS):
-            deviation = self.deviation(self.modelled(logs) * self.filter_response)
+            deviation = self.deviation(self.modelled(logs))
             logs, cost = self.solve(logs, deviation)
         return logs, cost, deviation
 
