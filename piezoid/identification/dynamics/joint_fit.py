@@ -199,16 +199,11 @@ def fit_jointly(
         threshold_m=axis.hysteresis.dead_zones.threshold,
         structure=structure,
     )
-    start = layout.start(axis.hysteresis, dynamics, np.searchsorted(threshold_V, coarse_V))
     is_coarse = np.isin(threshold_V, coarse_V)
-    coarse_columns = np.append(is_coarse, np.ones(layout.size - layout.plays, dtype=np.bool_))
-    coarse_layout = replace(layout, plays=len(coarse_V))
-    coarse_segments = [replace(s, states_V=s.states_V[is_coarse]) for s in segments]
-    separate_rms_m = _residual_rms(coarse_segments, coarse_layout, start[coarse_columns])
-    coarse, _ = _fit(coarse_segments, coarse_layout, start[coarse_columns])
-    start[coarse_columns] = coarse
-    theta, line_weights = _fit(segments, layout, start)
-    change = 0.5 * (theta[layout.shape] - coarse[coarse_layout.shape])
+    start = layout.start(axis.hysteresis, dynamics, is_coarse)
+    coarse, _ = _fit(segments, layout, start, is_coarse)
+    theta, line_weights = _fit(segments, layout, coarse, np.ones_like(is_coarse))
+    change = 0.5 * (theta - coarse)[layout.shape]
     covariance = _covariance(segments, layout, theta, line_weights)[layout.shape, layout.shape]
     weights, zones, shape, shares = layout.split(theta)
     terms = sorted_terms(
@@ -222,7 +217,7 @@ def fit_jointly(
         play_threshold_V=tuple(threshold_V.tolist()),
         play_weight_m_per_V=tuple(weights.tolist()),
         dead_zone_weight=tuple(zones.weight.tolist()),
-        separate_rms_m=separate_rms_m,
+        separate_rms_m=_residual_rms(segments, layout, start),
         joint_rms_m=_residual_rms(segments, layout, theta),
     )
     return replace(dynamics, **terms), record
@@ -256,14 +251,14 @@ class Layout:
         self,
         operator: ModifiedPrandtlIshlinskii,
         dynamics: LinearDynamics,
-        rows: NDArray[np.intp],
+        is_coarse: NDArray[np.bool_],
     ) -> Array:
         """Return the parameters of separate fits; additional plays have weight 0.
 
-        rows  indices of the plays of the operator among all plays
+        is_coarse  (plays,)  whether a play is one of the operator
         """
         weight = np.zeros(self.plays)
-        weight[rows] = operator.plays.weight
+        weight[is_coarse] = operator.plays.weight
         zones = operator.dead_zones
         gains = np.concatenate([dynamics.mode_gain_m_per_V, dynamics.lag_gain_m_per_V])
         parts = [
@@ -314,10 +309,17 @@ class Layout:
         return _without_line(np.array(signals))
 
 
-def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Array, list[Array]]:
-    """Fit all parameters to all segments; return them and the weights of the lines."""
+def _fit(
+    segments: Sequence[Segment], layout: Layout, start: Array, is_free: NDArray[np.bool_]
+) -> tuple[Array, list[Array]]:
+    """Fit all parameters to all segments; return them and the weights of the lines.
+
+    is_free  (plays,)  whether the weight of a play is fitted; otherwise it stays 0
+    """
     logs = slice(layout.shape.start, layout.shape.stop - 1)
     lower, longest = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
+    upper = np.full(layout.size, np.inf)
+    upper[: layout.plays][~is_free] = 0.0
     lower[: layout.plays] = lower[logs.stop] = 0.0  # play weights and delay
     longest[logs] = MAX_LOG_STEP
     theta, weights = start, _line_weights([np.zeros(1) for _ in segments], segments, layout, start)
@@ -325,7 +327,7 @@ def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Arr
         theta = minimise(
             partial(_Point, segments, layout, weights),
             theta,
-            (lower, np.full(layout.size, np.inf)),
+            (lower, upper),
             rule=RULE,
             longest=longest,
         ).x
