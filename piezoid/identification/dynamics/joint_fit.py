@@ -180,9 +180,7 @@ def fit_jointly(
     """
     if not fitted_pieces(axis, exciting):
         return None
-    structure = Structure(
-        modes=len(dynamics.mode_frequency_Hz), lags=len(dynamics.lag_frequency_Hz)
-    )
+    structure = replace(dynamics.structure, direct=False)
     coarse_V = axis.hysteresis.plays.threshold
     exciting_V = exciting.voltage_V(axis.axis)
     reach_V = 2.0 * float(np.median(np.abs(exciting_V - np.median(exciting_V))))
@@ -264,10 +262,7 @@ class Layout:
         parts = [
             weight,
             np.delete(zones.weight, zones.zero),
-            np.log(dynamics.mode_frequency_Hz),
-            np.log(dynamics.mode_damping),
-            np.log(dynamics.lag_frequency_Hz),
-            [dynamics.delay_s],
+            dynamics.shape,
             (gains / gains.sum())[:-1],
         ]
         return np.concatenate(parts)

@@ -30,7 +30,7 @@ class Structure:
                                  + sum_l g_l w_l / (s + w_l) + D ]
 
     modes   resonances (f, zeta); zeta > 1 is allowed
-    lags    first-order poles
+    lags    first-order poles, at most one
     direct  whether there is a term D for dynamics above the band
     """
 
@@ -39,8 +39,10 @@ class Structure:
     direct: bool = False
 
     def __post_init__(self) -> None:
-        if self.modes < 0 or self.lags < 0 or self.modes + self.lags == 0:
-            raise ValueError(f"a structure needs at least one mode or lag, found {self}")
+        if self.modes < 0 or self.lags not in {0, 1} or self.modes + self.lags == 0:
+            raise ValueError(
+                f"a structure needs a mode or a lag, and at most one lag, found {self}"
+            )
 
     @property
     def columns(self) -> int:
@@ -164,6 +166,21 @@ class LinearDynamics:
             raise ValueError("frequencies and dampings must be > 0, delay_s >= 0")
 
     @property
+    def structure(self) -> Structure:
+        """Numbers of terms."""
+        return Structure(
+            modes=len(self.mode_frequency_Hz),
+            lags=len(self.lag_frequency_Hz),
+            direct=self.direct_gain_m_per_V != 0.0,
+        )
+
+    @property
+    def shape(self) -> Array:
+        """Log frequencies, log dampings, log lags and delay, as in the covariance, (shapes,)."""
+        positive = (self.mode_frequency_Hz, self.mode_damping, self.lag_frequency_Hz)
+        return np.append(np.log(np.concatenate(positive)), self.delay_s)
+
+    @property
     def static_gain_m_per_V(self) -> float:
         """Gain at rest, m/V."""
         parts = self.mode_gain_m_per_V.sum() + self.lag_gain_m_per_V.sum()
@@ -202,14 +219,7 @@ class LinearDynamics:
 
     def response(self, frequency_Hz: ArrayLike) -> ComplexArray:
         """Return the continuous frequency response, (lines,), m/V."""
-        s = 2j * np.pi * np.asarray(frequency_Hz, dtype=np.float64)[:, None]
-        w, lags = 2 * np.pi * self.mode_frequency_Hz, 2 * np.pi * self.lag_frequency_Hz
-        modes = w**2 / (s**2 + 2 * self.mode_damping * w * s + w**2) @ self.mode_gain_m_per_V
-        response = modes + lags / (s + lags) @ self.lag_gain_m_per_V + self.direct_gain_m_per_V
-        response = response * np.exp(-s[:, 0] * self.delay_s)
-        for low_pass in self.declared:
-            response *= low_pass.system().response(s.imag[:, 0] / (2 * np.pi))[:, 0, 0]
-        return np.asarray(response)
+        return self.realised().response(frequency_Hz)[:, 0, 0]
 
     def response_as_measured(self, frequency_Hz: ArrayLike) -> ComplexArray:
         """Return the response including the hold of the data, (lines,), m/V."""
