@@ -46,7 +46,6 @@ _OPPOSED = 0.5  # of full correlation: noise alone causes far less
 _WIDE, _VERY_WIDE = 0.1, 0.3  # relative width of the interval of the gain
 _PASSES = 2  # with the recorded drive, then with the drive filtered by the fitted plant
 _UNKNOWN_OFFSET_A = 2e-12  # standard deviation: preamplifiers are nulled to a few picoamperes
-_GRADES = (Confidence.LOW, Confidence.MEDIUM, Confidence.HIGH)
 _MIN_RECORDS = 3  # to estimate the spread between records
 
 
@@ -321,7 +320,7 @@ def describe_loop_plant(fits: Sequence[ClosedLoopFit], rig: LoopRig) -> LoopPlan
         naive_reason=max(fits, key=lambda fit: abs(fit.naive_error)).naive_reason,
         family=family,
         family_records=len(fits),
-        confidence=min((fit.confidence for fit in fits), key=_GRADES.index),
+        confidence=max((fit.confidence for fit in fits), key=list(Confidence).index),
         reasons=tuple(
             reason if len(fits) == 1 else f"{fit.recording}: {reason}"
             for fit in fits

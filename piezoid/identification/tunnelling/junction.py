@@ -28,7 +28,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.approach import (
     ApproachCurve,
     Direction,
@@ -93,25 +92,21 @@ class DirectionShift:
         return low <= 0.0 <= high
 
 
-def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionShift:
+def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionShift | None:
     """Compare both directions at a current that is above the noise in both.
 
         z(i) = ( ln I_0 - ln i ) / k,    shift = z_backward(i) - z_forward(i)
 
     The reference current is the geometric mean of the smaller peak and three times the larger
     floor, at which decay and height are nearly uncorrelated. Intervals follow from the block
-    covariances by the delta method, for independent directions.
+    covariances by the delta method, for independent directions. None if no current is above three
+    times the noise in both directions.
     """
     fits = (forward, backward)
     peak_A = min(fit.peak_A for fit in fits)
     floor_A = 3.0 * max(fit.floor_A for fit in fits)
     if peak_A <= floor_A:
-        raise ExcitationError(
-            f"{forward.curves[0].label}, {backward.curves[0].label}: at most {peak_A:.3g} A over "
-            f"a noise of {floor_A / 3.0:.3g} A",
-            needed="in both directions a current above three times the noise",
-            remedy="Approach closer, or average longer.",
-        )
+        return None
     reference_A = math.sqrt(peak_A * floor_A)
     heights_m, deviations_m = [], []
     for fit in fits:
@@ -408,10 +403,7 @@ def fit_junction(
         model = TunnellingModel(gap_law=gap_law, loop_plant=None)
         if len(fits) == len(Direction):
             forward, backward = fits.values()
-            try:
-                shift = compare_directions(forward, backward)
-            except ExcitationError:
-                shift = None  # no current is above the noise in both directions
+            shift = compare_directions(forward, backward)
             model = replace(model, forward=forward.law, backward=backward.law, shift=shift)
     if not any(is_loop(recording) for recording in recordings):
         return model
