@@ -130,7 +130,7 @@ def prepare_fit(
             remarks=(*stage.remarks, *remarks),
         ),
         recordings=single,
-        responses=(*responses, *decoupled_responses(recordings, coupled, lab.coupled)),
+        responses=(*responses, decoupled_responses(recordings, coupled, lab.coupled)),
         axes=axes,
     )
 
