@@ -236,12 +236,8 @@ def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearD
         if is_noise and resolved_modes(fit).all():
             return fit
         fits.append(fit)
-    if not fits:
-        raise refusal or IdentificationError(
-            f"{len(usable.frequency_Hz)} lines",
-            needed="enough for one mode",
-            remedy="Measure at more frequencies.",
-        )
+    if refusal is not None and not fits:
+        raise refusal
     fits = [fit for fit in fits if resolved_modes(fit).all()] or fits
     lowest_cost = min(fit.cost for fit in fits)
     return next(fit for fit in fits if fit.cost <= EQUAL_COST * lowest_cost)
@@ -296,8 +292,7 @@ def _variance(response: ComplexArray, residual: ComplexArray, coherence: Array |
 
     if coherence is not None:
         share = (1.0 - coherence) / coherence
-        width = min(COHERENCE_LINES, (len(share) - 1) // 2 * 2 + 1)
-        smooth = smooth_lines(share[:, None], width)[:, 0]
+        smooth = smooth_lines(share, COHERENCE_LINES)
         floor = MIN_SHARE * float(np.median(smooth))
         shapes = [power * np.maximum(smooth, floor if floor > 0.0 else 1.0)]
     else:
