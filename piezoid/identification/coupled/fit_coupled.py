@@ -50,15 +50,13 @@ class LevelSpectra:
     """Spectra at the excited lines of one level, means over the periods.
 
     level_V       rms of the drive
-    samples       of one period
     frequency_Hz  (lines,)
-    drive         (lines, inputs, realisations)   coefficients of ``numpy.fft.rfft``
-    displacement  (lines, outputs, realisations)  likewise
+    drive         (lines, inputs, realisations)   peak amplitudes, V
+    displacement  (lines, outputs, realisations)  peak amplitudes, m
     weight        (realisations,)
     """
 
     level_V: float
-    samples: int
     frequency_Hz: Array
     drive: ComplexArray
     displacement: ComplexArray
@@ -68,14 +66,13 @@ class LevelSpectra:
     def of(data: PeriodicData) -> "LevelSpectra":
         """Return the spectra of periodic data, realisations weighted by one over their power."""
         lines = data.excited_lines()
-        response = np.fft.rfft(data.displacement_m.mean(axis=3), axis=0)[lines]
+        drive, displacement = (spectra.mean(axis=3) for spectra in data.spectra(lines))
         return LevelSpectra(
             level_V=float(data.voltage_V.std()),
-            samples=len(data.voltage_V),
             frequency_Hz=data.frequency_Hz(lines),
-            drive=np.fft.rfft(data.voltage_V.mean(axis=3), axis=0)[lines],
-            displacement=response,
-            weight=1.0 / (np.abs(response) ** 2).sum(axis=(0, 1)),
+            drive=drive,
+            displacement=displacement,
+            weight=1.0 / (np.abs(displacement) ** 2).sum(axis=(0, 1)),
         )
 
 
@@ -309,7 +306,7 @@ def fit_coupled(
             (np.abs(_residual(problem, level, partial)[..., r]) ** 2).sum(axis=0)
             for r, partial in enumerate(fits)
         ]
-        errors_m.append(np.sqrt(2.0 * np.mean(power, axis=0)) / level.samples)
+        errors_m.append(np.sqrt(0.5 * np.mean(power, axis=0)))
     noise_m = []
     for level_data in data:
         moved_m, periods = level_data.displacement_m, level_data.displacement_m.shape[3]

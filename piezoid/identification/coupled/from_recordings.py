@@ -137,6 +137,8 @@ def as_single_axes(
 ) -> tuple[Recording, ...]:
     """Decouple recordings into single axes, if the coupling is known or can be identified.
 
+    Recordings of the coupling fit, in which all axes are driven, are left out.
+
     coupled  of an earlier fit; None: identified from these recordings if lab.toml names coupled
              axes. Otherwise the recordings are returned unchanged.
     """
@@ -145,14 +147,7 @@ def as_single_axes(
         coupled = identify_coupled(recordings, lab, progress=progress)
     if coupled is None:
         return tuple(recordings)
-    return single_axis_recordings(decoupled(recordings, coupled), coupled)
-
-
-def single_axis_recordings(
-    recordings: Sequence[Recording], coupled: CoupledStage
-) -> tuple[Recording, ...]:
-    """Return the recordings except those of the coupling fit, in which all axes are driven."""
-    return tuple(r for r in recordings if r.name not in coupled.recordings)
+    return tuple(r for r in decoupled(recordings, coupled) if r.name not in coupled.recordings)
 
 
 def driven_axes(recording: Recording, axes: Sequence[str]) -> list[str]:
