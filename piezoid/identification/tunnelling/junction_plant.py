@@ -83,10 +83,11 @@ class JunctionPlant:
     ) -> ComplexArray:
         """Return G at each frequency, (frequencies,) nepers per volt.
 
-        mode  of the drive, sampled with the plant
+        mode  of the drive, sampled with the plant: 1 - a times the plant, plus a times the plant
+              with the two poles of the mode
         """
-        own_poles = (self.amplifier_pole_Hz, self.sensor_pole_Hz)
-        plant_poles = [-2.0 * math.pi * pole_Hz for pole_Hz in own_poles]
+        poles_Hz = (self.amplifier_pole_Hz, self.sensor_pole_Hz)
+        plant_poles = [-2.0 * math.pi * pole_Hz for pole_Hz in poles_Hz]
         parts: list[tuple[float, list[complex]]] = [(1.0, [])]
         if mode is not None:
             parts = [(1.0 - mode.share, []), (mode.share, mode.poles)]
