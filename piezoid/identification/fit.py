@@ -9,11 +9,10 @@ import numpy as np
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import (
-    decoupled,
+    as_single_axes,
     decoupled_responses,
     driven_axes,
     identify_coupled,
-    single_axis_recordings,
 )
 from piezoid.identification.discrepancy import with_discrepancy
 from piezoid.identification.dynamics.axis_dynamics import quasi_static, with_dynamics
@@ -108,7 +107,7 @@ def prepare_fit(
         stage = unfitted_stage(recordings, lab, sweeps, responses)
         axes = axes_of(recordings)
         return FitInputs(stage=stage, recordings=recordings, responses=responses, axes=axes)
-    single = single_axis_recordings(decoupled(recordings, coupled), coupled)
+    single = as_single_axes(recordings, lab, coupled)
     if axes_of(single) or sweeps:
         stage = unfitted_stage(single, lab, sweeps, responses)
     else:  # no hysteresis is fitted to the recordings: remarks on their loops do not matter
@@ -130,7 +129,7 @@ def prepare_fit(
             remarks=(*stage.remarks, *remarks),
         ),
         recordings=single,
-        responses=(*responses, *decoupled_responses(recordings, coupled, lab.coupled)),
+        responses=(*responses, decoupled_responses(recordings, coupled, lab.coupled)),
         axes=axes,
     )
 

@@ -50,15 +50,13 @@ class LevelSpectra:
     """Spectra at the excited lines of one level, means over the periods.
 
     level_V       rms of the drive
-    samples       of one period
     frequency_Hz  (lines,)
-    drive         (lines, inputs, realisations)   coefficients of ``numpy.fft.rfft``
-    displacement  (lines, outputs, realisations)  likewise
+    drive         (lines, inputs, realisations)   peak amplitudes, V
+    displacement  (lines, outputs, realisations)  peak amplitudes, m
     weight        (realisations,)
     """
 
     level_V: float
-    samples: int
     frequency_Hz: Array
     drive: ComplexArray
     displacement: ComplexArray
@@ -68,14 +66,13 @@ class LevelSpectra:
     def of(data: PeriodicData) -> "LevelSpectra":
         """Return the spectra of periodic data, realisations weighted by one over their power."""
         lines = data.excited_lines()
-        response = np.fft.rfft(data.displacement_m.mean(axis=3), axis=0)[lines]
+        drive, displacement = (spectra.mean(axis=3) for spectra in data.spectra(lines))
         return LevelSpectra(
             level_V=float(data.voltage_V.std()),
-            samples=len(data.voltage_V),
             frequency_Hz=data.frequency_Hz(lines),
-            drive=np.fft.rfft(data.voltage_V.mean(axis=3), axis=0)[lines],
-            displacement=response,
-            weight=1.0 / (np.abs(response) ** 2).sum(axis=(0, 1)),
+            drive=drive,
+            displacement=displacement,
+            weight=1.0 / (np.abs(displacement) ** 2).sum(axis=(0, 1)),
         )
 
 
@@ -115,10 +112,8 @@ class ModalProblem:
         )
 
 
-def fit_modal_sum(
-    problem: ModalProblem, start: ModalShape, rule: Rule
-) -> tuple[ModalShape, Array]:
-    """Minimise the cost from a start; return shape and residues (2, columns, outputs, inputs)."""
+def fit_modal_sum(problem: ModalProblem, start: ModalShape, rule: Rule) -> "Point":
+    """Minimise the cost from a start."""
     modes, orders = problem.modes, problem.orders
     poles = np.stack([start.log_frequency, start.log_damping], axis=1)[:orders]
     x = np.append(poles.ravel(), start.delay_s * problem.rate_Hz)
@@ -128,18 +123,8 @@ def fit_modal_sum(
     upper = x + reach
     upper[modes : 2 * modes] = np.log(MAX_DAMPING)
     lower = np.minimum(x - reach, upper)
-    best = minimise(lambda x: Point(problem, x), x, (lower, upper), rule=rule, longest=longest)
-    return problem.unpack(best.x), best.point.residues
-
-
-def residual_spectra(
-    problem: ModalProblem, level: LevelSpectra, shape: ModalShape, residues: Array
-) -> ComplexArray:
-    """Return the residual of one level, delay removed, (lines, outputs, realisations)."""
-    coordinate = level_coordinate(level.level_V, problem.levels_V)
-    response = shape.response(level.frequency_Hz, problem.lag_Hz, coordinate, residues)
-    advance = np.exp(2j * np.pi * level.frequency_Hz * shape.delay_s)[:, None, None]
-    return np.asarray(advance * level.displacement - response @ level.drive)
+    search = minimise(lambda x: Point(problem, x), x, (lower, upper), rule=rule, longest=longest)
+    return search.point
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -189,10 +174,15 @@ class _WeightedLevel:
 
 
 class Point:
-    """Optimal residues for a given shape, the residual and its projected linearisation."""
+    """Optimal residues for a given shape, the residual and its projected linearisation.
+
+    shape      poles and delay
+    residues   (2, columns, outputs, inputs)  at the centre of the levels, and the change
+    residuals  (lines, outputs, realisations)  weighted, for each level
+    """
 
     def __init__(self, problem: ModalProblem, x: Array) -> None:
-        self.problem, shape = problem, problem.unpack(x)
+        self.problem, self.shape = problem, (shape := problem.unpack(x))
         self.levels = []
         for level in problem.levels:
             f, coordinate = level.frequency_Hz, level_coordinate(level.level_V, problem.levels_V)
@@ -293,10 +283,11 @@ def fit_coupled(
     """
     data = sorted(levels, key=lambda level: float(level.voltage_V.std()))
     _check_levels(data)
-    problem, shape, residues = _fit_all_levels(data, modes)
+    fit = _fit_all_levels(data, modes)
+    problem, shape = fit.problem, fit.shape
     count = min(level.voltage_V.shape[2] for level in data)
     is_left_out = intervals and count > len(data[0].inputs) + 1
-    fits = [(shape, residues)] * count
+    fits = [fit] * count
     if is_left_out:
         for r in range(count):
             remaining = tuple(
@@ -312,10 +303,10 @@ def fit_coupled(
     errors_m = []
     for level in problem.levels:
         power = [
-            (np.abs(residual_spectra(problem, level, *fit)[..., r]) ** 2).sum(axis=0)
-            for r, fit in enumerate(fits)
+            (np.abs(_residual(problem, level, partial)[..., r]) ** 2).sum(axis=0)
+            for r, partial in enumerate(fits)
         ]
-        errors_m.append(np.sqrt(2.0 * np.mean(power, axis=0)) / level.samples)
+        errors_m.append(np.sqrt(0.5 * np.mean(power, axis=0)))
     noise_m = []
     for level_data in data:
         moved_m, periods = level_data.displacement_m, level_data.displacement_m.shape[3]
@@ -331,10 +322,10 @@ def fit_coupled(
         log_frequency=shape.log_frequency,
         log_damping=shape.log_damping,
         lag_Hz=problem.lag_Hz,
-        residue_m_per_V=residues,
+        residue_m_per_V=fit.residues,
         delay_s=shape.delay_s,
         replicate_frequency=np.stack(
-            [fit.log_frequency for fit, _ in (fits if is_left_out else fits[:1])]
+            [partial.shape.log_frequency for partial in (fits if is_left_out else fits[:1])]
         ),
         moved_rms_m=np.stack(
             [_rms(level.displacement_m - level.displacement_m.mean(axis=0)) for level in data]
@@ -343,6 +334,14 @@ def fit_coupled(
         error_rms_m=np.stack(errors_m),
         error_is_left_out=is_left_out,
     )
+
+
+def _residual(problem: ModalProblem, level: LevelSpectra, fit: Point) -> ComplexArray:
+    """Return the residual of one level, delay removed, (lines, outputs, realisations)."""
+    f, coordinate = level.frequency_Hz, level_coordinate(level.level_V, problem.levels_V)
+    response = fit.shape.response(f, problem.lag_Hz, coordinate, fit.residues)
+    advance = np.exp(2j * np.pi * f * fit.shape.delay_s)[:, None, None]
+    return np.asarray(advance * level.displacement - response @ level.drive)
 
 
 def _check_levels(data: Sequence[PeriodicData]) -> None:
@@ -368,9 +367,7 @@ def _check_levels(data: Sequence[PeriodicData]) -> None:
             )
 
 
-def _fit_all_levels(
-    data: Sequence[PeriodicData], modes: int
-) -> tuple[ModalProblem, ModalShape, Array]:
+def _fit_all_levels(data: Sequence[PeriodicData], modes: int) -> Point:
     """Fit the largest level, then the smallest from its result, then all levels, reweighted."""
     levels = tuple(LevelSpectra.of(level) for level in data)
     # A weak mode near a strong mode may be visible at one level only.
@@ -395,24 +392,23 @@ def _fit_all_levels(
         log_damping=np.stack([poles[1], no_change]),
         delay_s=0.0,
     )
-    largest, residues = fit_modal_sum(replace(problem, levels=levels[-1:]), shape, FINAL_RULE)
+    fit = fit_modal_sum(replace(problem, levels=levels[-1:]), shape, FINAL_RULE)
     if len(levels) == 1:
-        return problem, largest, residues
-    smallest, _ = fit_modal_sum(replace(problem, levels=levels[:1]), largest, FINAL_RULE)
+        return fit
+    largest = fit.shape
+    smallest = fit_modal_sum(replace(problem, levels=levels[:1]), largest, FINAL_RULE).shape
     shape = replace(
         largest,
         log_frequency=_line(smallest.log_frequency[0], largest.log_frequency[0]),
         log_damping=_line(smallest.log_damping[0], largest.log_damping[0]),
     )
-    shape, residues = fit_modal_sum(problem, shape, FINAL_RULE)
+    fit = fit_modal_sum(problem, shape, FINAL_RULE)
     # The weight of a realisation is one over the power of its residual.
-    residuals = [residual_spectra(problem, level, shape, residues) for level in levels]
     reweighted = tuple(
-        replace(level, weight=1.0 / (np.abs(residual) ** 2).sum(axis=(0, 1)))
-        for level, residual in zip(levels, residuals, strict=True)
+        replace(level, weight=level.weight / (np.abs(residual) ** 2).sum(axis=(0, 1)))
+        for level, residual in zip(levels, fit.residuals, strict=True)
     )
-    problem = replace(problem, levels=reweighted)
-    return problem, *fit_modal_sum(problem, shape, FINAL_RULE)
+    return fit_modal_sum(replace(problem, levels=reweighted), fit.shape, FINAL_RULE)
 
 
 def _line(low: Array, high: Array) -> Array:

@@ -65,32 +65,28 @@ def identify_coupled(
 
 def decoupled_responses(
     recordings: Sequence[Recording], coupled: CoupledStage, declared: Coupled
-) -> tuple[FrequencyResponseRecord, ...]:
-    """Return one record with the measured response of each decoupled axis to its drive.
+) -> FrequencyResponseRecord:
+    """Return the measured response of each decoupled axis to its drive.
 
     The response is the best linear approximation at the largest level, whose modes are closest to
-    those of later drives. Empty if there are too few realisations.
+    those of later drives.
     """
     periodic = _periodic_recordings(recordings, declared)
     data = _levels_of(periodic, declared)[-1]
     decoupled_m = np.einsum("ij,njrp->nirp", coupled.decoupling, data.displacement_m)
-    if data.voltage_V.shape[2] <= len(data.inputs):
-        return ()
     responses = estimate_response(replace(data, displacement_m=decoupled_m))
-    return (
-        FrequencyResponseRecord(
-            name=f"{', '.join(coupled.outputs)} together",
-            digest=digest_of_json([recording.digest for recording, _ in periodic]),
-            frequency_Hz=responses[0].frequency_Hz,
-            paths=tuple(
-                ResponsePath(
-                    output=axis,
-                    drive=axis,
-                    response_m_per_V=measured.response,
-                    coherence=measured.coherence,
-                )
-                for axis, measured in zip(coupled.outputs, responses, strict=True)
-            ),
+    return FrequencyResponseRecord(
+        name=f"{', '.join(coupled.outputs)} together",
+        digest=digest_of_json([recording.digest for recording, _ in periodic]),
+        frequency_Hz=responses[0].frequency_Hz,
+        paths=tuple(
+            ResponsePath(
+                output=axis,
+                drive=axis,
+                response_m_per_V=measured.response,
+                coherence=measured.coherence,
+            )
+            for axis, measured in zip(coupled.outputs, responses, strict=True)
         ),
     )
 
@@ -141,6 +137,8 @@ def as_single_axes(
 ) -> tuple[Recording, ...]:
     """Decouple recordings into single axes, if the coupling is known or can be identified.
 
+    Recordings of the coupling fit, in which all axes are driven, are left out.
+
     coupled  of an earlier fit; None: identified from these recordings if lab.toml names coupled
              axes. Otherwise the recordings are returned unchanged.
     """
@@ -149,14 +147,7 @@ def as_single_axes(
         coupled = identify_coupled(recordings, lab, progress=progress)
     if coupled is None:
         return tuple(recordings)
-    return single_axis_recordings(decoupled(recordings, coupled), coupled)
-
-
-def single_axis_recordings(
-    recordings: Sequence[Recording], coupled: CoupledStage
-) -> tuple[Recording, ...]:
-    """Return the recordings except those of the coupling fit, in which all axes are driven."""
-    return tuple(r for r in recordings if r.name not in coupled.recordings)
+    return tuple(r for r in decoupled(recordings, coupled) if r.name not in coupled.recordings)
 
 
 def driven_axes(recording: Recording, axes: Sequence[str]) -> list[str]:

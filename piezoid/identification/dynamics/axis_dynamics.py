@@ -31,6 +31,7 @@ from piezoid.identification.dynamics.modal import (
     Hold,
     LinearDynamics,
     Structure,
+    filters_of,
 )
 from piezoid.identification.dynamics.response_validation import validate_response
 from piezoid.identification.hysteresis.pieces import Rig
@@ -133,9 +134,9 @@ def with_dynamics(
             pass  # the recordings do not determine the dynamics
     validated = validate_response(axis, response, declared, recorded)
     if isinstance(validated, str):
-        return _with_recorded_dynamics(_with_remarks(axis, validated), recordings, stated_Hz)
+        return _with_recorded_dynamics(_with_remark(axis, validated), recordings, stated_Hz)
     text, dynamics, measured, record = validated
-    axis = replace(_with_remarks(axis, text), dynamics=dynamics, response=record)
+    axis = replace(_with_remark(axis, text), dynamics=dynamics, response=record)
     verdict = decide_bandwidth(
         measured,
         Declaration(hold="band_limited", filters=declared),
@@ -145,11 +146,11 @@ def with_dynamics(
     return _with_bandwidth(axis, verdict)
 
 
-def _with_remarks(axis: AxisModel, *remarks: str) -> AxisModel:
+def _with_remark(axis: AxisModel, remark: str) -> AxisModel:
     return replace(
         axis,
-        dynamics_remarks=(*axis.dynamics_remarks, *remarks),
-        verdict=replace(axis.verdict, remarks=(*axis.verdict.remarks, *remarks)),
+        dynamics_remarks=(*axis.dynamics_remarks, remark),
+        verdict=replace(axis.verdict, remarks=(*axis.verdict.remarks, remark)),
     )
 
 
@@ -158,7 +159,7 @@ def _with_bandwidth(axis: AxisModel, verdict: BandwidthVerdict) -> AxisModel:
     axis = replace(axis, bandwidth=verdict)
     if verdict.kind == "undecided" and verdict.stated_Hz is None:
         return axis
-    return _with_remarks(axis, verdict.text)
+    return _with_remark(axis, verdict.text)
 
 
 def _obstacle(dynamics: LinearDynamics) -> str:
@@ -193,13 +194,8 @@ def _with_recorded_dynamics(
     if recording is None:
         verdict = unmeasured(stated_Hz, "no recording is fast enough")
         return axis if stated_Hz is None else _with_bandwidth(axis, verdict)
-    try:
-        drive_V = voltage_behind_hysteresis(axis, recording)
-        measured = measure_response(drive_V, recording, axis.axis)
-    except ExcitationError as refusal:
-        verdict = unmeasured(stated_Hz, f"{recording.name} contains {refusal.found}")
-        return _with_bandwidth(_with_remarks(axis, f"no linear dynamics: {refusal}"), verdict)
-
+    drive_V = voltage_behind_hysteresis(axis, recording)
+    measured = measure_response(drive_V, recording, axis.axis)
     declaration = Declaration(filters=_declared(axis.rig))
     try:
         dynamics = _best_fit(measured, axis.rig)
@@ -209,7 +205,7 @@ def _with_recorded_dynamics(
     if obstacle:
         verdict = decide_bandwidth(measured, declaration, stated_Hz=stated_Hz)
         verdict = unfitted(verdict, recording.name, obstacle, has_mode=axis.has_dynamics)
-        return _with_remarks(replace(axis, bandwidth=verdict), verdict.text)
+        return _with_remark(replace(axis, bandwidth=verdict), verdict.text)
 
     low, high = (with_unit(edge_Hz, "Hz") for edge_Hz in dynamics.band_Hz)
     text = (
@@ -225,7 +221,7 @@ def _with_recorded_dynamics(
         else:
             text += ", then jointly with it"
             dynamics, record = joint_dynamics, joint_record
-    axis = replace(_with_remarks(axis, text), dynamics=dynamics, joint=record)
+    axis = replace(_with_remark(axis, text), dynamics=dynamics, joint=record)
     delay_s = dynamics.delay_interval_s().tolist()
     return _with_bandwidth(
         axis, decide_bandwidth(measured, declaration, delay_s=delay_s, stated_Hz=stated_Hz)
@@ -272,5 +268,4 @@ def _best_fit(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
 
 
 def _declared(rig: Rig) -> tuple[Filter, ...]:
-    poles = (("amplifier", rig.amplifier_bandwidth_Hz), ("sensor", rig.sensor_bandwidth_Hz))
-    return tuple(Filter(name=name, frequency_Hz=f) for name, f in poles if f is not None)
+    return filters_of(amplifier=rig.amplifier_bandwidth_Hz, sensor=rig.sensor_bandwidth_Hz)

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse, smooth_lines
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, runs_of
@@ -18,7 +17,6 @@ from piezoid.records.recording import Quantity, Recording
 
 MIN_COHERENCE = 0.8
 WINDOWS = 5  # segments in a recording, at least: nine half-overlapping windows
-MIN_WINDOWS = 4
 LEVEL_LINES = 33  # over which the power of a random drive is equal in all windows
 OVERLAP_LOSS = 1.0 + 2.0 / 36.0  # Hann windows that overlap by half share (1/6)^2 of their power
 MAIN_LOBE_LINES = 2  # over which a Hann window smears the mean
@@ -83,13 +81,6 @@ def estimate_response_by_coherence(
     not far below the width of a resonance. Distortion and noise cannot be distinguished. Lines are
     rejected below ``MIN_COHERENCE``, or if the drive has no power.
     """
-    count = (len(voltage_V) - segment_samples) // (segment_samples // 2) + 1
-    if count < MIN_WINDOWS:
-        raise ExcitationError(
-            f"{len(voltage_V)} samples hold {max(count, 0)} windows of {segment_samples}",
-            needed=f"at least {MIN_WINDOWS} windows, to estimate the coherence",
-            remedy="Choose shorter segments or record longer.",
-        )
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(segment_samples) / segment_samples)
 
     spectra = []  # of half-overlapping Hann windows, (lines, windows)

@@ -86,15 +86,12 @@ def fit_dynamics(
     poles_Hz = poles * scale / (2 * np.pi)
     pairs = list(poles_Hz[poles_Hz.imag > 0])
     real = sorted(np.abs(poles_Hz[poles_Hz.imag == 0].real))
-    lags = [real.pop(0) for _ in range(min(structure.lags, len(real)))]
+    lags = [real.pop(0) for _ in range(structure.lags)]  # an odd number of poles has a real one
     modes = [(abs(p), -p.real / abs(p)) for p in pairs]
     modes += [
         (np.sqrt(a * b), (a + b) / (2 * np.sqrt(a * b)))
         for a, b in zip(real[::2], real[1::2], strict=False)
     ]
-    while len(lags) < structure.lags:  # a strongly damped pair replaces two lags
-        frequency_Hz, _ = modes.pop(int(np.argmax([damping for _, damping in modes])))
-        lags += [0.7 * frequency_Hz, 1.4 * frequency_Hz][: structure.lags - len(lags)]
     modes = sorted(modes)[: structure.modes]
     damping = np.clip([z for _, z in modes], 1e-4, 10.0)
     start = [*np.log(np.concatenate([[f for f, _ in modes], damping, lags])), delay_s]
@@ -118,31 +115,19 @@ def fit_with_slow_part(
 
     measured  of one axis, slow part included
     """
-    d = dynamics
     basis = ModalBasis(
-        structure=Structure(
-            modes=len(d.mode_frequency_Hz),
-            lags=len(d.lag_frequency_Hz),
-            direct=d.direct_gain_m_per_V != 0.0,
-        ),
+        structure=dynamics.structure,
         frequency_Hz=measured.frequency_Hz,
         sampling_rate_Hz=measured.sampling_rate_Hz,
-        declaration=Declaration(hold=d.hold, filters=d.declared),
+        declaration=Declaration(hold=dynamics.hold, filters=dynamics.declared),
         creep_from_Hz=slow.from_Hz,
     )
-    logs = np.log(np.concatenate([d.mode_frequency_Hz, d.mode_damping, d.lag_frequency_Hz]))
-    start = [*logs, d.delay_s, slow.slope_dB / 20.0, np.radians(slow.phase_deg)]
-    fit = _maximise_likelihood(measured, basis, np.array(start))
+    start = np.append(dynamics.shape, [slow.slope_dB / 20.0, np.radians(slow.phase_deg)])
+    fit = _maximise_likelihood(measured, basis, start)
     refined, covariance = _linear_dynamics(measured, fit)
-    (power, phase), (power_std, phase_std) = fit.shape[-2:], np.sqrt(np.diag(covariance)[-2:])
-    part = SlowPart.of(
-        float(power),
-        float(power_std),
-        float(phase),
-        float(phase_std),
-        (slow.low_Hz, slow.high_Hz),
-        slow.from_Hz,
-    )
+    power, phase = np.stack([fit.shape, np.sqrt(np.diag(covariance))], axis=1)[-2:]
+    band_Hz = (slow.low_Hz, slow.high_Hz)
+    part = SlowPart.of(20.0 * power, np.degrees(phase), band_Hz, slow.from_Hz)
     return refined, replace(part, is_taken=slow.is_taken)
 
 

@@ -23,7 +23,13 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from piezoid.identification.dynamics.fit_dynamics import ModalBasis, sorted_terms
-from piezoid.identification.dynamics.modal import Declaration, JointFit, LinearDynamics, Structure
+from piezoid.identification.dynamics.modal import (
+    Declaration,
+    JointFit,
+    LinearDynamics,
+    Structure,
+    filters_of,
+)
 from piezoid.identification.hysteresis.pieces import behind_pole
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import fitted_pieces
@@ -58,8 +64,8 @@ class Segment:
     recording     name
     states_V      (plays, samples)  of the plays
     measured_m    (samples,)  rising with the drive
-    basis         modes and lags of unit gain at the lines of the padded spectrum
-    sensor        (lines,)  response of the declared sensor
+    basis         modes and lags of unit gain, behind the declared sensor, at the lines of the
+                  padded spectrum
     padded        number of samples of the padded signal
     """
 
@@ -67,7 +73,6 @@ class Segment:
     states_V: Array
     measured_m: Array
     basis: ModalBasis
-    sensor: ComplexArray
     padded: int
 
     def spectrum(self, signals: Array) -> ComplexArray:
@@ -94,6 +99,7 @@ def segments_of(
     structure    modes and lags of the basis
     """
     rate_Hz, operator = recording.sampling_rate_Hz, axis.hysteresis
+    sensor = filters_of(sensor=axis.rig.sensor_bandwidth_Hz)
     # The longest time constant; an overdamped mode has its slow pole at w / (2 zeta).
     w, zeta = 2.0 * np.pi * dynamics.mode_frequency_Hz, dynamics.mode_damping
     modes_s = np.maximum(1.0 / (zeta * w), np.where(zeta > 1.0, 2.0 * zeta / w, 0.0))
@@ -115,9 +121,6 @@ def segments_of(
         memory_V = np.interp(threshold_V, operator.plays.threshold, piece.start.memory_V)
         states_V, _ = play_columns(inside_V, threshold_V, memory_V)
         padded = next_fast_len(len(drive_V) + min(len(drive_V), ring), real=True)
-        frequency_Hz = np.asarray(rfftfreq(padded, 1.0 / rate_Hz))
-        sensor_Hz = axis.rig.sensor_bandwidth_Hz
-        lag = 0.0 if sensor_Hz is None else frequency_Hz / sensor_Hz
         segments.append(
             Segment(
                 recording=recording.name,
@@ -125,11 +128,10 @@ def segments_of(
                 measured_m=axis.polarity * measured_m[:MAX_SAMPLES],
                 basis=ModalBasis(
                     structure=structure,
-                    frequency_Hz=frequency_Hz,
+                    frequency_Hz=np.asarray(rfftfreq(padded, 1.0 / rate_Hz)),
                     sampling_rate_Hz=rate_Hz,
-                    declaration=Declaration(hold="band_limited"),
+                    declaration=Declaration(hold="band_limited", filters=sensor),
                 ),
-                sensor=np.asarray(np.ones(len(frequency_Hz)) / (1.0 + 1j * lag)),
                 padded=padded,
             )
         )
@@ -151,11 +153,8 @@ def _drive_at_operator(
     padded = next_fast_len(2 * count, real=True)
     fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, padded - count + 1) / (padded - count))
     level = voltage_V - voltage_V[0]
-    frequency_Hz = np.asarray(rfftfreq(padded, 1.0 / rate_Hz))
-    turn = frequency_Hz / rate_Hz
-    response: ComplexArray = np.sinc(turn) * np.exp(-1j * np.pi * turn)
-    if amplifier_Hz is not None:
-        response = response / (1.0 + 1j * frequency_Hz / amplifier_Hz)
+    chain = Declaration(filters=filters_of(amplifier=amplifier_Hz))
+    response = chain.response(np.asarray(rfftfreq(padded, 1.0 / rate_Hz)), rate_Hz)
     spectrum = response * rfft(np.concatenate([level, level[-1] * fade]))
     return np.asarray(voltage_V[0] + irfft(spectrum, padded)[:count])
 
@@ -181,9 +180,7 @@ def fit_jointly(
     """
     if not fitted_pieces(axis, exciting):
         return None
-    structure = Structure(
-        modes=len(dynamics.mode_frequency_Hz), lags=len(dynamics.lag_frequency_Hz)
-    )
+    structure = replace(dynamics.structure, direct=False)
     coarse_V = axis.hysteresis.plays.threshold
     exciting_V = exciting.voltage_V(axis.axis)
     reach_V = 2.0 * float(np.median(np.abs(exciting_V - np.median(exciting_V))))
@@ -200,16 +197,11 @@ def fit_jointly(
         threshold_m=axis.hysteresis.dead_zones.threshold,
         structure=structure,
     )
-    start = layout.start(axis.hysteresis, dynamics, np.searchsorted(threshold_V, coarse_V))
     is_coarse = np.isin(threshold_V, coarse_V)
-    coarse_columns = np.append(is_coarse, np.ones(layout.size - layout.plays, dtype=np.bool_))
-    coarse_layout = replace(layout, plays=len(coarse_V))
-    coarse_segments = [replace(s, states_V=s.states_V[is_coarse]) for s in segments]
-    separate_rms_m = _residual_rms(coarse_segments, coarse_layout, start[coarse_columns])
-    coarse, _ = _fit(coarse_segments, coarse_layout, start[coarse_columns])
-    start[coarse_columns] = coarse
-    theta, line_weights = _fit(segments, layout, start)
-    change = 0.5 * (theta[layout.shape] - coarse[coarse_layout.shape])
+    start = layout.start(axis.hysteresis, dynamics, is_coarse)
+    coarse, _ = _fit(segments, layout, start, is_coarse)
+    theta, line_weights = _fit(segments, layout, coarse, np.ones_like(is_coarse))
+    change = 0.5 * (theta - coarse)[layout.shape]
     covariance = _covariance(segments, layout, theta, line_weights)[layout.shape, layout.shape]
     weights, zones, shape, shares = layout.split(theta)
     terms = sorted_terms(
@@ -223,7 +215,7 @@ def fit_jointly(
         play_threshold_V=tuple(threshold_V.tolist()),
         play_weight_m_per_V=tuple(weights.tolist()),
         dead_zone_weight=tuple(zones.weight.tolist()),
-        separate_rms_m=separate_rms_m,
+        separate_rms_m=_residual_rms(segments, layout, start),
         joint_rms_m=_residual_rms(segments, layout, theta),
     )
     return replace(dynamics, **terms), record
@@ -257,23 +249,20 @@ class Layout:
         self,
         operator: ModifiedPrandtlIshlinskii,
         dynamics: LinearDynamics,
-        rows: NDArray[np.intp],
+        is_coarse: NDArray[np.bool_],
     ) -> Array:
         """Return the parameters of separate fits; additional plays have weight 0.
 
-        rows  indices of the plays of the operator among all plays
+        is_coarse  (plays,)  whether a play is one of the operator
         """
         weight = np.zeros(self.plays)
-        weight[rows] = operator.plays.weight
+        weight[is_coarse] = operator.plays.weight
         zones = operator.dead_zones
         gains = np.concatenate([dynamics.mode_gain_m_per_V, dynamics.lag_gain_m_per_V])
         parts = [
             weight,
             np.delete(zones.weight, zones.zero),
-            np.log(dynamics.mode_frequency_Hz),
-            np.log(dynamics.mode_damping),
-            np.log(dynamics.lag_frequency_Hz),
-            [dynamics.delay_s],
+            dynamics.shape,
             (gains / gains.sum())[:-1],
         ]
         return np.concatenate(parts)
@@ -294,7 +283,7 @@ class Layout:
         """Return the measured minus the modelled displacement without its line, (samples,)."""
         weight, zones, shape, shares = self.split(theta)
         static_m = zones.run(weight @ segment.states_V)
-        response = segment.sensor * (segment.basis.columns(shape) @ shares)
+        response = segment.basis.columns(shape) @ shares
         modelled_m = segment.signal(response * segment.spectrum(static_m))
         return _without_line(segment.measured_m - modelled_m)
 
@@ -304,21 +293,28 @@ class Layout:
         inner = weight @ segment.states_V
         static_m, slope = zones.run_with_slope(inner)
         fractions = segment.basis.columns(shape)
-        response = segment.sensor * (fractions @ shares)
+        response = fractions @ shares
         outer = np.delete(zones.columns(inner).T, zones.zero, axis=0)
         static = [*(slope * states for states in segment.states_V), *outer]
         by_shape = segment.basis.derivatives(shape) @ shares
         changes = [*by_shape, *(fractions[:, :-1] - fractions[:, -1:]).T]
-        spectrum = segment.sensor * segment.spectrum(static_m)
+        spectrum = segment.spectrum(static_m)
         signals = [segment.signal(response * segment.spectrum(signal)) for signal in static]
         signals += [segment.signal(change * spectrum) for change in changes]
         return _without_line(np.array(signals))
 
 
-def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Array, list[Array]]:
-    """Fit all parameters to all segments; return them and the weights of the lines."""
+def _fit(
+    segments: Sequence[Segment], layout: Layout, start: Array, is_free: NDArray[np.bool_]
+) -> tuple[Array, list[Array]]:
+    """Fit all parameters to all segments; return them and the weights of the lines.
+
+    is_free  (plays,)  whether the weight of a play is fitted; otherwise it stays 0
+    """
     logs = slice(layout.shape.start, layout.shape.stop - 1)
     lower, longest = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
+    upper = np.full(layout.size, np.inf)
+    upper[: layout.plays][~is_free] = 0.0
     lower[: layout.plays] = lower[logs.stop] = 0.0  # play weights and delay
     longest[logs] = MAX_LOG_STEP
     theta, weights = start, _line_weights([np.zeros(1) for _ in segments], segments, layout, start)
@@ -326,7 +322,7 @@ def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Arr
         theta = minimise(
             partial(_Point, segments, layout, weights),
             theta,
-            (lower, np.full(layout.size, np.inf)),
+            (lower, upper),
             rule=RULE,
             longest=longest,
         ).x

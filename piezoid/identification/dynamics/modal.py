@@ -30,7 +30,7 @@ class Structure:
                                  + sum_l g_l w_l / (s + w_l) + D ]
 
     modes   resonances (f, zeta); zeta > 1 is allowed
-    lags    first-order poles
+    lags    first-order poles, at most one
     direct  whether there is a term D for dynamics above the band
     """
 
@@ -39,8 +39,10 @@ class Structure:
     direct: bool = False
 
     def __post_init__(self) -> None:
-        if self.modes < 0 or self.lags < 0 or self.modes + self.lags == 0:
-            raise ValueError(f"a structure needs at least one mode or lag, found {self}")
+        if self.modes < 0 or self.lags not in {0, 1} or self.modes + self.lags == 0:
+            raise ValueError(
+                f"a structure needs a mode or a lag, and at most one lag, found {self}"
+            )
 
     @property
     def columns(self) -> int:
@@ -69,6 +71,13 @@ class Filter:
     def system(self) -> ContinuousSystem:
         """Return the filter as a linear system."""
         return butterworth(self.order, self.frequency_Hz)
+
+
+def filters_of(**poles_Hz: float | None) -> tuple[Filter, ...]:
+    """Return a first-order filter for every declared pole, by name; None: not declared."""
+    return tuple(
+        Filter(name=name, frequency_Hz=f) for name, f in poles_Hz.items() if f is not None
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,6 +166,21 @@ class LinearDynamics:
             raise ValueError("frequencies and dampings must be > 0, delay_s >= 0")
 
     @property
+    def structure(self) -> Structure:
+        """Numbers of terms."""
+        return Structure(
+            modes=len(self.mode_frequency_Hz),
+            lags=len(self.lag_frequency_Hz),
+            direct=self.direct_gain_m_per_V != 0.0,
+        )
+
+    @property
+    def shape(self) -> Array:
+        """Log frequencies, log dampings, log lags and delay, as in the covariance, (shapes,)."""
+        positive = (self.mode_frequency_Hz, self.mode_damping, self.lag_frequency_Hz)
+        return np.append(np.log(np.concatenate(positive)), self.delay_s)
+
+    @property
     def static_gain_m_per_V(self) -> float:
         """Gain at rest, m/V."""
         parts = self.mode_gain_m_per_V.sum() + self.lag_gain_m_per_V.sum()
@@ -195,14 +219,7 @@ class LinearDynamics:
 
     def response(self, frequency_Hz: ArrayLike) -> ComplexArray:
         """Return the continuous frequency response, (lines,), m/V."""
-        s = 2j * np.pi * np.asarray(frequency_Hz, dtype=np.float64)[:, None]
-        w, lags = 2 * np.pi * self.mode_frequency_Hz, 2 * np.pi * self.lag_frequency_Hz
-        modes = w**2 / (s**2 + 2 * self.mode_damping * w * s + w**2) @ self.mode_gain_m_per_V
-        response = modes + lags / (s + lags) @ self.lag_gain_m_per_V + self.direct_gain_m_per_V
-        response = response * np.exp(-s[:, 0] * self.delay_s)
-        for low_pass in self.declared:
-            response *= low_pass.system().response(s.imag[:, 0] / (2 * np.pi))[:, 0, 0]
-        return np.asarray(response)
+        return self.realised().response(frequency_Hz)[:, 0, 0]
 
     def response_as_measured(self, frequency_Hz: ArrayLike) -> ComplexArray:
         """Return the response including the hold of the data, (lines,), m/V."""
@@ -299,22 +316,21 @@ class SlowPart:
 
     @staticmethod
     def of(
-        power: float,
-        power_std: float,
-        phase: float,
-        phase_std: float,
-        band_Hz: tuple[float, float],
-        from_Hz: float,
+        slope_dB: Array, phase_deg: Array, band_Hz: tuple[float, float], from_Hz: float
     ) -> "SlowPart":
-        """Return the slow part of a power of the frequency and a phase, not yet taken."""
-        slope_dB, phase_deg = 20.0 * power, float(np.degrees(phase))
-        half_dB = 20.0 * NORMAL_95 * power_std
-        half_deg = NORMAL_95 * float(np.degrees(phase_std))
+        """Return the slow part of a slope and a phase, not yet taken.
+
+        slope_dB, phase_deg  (2,)  value and standard deviation
+        """
+        intervals = [
+            (float(value - NORMAL_95 * std), float(value + NORMAL_95 * std))
+            for value, std in (slope_dB, phase_deg)
+        ]
         return SlowPart(
-            slope_dB=slope_dB,
-            slope_ci95=(slope_dB - half_dB, slope_dB + half_dB),
-            phase_deg=phase_deg,
-            phase_ci95=(phase_deg - half_deg, phase_deg + half_deg),
+            slope_dB=float(slope_dB[0]),
+            slope_ci95=intervals[0],
+            phase_deg=float(phase_deg[0]),
+            phase_ci95=intervals[1],
             low_Hz=band_Hz[0],
             high_Hz=band_Hz[1],
             from_Hz=from_Hz,

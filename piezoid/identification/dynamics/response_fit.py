@@ -106,11 +106,10 @@ def measured_response(
 
     declared  poles of the rig; poles that the measurement did not include are added
     """
-    response = np.array(_path(record, axis).response_m_per_V)
-    for pole in declared:
-        if pole.name not in record.includes:
-            response *= pole.system().response(record.frequency_Hz)[:, 0, 0]
-    return response
+    missing = tuple(pole for pole in declared if pole.name not in record.includes)
+    chain = Declaration(hold="band_limited", filters=missing)
+    f = record.frequency_Hz
+    return np.asarray(_path(record, axis).response_m_per_V * chain.response(f, 2.0 * float(f[-1])))
 
 
 def fit_response(
@@ -237,12 +236,8 @@ def _best_fit(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearD
         if is_noise and resolved_modes(fit).all():
             return fit
         fits.append(fit)
-    if not fits:
-        raise refusal or IdentificationError(
-            f"{len(usable.frequency_Hz)} lines",
-            needed="enough for one mode",
-            remedy="Measure at more frequencies.",
-        )
+    if refusal is not None and not fits:
+        raise refusal
     fits = [fit for fit in fits if resolved_modes(fit).all()] or fits
     lowest_cost = min(fit.cost for fit in fits)
     return next(fit for fit in fits if fit.cost <= EQUAL_COST * lowest_cost)
@@ -267,23 +262,24 @@ def slow_part(frequency_Hz: Array, response: ComplexArray, path: ResponsePath) -
         return None
     x, relative, constant = f / f[-1], response[low] / response[low][0], np.ones(len(f))
     by_log = np.stack([np.log(x), constant, x**2], axis=1)
-    slope, slope_std = _regression(by_log, np.log(np.abs(relative)))
+    slope = _regression(by_log, np.log(np.abs(relative)))
     angle = np.unwrap(np.angle(response[low]))
-    phase, phase_std = _regression(np.stack([constant, x], axis=1), angle)
-    phase -= np.pi * round(phase / np.pi)  # the polarity determines the sign of the response
-    part = SlowPart.of(slope, slope_std, phase, phase_std, (float(f[0]), float(f[-1])), first_Hz)
+    phase = _regression(np.stack([constant, x], axis=1), angle)
+    phase[0] -= np.pi * np.round(phase[0] / np.pi)  # the polarity determines the sign
+    band_Hz = (float(f[0]), float(f[-1]))
+    part = SlowPart.of(20.0 * slope, np.degrees(phase), band_Hz, first_Hz)
     is_creep = part.slope_ci95[0] <= 0.0 and part.slope_dB > -MAX_SLOPE_dB
     is_lag = part.phase_ci95[0] <= 0.0 and part.phase_deg > -MAX_LAG_deg
     return replace(part, is_taken=is_creep and is_lag)
 
 
-def _regression(columns: Array, values: Array) -> tuple[float, float]:
-    """Return the first coefficient of a least-squares fit, and its standard deviation."""
+def _regression(columns: Array, values: Array) -> Array:
+    """Return the first coefficient of a least-squares fit and its standard deviation, (2,)."""
     coefficients = np.linalg.lstsq(columns, values, rcond=None)[0]
     residual = values - columns @ coefficients
     spare = max(len(values) - columns.shape[1], 1)
     inverse = np.linalg.inv(columns.T @ columns)
-    return float(coefficients[0]), float(np.sqrt(inverse[0, 0] * (residual @ residual) / spare))
+    return np.array([coefficients[0], np.sqrt(inverse[0, 0] * (residual @ residual) / spare)])
 
 
 def _variance(response: ComplexArray, residual: ComplexArray, coherence: Array | None) -> Array:
@@ -296,8 +292,7 @@ def _variance(response: ComplexArray, residual: ComplexArray, coherence: Array |
 
     if coherence is not None:
         share = (1.0 - coherence) / coherence
-        width = min(COHERENCE_LINES, (len(share) - 1) // 2 * 2 + 1)
-        smooth = smooth_lines(share[:, None], width)[:, 0]
+        smooth = smooth_lines(share, COHERENCE_LINES)
         floor = MIN_SHARE * float(np.median(smooth))
         shapes = [power * np.maximum(smooth, floor if floor > 0.0 else 1.0)]
     else:

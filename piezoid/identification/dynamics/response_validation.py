@@ -50,37 +50,32 @@ def validate_response(
     reason = _contradiction(axis, fit, recorded)
     if reason:
         return f"{response.name} is not used: {reason}"
-    d, gain = fit.dynamics, fit.dynamics.static_gain_m_per_V
-    sign = 1 if gain * axis.polarity > 0.0 else -1
-    outliers = fit.measured.is_interference
+    d, sector = fit.dynamics, axis.hysteresis.slope_sector_m_per_V
+    gain_m_per_V = abs(d.static_gain_m_per_V)
+    gain_ratio = gain_m_per_V / axis.hysteresis.middle_slope_m_per_V
+    sign = 1 if d.static_gain_m_per_V * axis.polarity > 0.0 else -1
+    factor = 1.0 if recorded is None else _gain_ratio(recorded[0], d)
+    is_outlier = fit.measured.is_interference
     record = ResponseFit(
         name=response.name,
-        lines=len(outliers),
+        lines=len(is_outlier),
         used=int((~fit.measured.is_rejected).sum()),
-        left_out_Hz=tuple(response.frequency_Hz[outliers].tolist()),
-        gain_m_per_V=abs(gain),
-        gain_ratio=abs(gain) / axis.hysteresis.middle_slope_m_per_V,
-        factor=float(sign),
+        left_out_Hz=tuple(response.frequency_Hz[is_outlier].tolist()),
+        gain_m_per_V=gain_m_per_V * factor,
+        gain_ratio=gain_ratio * factor,
+        factor=sign * factor,
         noise_relative=fit.noise,
         left_relative=fit.residual,
         left_Hz=fit.residual_Hz,
         slow=fit.slow,
     )
-    flattest, greatest = axis.hysteresis.slope_sector_m_per_V
     gains = (
-        f"For small fast drives the gain is {with_unit(record.gain_m_per_V, 'm')}/V, "
-        f"{significant(record.gain_ratio)} times the middle of the hysteresis' slopes "
-        f"({with_unit(flattest, 'm')}/V to {with_unit(greatest, 'm')}/V): the hysteresis keeps "
+        f"For small fast drives the gain is {with_unit(gain_m_per_V, 'm')}/V, "
+        f"{significant(gain_ratio)} times the middle of the hysteresis' slopes "
+        f"({with_unit(sector[0], 'm')}/V to {with_unit(sector[1], 'm')}/V): the hysteresis keeps "
         "its own gain, and a controller is designed for both"
     )
     if recorded is not None:
-        factor = _gain_ratio(recorded[0], d)
-        record = replace(
-            record,
-            factor=record.factor * factor,
-            gain_m_per_V=record.gain_m_per_V * factor,
-            gain_ratio=record.gain_ratio * factor,
-        )
         gains += (
             f"; {recorded[1]} shows the same mode and determines the gain, "
             f"{significant(factor)} times that of the response"

@@ -119,20 +119,20 @@ def fit_barrier(curves: Sequence[ApproachCurve]) -> BarrierFit:
         gradient[1, 1 + piece] += 1.0 / sweeps
     covariance = gradient @ decay_covariance @ gradient.T
     # The decay of each sweep, with the weights of the common fit.
-    decays = tuple(
-        replace(
-            fit,
-            height_m=fit.height_m[rows],
-            current_A=fit.current_A[rows],
-            piece=np.unique(fit.piece[rows], return_inverse=True)[1],
-            weight=fit.weight[rows],
-        )
-        .at_best_decay()
-        .decay_per_m
-        for rows in rows_of_sweep
-    )
-    if sweeps == 1:
-        decays = (decay,)
+    decays = [decay]
+    if sweeps > 1:
+        decays = [
+            replace(
+                fit,
+                height_m=fit.height_m[rows],
+                current_A=fit.current_A[rows],
+                piece=np.unique(fit.piece[rows], return_inverse=True)[1],
+                weight=fit.weight[rows],
+            )
+            .at_best_decay()
+            .decay_per_m
+            for rows in rows_of_sweep
+        ]
     independent = 1.0 / max(float(_information(jacobian, 0).sum()), TINY)
     between = float(np.var(decays, ddof=1)) / sweeps if sweeps > 2 else 0.0
     inflation = max(float(covariance[0, 0]) / independent, between / independent, 1.0)
@@ -153,7 +153,7 @@ def fit_barrier(curves: Sequence[ApproachCurve]) -> BarrierFit:
         offset_standard_A=math.sqrt(max(float(offset_covariance[-1, -1]), 0.0)),
         floor_A=fit.floor_A,
         gap_jitter_m=fit.relative_noise / decay,
-        sweep_decay_per_m=decays,
+        sweep_decay_per_m=tuple(decays),
         weighted=fit,
         confidence=confidence,
         reasons=reasons,

@@ -46,7 +46,6 @@ _OPPOSED = 0.5  # of full correlation: noise alone causes far less
 _WIDE, _VERY_WIDE = 0.1, 0.3  # relative width of the interval of the gain
 _PASSES = 2  # with the recorded drive, then with the drive filtered by the fitted plant
 _UNKNOWN_OFFSET_A = 2e-12  # standard deviation: preamplifiers are nulled to a few picoamperes
-_GRADES = (Confidence.LOW, Confidence.MEDIUM, Confidence.HIGH)
 _MIN_RECORDS = 3  # to estimate the spread between records
 
 
@@ -196,9 +195,7 @@ def barrier_of_gain(gain: float, half_gain: float, rig: LoopRig) -> tuple[float,
 def _reject_falling_current(spectra: LoopSpectra, record: LoopRecord) -> None:
     """Raise ``ExcitationError`` if the current falls as the drive rises: the drive is inverted."""
     is_flat = spectra.frequency_Hz <= _FLAT_SHARE * record.sampling_rate_Hz
-    instrument = spectra.reference.conj()
-    drive = np.mean(spectra.drive * instrument, axis=0)[is_flat]
-    output = np.mean(spectra.output * instrument, axis=0)[is_flat]
+    drive, output = spectra.drive_moment[is_flat], spectra.output_moment[is_flat]
     power = float(np.sqrt(np.sum(np.abs(drive) ** 2) * np.sum(np.abs(output) ** 2)))
     if float(np.sum(drive.conj() * output).real) < -_OPPOSED * power:
         raise ExcitationError(
@@ -323,7 +320,7 @@ def describe_loop_plant(fits: Sequence[ClosedLoopFit], rig: LoopRig) -> LoopPlan
         naive_reason=max(fits, key=lambda fit: abs(fit.naive_error)).naive_reason,
         family=family,
         family_records=len(fits),
-        confidence=min((fit.confidence for fit in fits), key=_GRADES.index),
+        confidence=max((fit.confidence for fit in fits), key=list(Confidence).index),
         reasons=tuple(
             reason if len(fits) == 1 else f"{fit.recording}: {reason}"
             for fit in fits
@@ -351,11 +348,10 @@ def spread_family(fits: Sequence[ClosedLoopFit]) -> tuple[JunctionPlant, ...]:
     cannot separate pole and delay.
     """
     mean = np.mean([fit.logs for fit in fits], axis=0)
-    of_record, between, common = _covariances(fits)
-    covariance, reach = of_record + common, NORMAL_95
+    of_record, between, common, reach = _covariances(fits)
+    covariance = of_record + common
     if between is not None:
         covariance = between + (between + of_record) / len(fits) + common
-        reach = float(student_quantile(0.975, len(fits) - 1))
     nominal = _plant(mean, fits[0].plant)
     low, high = bounds_of_logs(nominal.sampling_rate_Hz, fits[0].declared_pole_Hz)
     members = [nominal]
@@ -379,31 +375,31 @@ def mean_of(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array]:
     to all records and does not decrease in the mean.
     """
     logs = np.array([fit.logs for fit in fits])
-    of_record, between, common = _covariances(fits)
+    of_record, between, common, reach = _covariances(fits)
     if between is None:
-        reach = NORMAL_95
         scatter = np.var(logs, axis=0, ddof=min(len(fits) - 1, 1))
         total = np.maximum(np.diag(of_record), scatter)
     else:
-        reach = float(student_quantile(0.975, len(fits) - 1))
         total = np.diag(between + of_record)
     common_part = NORMAL_95**2 * np.diag(common)
     return logs.mean(axis=0), np.sqrt(reach**2 * total / len(fits) + common_part)
 
 
-def _covariances(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array | None, Array]:
+def _covariances(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array | None, Array, float]:
     """Return the covariances of each record, between records, and common to all of a rig.
 
     The second is the scatter of the estimates minus the first [DerSimonian & Laird 1986, in three
-    dimensions]; None with fewer than three records.
+    dimensions]; None with fewer than three records. The last value is the quantile of 95 %
+    intervals: Student's t for the number of records if there is a scatter between them.
     """
     common = np.mean([fit.common for fit in fits], axis=0)
     of_record = np.mean([fit.covariance - fit.common for fit in fits], axis=0)
     if len(fits) < _MIN_RECORDS:
-        return of_record, None, common
+        return of_record, None, common, NORMAL_95
     scatter = np.cov([fit.logs for fit in fits], rowvar=False)
     values, vectors = np.linalg.eigh(scatter - of_record)
-    return of_record, (vectors * np.maximum(values, 0.0)) @ vectors.T, common
+    between = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return of_record, between, common, float(student_quantile(0.975, len(fits) - 1))
 
 
 def _plant(logs: Array, nominal: JunctionPlant) -> JunctionPlant:

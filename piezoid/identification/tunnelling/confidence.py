@@ -5,7 +5,7 @@ from enum import Enum
 
 
 class Confidence(Enum):
-    """Rating of a result."""
+    """Rating of a result, from best to worst."""
 
     HIGH = "high"
     MEDIUM = "medium"

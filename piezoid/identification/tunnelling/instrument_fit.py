@@ -27,9 +27,10 @@ from the edges of the blocks to all lines, becomes a constant. A periodic dither
 periods, without leakage; any other dither into tapered blocks without overlap, which are
 independent. A block contains the response to the drive just before it: with poles of 2 kHz and
 blocks of 512 samples this reduces the gain by 0.2 %, more than noise does. The drive can therefore
-be filtered by a plant close to the true plant before it is cut, so that only their ratio is
-estimated. Lines at multiples of 50 and 60 Hz are left out: mains hum repeats in every period that
-contains a whole number of its cycles, and would look like a response to the dither.
+be filtered by a plant close to the true plant before it is cut, and divided by the response of
+that plant afterwards: only the ratio of both plants is subject to that error. Lines at multiples
+of 50 and 60 Hz are left out: mains hum repeats in every period that contains a whole number of its
+cycles, and would look like a response to the dither.
 """
 
 import math
@@ -38,6 +39,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
@@ -73,21 +75,29 @@ class LoopSpectra:
 
     frequency_Hz  (lines,)
     reference     (blocks, lines)
-    drive         (blocks, lines)  filtered by ``through``
+    drive         (blocks, lines)
     output        (blocks, lines)  of the log current
-    through       plant by which the drive was filtered before it was cut; None: not filtered
     """
 
     frequency_Hz: Array
     reference: ComplexArray
     drive: ComplexArray
     output: ComplexArray
-    through: JunctionPlant | None = None
 
     @property
     def blocks(self) -> int:
         """Number of blocks."""
         return len(self.reference)
+
+    @cached_property
+    def drive_moment(self) -> ComplexArray:
+        """Mean cross spectrum of drive and reference, (lines,)."""
+        return np.asarray(np.mean(self.drive * self.reference.conj(), axis=0))
+
+    @cached_property
+    def output_moment(self) -> ComplexArray:
+        """Mean cross spectrum of output and reference, (lines,)."""
+        return np.asarray(np.mean(self.output * self.reference.conj(), axis=0))
 
 
 def spectra_of_dither(
@@ -95,34 +105,31 @@ def spectra_of_dither(
 ) -> LoopSpectra:
     """Return the spectra at the lines excited by the dither, up to a highest frequency.
 
-    through  plant close to the true one, by which the drive is filtered; None: not filtered
+    through  plant close to the true one: the drive is filtered by it before it is cut, and divided
+             by its response afterwards; None: the drive is cut as recorded
     """
-    if record.period_samples is None:
-        length = _block_length(record)
-        taper = length // 20  # a twentieth of the length as cosine taper at either end
-        window = np.ones(length)
-        window[:taper] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(taper) + 0.5) / max(taper, 1))
-        window[length - taper :] = window[:taper][::-1]
-    else:
-        length, periods = record.period_samples, (record.samples - 1) // record.period_samples
-        if periods < MIN_BLOCKS:
-            raise ExcitationError(
-                f"{record.label}: {record.samples} samples contain {periods} whole periods of "
-                f"{length}, without the first sample",
-                needed=f"at least {MIN_BLOCKS} periods, to separate the dither from the noise",
-                remedy="Record longer, or shorten the dither's period.",
-            )
-        window = np.ones(length)
-    spectra = _cut(record, length, length, window, through)
-    inside = (spectra.frequency_Hz > 0.0) & (spectra.frequency_Hz <= highest_Hz)
-    difference = 2.0 * np.sin(np.pi * spectra.frequency_Hz / record.sampling_rate_Hz)
-    power = np.sum(np.abs(spectra.reference) ** 2, axis=0)
+    window = _block_window(record)
+    length = len(window)
+    frequency_Hz = np.asarray(np.fft.rfftfreq(length, 1.0 / record.sampling_rate_Hz), float)
+    drive_V = np.diff(record.drive_V)
+    signals = (
+        np.diff(record.reference),
+        drive_V if through is None else through.respond(drive_V),
+        np.diff(record.log_current),
+    )
+    reference, drive, output = (
+        np.fft.rfft(sliding_window_view(signal, length)[::length] * window, axis=1)
+        for signal in signals
+    )
+    inside = (frequency_Hz > 0.0) & (frequency_Hz <= highest_Hz)
+    difference = 2.0 * np.sin(np.pi * frequency_Hz / record.sampling_rate_Hz)
+    power = np.sum(np.abs(reference) ** 2, axis=0)
     power[inside] /= difference[inside] ** 2  # power of the dither, not of its differences
     for mains_Hz in _MAINS_Hz:  # lines within half a line of a harmonic
-        harmonic_Hz = np.maximum(np.round(spectra.frequency_Hz / mains_Hz), 1.0) * mains_Hz
-        distance_Hz = np.abs(spectra.frequency_Hz - harmonic_Hz)
+        harmonic_Hz = np.maximum(np.round(frequency_Hz / mains_Hz), 1.0) * mains_Hz
+        distance_Hz = np.abs(frequency_Hz - harmonic_Hz)
         is_mains = distance_Hz < 0.5 * record.sampling_rate_Hz / length
-        inside &= ~(is_mains & (spectra.frequency_Hz <= _HIGHEST_MAINS_Hz))
+        inside &= ~(is_mains & (frequency_Hz <= _HIGHEST_MAINS_Hz))
     if not np.max(power[inside], initial=0.0) > 0.0:
         raise ExcitationError(
             f"{record.label}: the reference does not move",
@@ -130,12 +137,12 @@ def spectra_of_dither(
             remedy="Add a small multisine to the set point or to the drive and record it.",
         )
     inside &= power > _MIN_POWER * np.max(power[inside])
-    return replace(
-        spectra,
-        frequency_Hz=spectra.frequency_Hz[inside],
-        reference=spectra.reference[:, inside],
-        drive=spectra.drive[:, inside],
-        output=spectra.output[:, inside],
+    frequency_Hz, drive = frequency_Hz[inside], drive[:, inside]
+    return LoopSpectra(
+        frequency_Hz=frequency_Hz,
+        reference=reference[:, inside],
+        drive=drive if through is None else drive / through.frequency_response(frequency_Hz),
+        output=output[:, inside],
     )
 
 
@@ -148,47 +155,48 @@ def naive_gain(record: LoopRecord, *, highest_Hz: float, flat_Hz: float) -> tupl
     highest_Hz  of the lines
     flat_Hz     up to which the plant is flat
     """
-    length = _block_length(record)
-    spectra = _cut(record, length, length // 2, np.hanning(length + 1)[:-1])
-    inside = (spectra.frequency_Hz > 0.0) & (spectra.frequency_Hz <= highest_Hz)
-    drive, reference = spectra.drive[:, inside], spectra.reference[:, inside]
-    cross = np.sum(spectra.output[:, inside] * drive.conj(), axis=0)
-    gain = np.abs(cross) / np.maximum(np.sum(np.abs(drive) ** 2, axis=0), 1e-300)
-    explained = np.abs(np.sum(drive * reference.conj(), axis=0)) ** 2
-    explained /= np.maximum(np.sum(np.abs(reference) ** 2, axis=0), 1e-300)
-    share = float(np.sum(explained) / np.sum(np.abs(drive) ** 2))
-    return float(np.median(gain[spectra.frequency_Hz[inside] <= flat_Hz])), share
+    from scipy.signal import csd
+
+    rate_Hz, length = record.sampling_rate_Hz, _block_length(record)
+    reference, drive = np.diff(record.reference), np.diff(record.drive_V)
+    frequency_Hz = np.fft.rfftfreq(length, 1.0 / rate_Hz)
+    inside = (frequency_Hz > 0.0) & (frequency_Hz <= highest_Hz)
+
+    def cross_power(first: Array, second: Array) -> Array:
+        _, cross = csd(first, second, rate_Hz, nperseg=length, detrend=False)
+        return np.asarray(np.abs(cross[inside]))
+
+    drive_power = cross_power(drive, drive)
+    gain = cross_power(drive, np.diff(record.log_current)) / np.maximum(drive_power, 1e-300)
+    explained = cross_power(drive, reference) ** 2
+    explained /= np.maximum(cross_power(reference, reference), 1e-300)
+    share = float(np.sum(explained) / np.sum(drive_power))
+    return float(np.median(gain[frequency_Hz[inside] <= flat_Hz])), share
+
+
+def _block_window(record: LoopRecord) -> Array:
+    """Return the window of one block: a period of the dither, or a tapered part of the record."""
+    if record.period_samples is None:
+        length = _block_length(record)
+        taper = length // 20  # a twentieth of the length as cosine taper at either end
+        window = np.ones(length)
+        window[:taper] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(taper) + 0.5) / max(taper, 1))
+        window[length - taper :] = window[:taper][::-1]
+        return window
+    periods = (record.samples - 1) // record.period_samples
+    if periods < MIN_BLOCKS:
+        raise ExcitationError(
+            f"{record.label}: {record.samples} samples contain {periods} whole periods of "
+            f"{record.period_samples}, without the first sample",
+            needed=f"at least {MIN_BLOCKS} periods, to separate the dither from the noise",
+            remedy="Record longer, or shorten the dither's period.",
+        )
+    return np.ones(record.period_samples)
 
 
 def _block_length(record: LoopRecord) -> int:
     """Return the power of two that gives at least 32 blocks without overlap."""
     return max(int(2 ** np.floor(np.log2(record.samples / 33))), 16)
-
-
-def _cut(
-    record: LoopRecord,
-    length: int,
-    advance: int,
-    window: Array,
-    through: JunctionPlant | None = None,
-) -> LoopSpectra:
-    drive_V = np.diff(record.drive_V)
-    signals = (
-        np.diff(record.reference),
-        drive_V if through is None else through.respond(drive_V),
-        np.diff(record.log_current),
-    )
-    transformed = []
-    for signal in signals:
-        blocks = np.lib.stride_tricks.sliding_window_view(signal, length)[::advance]
-        transformed.append(np.fft.rfft(blocks * window, axis=1))
-    return LoopSpectra(
-        frequency_Hz=np.asarray(np.fft.rfftfreq(length, 1.0 / record.sampling_rate_Hz), float),
-        reference=transformed[0],
-        drive=transformed[1],
-        output=transformed[2],
-        through=through,
-    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -237,8 +245,9 @@ def fit_with_instrument(
         declared_pole_Hz=sensor_pole_Hz,
         sampling_rate_Hz=sampling_rate_Hz,
     )
-    drive = np.where(np.abs(problem.drive) > 0.0, problem.drive, 1e-300)
-    response = problem.output / drive * problem.filter_response  # S_yz / S_uz
+    moment = spectra.drive_moment
+    drive = np.where(np.abs(moment) > 0.0, moment, 1e-300)
+    response = spectra.output_moment / drive  # S_yz / S_uz
     gain = float(np.median(np.abs(response[: max(len(response) // 4, 1)])))
     poles_Hz = (0.1 * sampling_rate_Hz, 0.4 * sampling_rate_Hz)
     starts = [
@@ -290,24 +299,6 @@ class _Moments:
     declared_pole_Hz: float | None
     sampling_rate_Hz: float
 
-    @cached_property
-    def output(self) -> ComplexArray:
-        """Mean cross spectrum of output and instrument, (lines,)."""
-        return np.asarray(np.mean(self.spectra.output * self.spectra.reference.conj(), axis=0))
-
-    @cached_property
-    def drive(self) -> ComplexArray:
-        """Mean cross spectrum of drive and instrument, (lines,)."""
-        return np.asarray(np.mean(self.spectra.drive * self.spectra.reference.conj(), axis=0))
-
-    @cached_property
-    def filter_response(self) -> ComplexArray:
-        """Response of the plant by which the drive was filtered, (lines,); 1 without one."""
-        through, frequency_Hz = self.spectra.through, self.spectra.frequency_Hz
-        if through is None:
-            return np.ones(len(frequency_Hz), dtype=np.complex128)
-        return through.frequency_response(frequency_Hz)
-
     def plant(self, logs: Array) -> JunctionPlant:
         return JunctionPlant(
             gain_nepers_per_V=math.exp(logs[0]),
@@ -327,27 +318,24 @@ class _Moments:
         )
 
     def freedom(self, parameters: int) -> int:
-        return max(2 * len(self.output) - parameters, 1)
+        return max(2 * len(self.spectra.frequency_Hz) - parameters, 1)
 
     def modelled(self, logs: Array) -> ComplexArray:
-        """Return the response over ``filter_response``, (lines,)."""
+        """Return the response of plant and mode or tail, (lines,)."""
         frequency_Hz = self.spectra.frequency_Hz
         response = self.plant(logs).frequency_response(frequency_Hz, self.mode(logs))
         if len(logs) == _WITH_TAIL:
             response = response * (1.0 + logs[_TAIL] * (frequency_Hz / self.sampling_rate_Hz) ** 2)
-        return np.asarray(response / self.filter_response)
+        return np.asarray(response)
 
-    def block_moments(self, relative: ComplexArray) -> ComplexArray:
-        """Return the moments of each block, (blocks, lines).
-
-        relative  (lines,)  response over ``filter_response``
-        """
-        bracket = self.spectra.output - relative * self.spectra.drive
+    def block_moments(self, response: ComplexArray) -> ComplexArray:
+        """Return the moments of each block for a response, (blocks, lines)."""
+        bracket = self.spectra.output - response * self.spectra.drive
         return np.asarray(bracket * self.spectra.reference.conj())
 
     def deviation(self, response: ComplexArray) -> Array:
         """Return the standard deviation of each part of the mean moments, (lines,)."""
-        moments = self.block_moments(response / self.filter_response)
+        moments = self.block_moments(response)
         variance = np.var(moments, axis=0, ddof=1) / (2.0 * len(moments))
         kernel = np.ones(min(_NEIGHBOURS, len(variance)))
         share = np.convolve(np.ones_like(variance), kernel, mode="same")
@@ -356,14 +344,15 @@ class _Moments:
 
     def weighted(self, logs: Array, deviation: Array) -> Array:
         """Return real and imaginary parts of the mean moments, standardised, (2 lines,)."""
-        mean = (self.output - self.modelled(logs) * self.drive) / deviation
+        modelled = self.modelled(logs) * self.spectra.drive_moment
+        mean = (self.spectra.output_moment - modelled) / deviation
         return np.concatenate([mean.real, mean.imag])
 
     def settle(self, starts: Sequence[Array], deviation: Array) -> tuple[Array, float, Array]:
         """Solve from every start, then update weights and logs in turn: logs, cost, deviation."""
         logs, cost = min((self.solve(s, deviation) for s in starts), key=lambda pair: pair[1])
         for _ in range(_ROUNDS):
-            deviation = self.deviation(self.modelled(logs) * self.filter_response)
+            deviation = self.deviation(self.modelled(logs))
             logs, cost = self.solve(logs, deviation)
         return logs, cost, deviation
 

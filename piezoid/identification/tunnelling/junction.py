@@ -28,7 +28,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.approach import (
     ApproachCurve,
     Direction,
@@ -93,25 +92,21 @@ class DirectionShift:
         return low <= 0.0 <= high
 
 
-def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionShift:
+def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionShift | None:
     """Compare both directions at a current that is above the noise in both.
 
         z(i) = ( ln I_0 - ln i ) / k,    shift = z_backward(i) - z_forward(i)
 
     The reference current is the geometric mean of the smaller peak and three times the larger
     floor, at which decay and height are nearly uncorrelated. Intervals follow from the block
-    covariances by the delta method, for independent directions.
+    covariances by the delta method, for independent directions. None if no current is above three
+    times the noise in both directions.
     """
     fits = (forward, backward)
     peak_A = min(fit.peak_A for fit in fits)
     floor_A = 3.0 * max(fit.floor_A for fit in fits)
     if peak_A <= floor_A:
-        raise ExcitationError(
-            f"{forward.curves[0].label}, {backward.curves[0].label}: at most {peak_A:.3g} A over "
-            f"a noise of {floor_A / 3.0:.3g} A",
-            needed="in both directions a current above three times the noise",
-            remedy="Approach closer, or average longer.",
-        )
+        return None
     reference_A = math.sqrt(peak_A * floor_A)
     heights_m, deviations_m = [], []
     for fit in fits:
@@ -338,11 +333,6 @@ def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) 
         for _, (low, high) in (sweeps, loop)
     ]
 
-    def around(center: float, half: float) -> Interval:
-        if not math.isfinite(half):
-            return 0.0, math.inf
-        return math.exp(center - half), math.exp(center + half)
-
     log_ratio = math.log(loop[0]) - math.log(sweeps[0])
     half = NORMAL_95 * math.sqrt(sum(variances))
     agree = abs(log_ratio) <= half
@@ -355,10 +345,11 @@ def join_barriers(sweeps: tuple[float, Interval], loop: tuple[float, Interval]) 
         mean = math.log(sweeps[0]) + share * log_ratio
         excess = weights[0] * share * log_ratio**2 if total > 0.0 else 0.0
         spread = math.sqrt(max(excess, 1.0) / total) if total > 0.0 else math.inf
-        decay, interval = math.exp(mean), around(mean, NORMAL_95 * spread)
+        decay, distance = math.exp(mean), NORMAL_95 * spread
+        interval = math.exp(mean - distance), math.exp(mean + distance)
     return JointBarrier(
         ratio=math.exp(log_ratio),
-        ratio_interval=around(log_ratio, half),
+        ratio_interval=(math.exp(log_ratio - half), math.exp(log_ratio + half)),
         agree=agree,
         decay_per_m=decay,
         decay_interval_per_m=interval,
@@ -412,10 +403,7 @@ def fit_junction(
         model = TunnellingModel(gap_law=gap_law, loop_plant=None)
         if len(fits) == len(Direction):
             forward, backward = fits.values()
-            try:
-                shift = compare_directions(forward, backward)
-            except ExcitationError:
-                shift = None  # no current is above the noise in both directions
+            shift = compare_directions(forward, backward)
             model = replace(model, forward=forward.law, backward=backward.law, shift=shift)
     if not any(is_loop(recording) for recording in recordings):
         return model

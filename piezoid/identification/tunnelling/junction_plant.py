@@ -2,15 +2,10 @@
 
     dy = K wa/(s + wa) wi/(s + wi) e^(-s tau) du      wa amplifier, wi current sensor, rad/s
 
-With the step response's terms c_p e^(-p t), c_a = wi/(wi - wa), c_i = wa/(wa - wi), n the least
-whole number of samples not below tau, and rho = n Ts - tau the rest, the held plant is
-
-    G(q) = K q^-n [ 1 - (1 - q^-1) sum_p c_p e^(-p rho) / (1 - e^(-p Ts) q^-1) ]
-
-A mode of the drive, 1 - a + a / (1 + s/(w Q) + s^2/w^2), adds a pair of poles to the sum; this
-sampling is exact also beyond half the sampling rate, where the images of the mode fall into the
-band. Amplifier and sensor enter symmetrically, so only one of their poles can be identified: that
-of the amplifier is declared. Positive drive extends the tip: K > 0.
+A mode of the drive is the factor 1 - a + a / (1 + s/(w Q) + s^2/w^2). Sampling is exact also
+beyond half the sampling rate, where the images of the mode fall into the band. Amplifier and
+sensor enter symmetrically, so only one of their poles can be identified: that of the amplifier is
+declared. Positive drive extends the tip: K > 0.
 """
 
 import cmath
@@ -20,7 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.numerics.arrays import Array, ComplexArray
-from piezoid.operators.linear import ContinuousSystem, recursive_filter, resonance
+from piezoid.operators.linear import (
+    ContinuousSystem,
+    cascade,
+    first_order,
+    resonance,
+    sample,
+    sampled_fractions,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +50,11 @@ class DriveMode:
         return replace(mode, C=self.share * mode.C, D=np.array([[1.0 - self.share]]))
 
     @property
-    def poles(self) -> tuple[complex, complex]:
-        """Poles p of the transients e^(-p t), rad/s."""
+    def poles(self) -> list[complex]:
+        """Both poles, rad/s."""
         damping, frequency = 0.5 / self.quality, 2.0 * math.pi * self.frequency_Hz
         root = cmath.sqrt(damping**2 - 1.0)
-        return frequency * (damping + root), frequency * (damping - root)
+        return [frequency * (-damping + root), frequency * (-damping - root)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,57 +78,33 @@ class JunctionPlant:
         if not self.delay_s >= 0.0:
             raise ValueError(f"delay_s is {self.delay_s}, expected at least 0")
 
-    def _terms(self, mode: DriveMode | None) -> tuple[int, list[tuple[complex, complex]]]:
-        """Return n, and for each pole its pulse pole e^(-p Ts) and c_p e^(-p rho).
-
-        c_p is minus the residue of the step response at -p.
-        """
-        period_s = 1.0 / self.sampling_rate_Hz
-        samples = math.ceil(self.delay_s / period_s - 1e-9)
-        remainder_s = max(samples * period_s - self.delay_s, 0.0)
-        amplifier = 2.0 * math.pi * self.amplifier_pole_Hz
-        sensor = 2.0 * math.pi * self.sensor_pole_Hz
-        if abs(sensor / amplifier - 1.0) < 1e-6:
-            sensor = amplifier * (1.0 + 1e-6)  # a double pole, split by a negligible amount
-        poles: list[complex] = [amplifier, sensor, *(() if mode is None else mode.poles)]
-        terms = []
-        for k, pole in enumerate(poles):
-            numerator: complex = amplifier * sensor
-            if mode is not None:
-                stiffness = (2.0 * math.pi * mode.frequency_Hz) ** 2
-                spring = pole**2 - pole * math.sqrt(stiffness) / mode.quality + stiffness
-                numerator *= (1.0 - mode.share) * spring + mode.share * stiffness
-            distance = math.prod(zero - pole for zero in poles[:k] + poles[k + 1 :])
-            share = numerator / (pole * distance)
-            terms.append((cmath.exp(-pole * period_s), share * cmath.exp(-pole * remainder_s)))
-        return samples, terms
-
     def frequency_response(
         self, frequency_Hz: Array, mode: DriveMode | None = None
     ) -> ComplexArray:
         """Return G at each frequency, (frequencies,) nepers per volt.
 
-        mode  of the drive, sampled with the plant
+        mode  of the drive, sampled with the plant: 1 - a times the plant, plus a times the plant
+              with the two poles of the mode
         """
-        samples, terms = self._terms(mode)
-        delay = np.exp(-2j * np.pi * frequency_Hz / self.sampling_rate_Hz)
-        remainder = sum(share / (1.0 - pulse * delay) for pulse, share in terms)
-        response: ComplexArray = (
-            self.gain_nepers_per_V * delay**samples * (1.0 - (1.0 - delay) * remainder)
-        )
+        poles_Hz = (self.amplifier_pole_Hz, self.sensor_pole_Hz)
+        plant_poles = [-2.0 * math.pi * pole_Hz for pole_Hz in poles_Hz]
+        parts: list[tuple[float, list[complex]]] = [(1.0, [])]
+        if mode is not None:
+            parts = [(1.0 - mode.share, []), (mode.share, mode.poles)]
+        response = np.zeros(len(frequency_Hz), dtype=np.complex128)
+        for share, mode_poles in parts:
+            poles = np.array([[*plant_poles, *mode_poles]], dtype=np.complex128)
+            response += sampled_fractions(
+                self.gain_nepers_per_V * share * np.prod(-poles, axis=1).real,
+                poles,
+                np.array([self.delay_s]),
+                self.sampling_rate_Hz,
+                frequency_Hz,
+            )[0]
         return response
-
-    def polynomials(self) -> tuple[Array, Array]:
-        """Return B and A in q^-1 with G = B / A, A[0] = 1; the delay leads B as zeros."""
-        samples, terms = self._terms(None)
-        (pulse_a, share_a), (pulse_i, share_i) = ((p.real, c.real) for p, c in terms)
-        pole_a, pole_i = np.array([1.0, -pulse_a]), np.array([1.0, -pulse_i])
-        denominator = np.convolve(pole_a, pole_i)
-        transient = np.convolve([1.0, -1.0], share_a * pole_i + share_i * pole_a)
-        numerator = self.gain_nepers_per_V * (denominator - transient)
-        return np.concatenate([np.zeros(samples), numerator]), denominator
 
     def respond(self, drive_V: Array) -> Array:
         """Return the response of the log current to a drive from rest, (samples,) nepers."""
-        numerator, denominator = self.polynomials()
-        return recursive_filter(numerator, denominator, drive_V)
+        poles = cascade(first_order(self.amplifier_pole_Hz), first_order(self.sensor_pole_Hz))
+        system = sample(replace(poles, delay_s=self.delay_s), self.sampling_rate_Hz)
+        return self.gain_nepers_per_V * system.run(drive_V)[0]

@@ -55,10 +55,6 @@ class LoopRecord:
     def __post_init__(self) -> None:
         freeze(self, "reference", "drive_V", "current_A")
         same_length([(n, getattr(self, n)) for n in ("drive_V", "reference", "current_A")])
-        if not (math.isfinite(self.sampling_rate_Hz) and self.sampling_rate_Hz > 0.0):
-            raise ValueError(f"{self.label}: sampling_rate_Hz is {self.sampling_rate_Hz}")
-        if not self.floor_A > 0.0:
-            raise ValueError(f"{self.label}: floor_A is {self.floor_A}, expected more than 0")
         positive_A = math.copysign(1.0, self.set_point_A) * self.current_A
         below = int(np.count_nonzero(positive_A < self.floor_A))
         if below > _LOST_FRACTION * self.samples:

@@ -12,6 +12,7 @@ from piezoid.identification.tunnelling.barrier_fit import GapLaw
 from piezoid.identification.tunnelling.junction import TunnellingModel, fit_junction
 from piezoid.numerics.arrays import Array
 from piezoid.records.readers import read_table
+from piezoid.records.table import RawTable
 
 DECAY_per_m = 20e9
 TRAVEL_m = 0.6e-9
@@ -22,6 +23,7 @@ SPEED_m_per_s = 0.5e-9
 def sweeps(
     rng: np.random.Generator,
     *,
+    decay_per_m: float = DECAY_per_m,
     drift_m_per_s: float = 0.0,
     offset_A: float = 0.0,
     top_A: float = 5e-10,
@@ -35,7 +37,7 @@ def sweeps(
     height_m = np.linspace(0.0, TRAVEL_m, ROWS)
     currents_A = []
     for time_s in (height_m / SPEED_m_per_s, (2 * TRAVEL_m - height_m) / SPEED_m_per_s):
-        law_A = top_A * np.exp(-DECAY_per_m * (height_m + drift_m_per_s * time_s))
+        law_A = top_A * np.exp(-decay_per_m * (height_m + drift_m_per_s * time_s))
         jitter = 1.0 + 0.01 * rng.standard_normal(ROWS)
         dark_A = offset_A + 2e-14 * rng.standard_normal(ROWS)
         clipped_A = np.clip(law_A * jitter + dark_A, -range_A, range_A)
@@ -43,10 +45,10 @@ def sweeps(
     return height_m, currents_A[0], currents_A[1]
 
 
-def fitted(
+def written(
     path: Path, height_m: Array, *currents_A: Array, bias: str = "20E-3", head: str = ""
-) -> TunnellingModel:
-    """Fit a file with these columns: forward, then backward if there are two."""
+) -> RawTable:
+    """Return the table of a file with these columns: forward, then backward if there are two."""
     names = ["Z rel (m)", "Current (A)", "Current [bwd] (A)"][: 1 + len(currents_A)]
     rows = zip(height_m, *currents_A, strict=True)
     lines = ["\t".join(f"{value:.9e}" for value in row) for row in rows]
@@ -55,7 +57,12 @@ def fitted(
         + "\n".join(["\t".join(names), *lines])
         + "\n"
     )
-    model = fit_junction([read_table(path)])
+    return read_table(path)
+
+
+def fitted(path: Path, height_m: Array, *currents_A: Array, **header: str) -> TunnellingModel:
+    """Fit a file with these columns: forward, then backward if there are two."""
+    model = fit_junction([written(path, height_m, *currents_A, **header)])
     assert model is not None
     return model
 
@@ -78,6 +85,22 @@ def test_both_directions_together_cancel_a_drift_of_a_fifth_of_the_speed(
     assert model.forward.decay_per_m == pytest.approx(DECAY_per_m * (1.0 + share), rel=0.02)
     is_stated = any("drifted or crept" in reason for reason in law.reasons)
     assert is_stated == (drift_m_per_s != 0.0)
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.05])
+def test_several_pairs_determine_their_mean_decay_as_well_as_they_agree(tmp_path, rng, spread):
+    decays = DECAY_per_m * (1.0 + spread * np.array([-1.2, -0.4, 0.4, 1.2]))
+    pairs = [sweeps(rng, decay_per_m=decay) for decay in decays]
+    model = fit_junction(
+        [written(tmp_path / f"{number}.dat", *pair) for number, pair in enumerate(pairs)]
+    )
+    assert model is not None
+    law = law_of(model)
+    assert law.sweep_decay_per_m == pytest.approx(decays, rel=0.01)
+    assert law.decay_interval_per_m[0] < DECAY_per_m < law.decay_interval_per_m[1]
+    # Student's t of three degrees of freedom times the scatter of four.
+    half = 3.18 * spread * np.sqrt(1.07) / 2.0
+    assert np.ptp(law.decay_interval_per_m) / (2.0 * DECAY_per_m) == pytest.approx(half, abs=0.01)
 
 
 def test_one_direction_alone_covers_the_drift_by_its_interval_and_states_it(tmp_path, rng):
