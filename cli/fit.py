@@ -243,6 +243,7 @@ def calibrate_streamed(
 
     from piezoid.calibration.calibrate import JobResult, finish, try_design
     from piezoid.records.chunked_reader import read_thinned
+    from piezoid.records.collection import Collection
     from piezoid.records.lab import read_lab
     from piezoid.verbs import fit as fit_stage
     from piezoid_reports.render import with_report
@@ -256,4 +257,4 @@ def calibrate_streamed(
     result = JobResult(undiagnosed=UNDIAGNOSED, outcomes=outcomes, fault=fault)
     calibration = finish(model, [result], declared, progress, processes)
     progress("writing the report")
-    return with_report(calibration, None, declared)
+    return with_report(calibration, Collection(recordings=()), declared)
