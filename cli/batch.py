@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import typer
 
-from piezoid_cli.terminal import JsonFile, Quiet, print_raw, rich_text, show_progress, table
+from piezoid_cli.options import JsonFile, Quiet
+from piezoid_cli.tables import table
+from piezoid_cli.terminal import display, print_raw, show_progress
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -103,9 +105,9 @@ def calibrate_stages(
     """
     from piezoid.errors import OutputFolderError
     from piezoid_cli.batch_cluster import pending_stages, run_on_workers
-    from piezoid_cli.batch_stage import record_without_results, run_task
+    from piezoid_cli.batch_stage import run_task
     from piezoid_cli.result_store import RECORD, result_store
-    from piezoid_reports.fleet.records import CRASHED
+    from piezoid_reports.fleet.records import CRASHED, FleetStage
 
     store = result_store(tasks[0].results)
     pending = pending_stages(tasks, stages)
@@ -113,13 +115,14 @@ def calibrate_stages(
     progress(f"{n_earlier} of {len(tasks)} stages done")
     store.create()
     for task, packed, failure in run_on_workers(client, work or run_task, pending, retries):
-        record = packed
         if failure:
-            crashed = record_without_results(task, CRASHED, failure)
-            record = crashed.packed()
+            crashed = FleetStage(
+                name=task.name, state=CRASHED, reason=failure, version=task.version
+            )
+            packed = crashed.packed()
             with suppress(OutputFolderError):  # the user may have written files there meanwhile
                 store.write_stage(task.name, {RECORD: crashed.to_json()})
-        stages.add(task.name, record)
+        stages.add(task.name, packed)
         progress(f"{len(stages)} of {len(tasks)} stages done: {task.name}")
     store.remove_unfinished(task.name for task in tasks)
     return n_earlier
@@ -149,33 +152,31 @@ def write_summary(out: str, fleet: "Fleet", *, printed: bool = False, force: boo
 
 
 def _show(fleet: "Fleet", n_earlier: int, out: str) -> None:
-    from rich.console import Console
-
     from piezoid_cli.result_store import SUMMARY
     from piezoid_reports.fleet.records import PASSED, STAGES, STATES
 
-    console, count = Console(), fleet.counts
+    count = fleet.counts
     rows = [
         (str(count[state]), state, meaning)
         for state, meaning in STATES.items()
         if count.get(state)
     ]
     title = f"batch {fleet.name}: {len(fleet.stages)} stages"
-    console.print(table(title, ("stages", "state", "meaning"), rows, n_words=3))
+    display(table(title, ("stages", "state", "meaning"), rows, n_words=3))
     if n_earlier:
-        console.print(f"{n_earlier} were finished in an earlier run")
+        display(f"{n_earlier} were finished in an earlier run")
     if n_uncontrolled := fleet.without_controller:
-        console.print(
+        display(
             f"{n_uncontrolled} passed without a controller: their reports state what is missing"
         )
     for stage in islice((stage for stage in fleet.stages if stage.reason), MAX_REASONS):
-        console.print(rich_text(f"{stage.name}: {stage.state}: {stage.reason}", style="dim"))
+        display(f"{stage.name}: {stage.state}: {stage.reason}", "dim")
     n_omitted = len(fleet.stages) - count.get(PASSED, 0) - MAX_REASONS
     if n_omitted > 0:
-        console.print(f"and {n_omitted} more; parameters.parquet lists their reasons")
+        display(f"and {n_omitted} more; parameters.parquet lists their reasons")
     summary, *paths = (f"{out.rstrip('/')}/{name}" for name in (*SUMMARY[:2], f"{STAGES}/"))
-    console.print(rich_text(f"summary: {summary}"))
-    console.print(rich_text(f"also: {', '.join(paths)}"))
+    display(f"summary: {summary}")
+    display(f"also: {', '.join(paths)}")
 
 
 def write_table(fleet: "Fleet", stream: BinaryIO) -> None:

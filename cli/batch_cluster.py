@@ -151,10 +151,7 @@ def cluster_client(scheduler: str, processes: int | None) -> "Iterator[Client]":
 
 
 def run_on_workers(
-    client: "Client",
-    work: Callable[[StageTask], bytes],
-    tasks: Sequence[StageTask],
-    retries: int,
+    client: "Client", work: Callable[[StageTask], bytes], tasks: Sequence[StageTask], retries: int
 ) -> Iterator[tuple[StageTask, bytes, str]]:
     """Yield every completed stage with its packed record, or with the reason of its failure.
 

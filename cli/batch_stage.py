@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -125,25 +126,17 @@ def calibrate_stage(
 
     folder = Path(task.folder)
     files = [folder / name for name in inputs if name != LAB]
+    without_results = partial(FleetStage, name=task.name, version=task.version, inputs=inputs)
     try:
         calibration = calibrate(files, folder / LAB, lambda _: None)
         return _record(task, inputs, calibration), calibration.files
     except (OSError, MemoryError):
         raise
     except PiezoidError as error:
-        return record_without_results(task, REFUSED, str(error), inputs), {}
+        return without_results(state=REFUSED, reason=str(error)), {}
     except Exception as error:
         reason = f"internal error ({type(error).__name__}: {error})"
-        return record_without_results(task, CRASHED, reason, inputs), {}
-
-
-def record_without_results(
-    task: StageTask, state: str, reason: str, inputs: Mapping[str, str] | None = None
-) -> FleetStage:
-    """Return the record of a stage without results."""
-    return FleetStage(
-        name=task.name, state=state, reason=reason, version=task.version, inputs=inputs or {}
-    )
+        return without_results(state=CRASHED, reason=reason), {}
 
 
 def _record(task: StageTask, inputs: Mapping[str, str], calibration: "Calibration") -> FleetStage:

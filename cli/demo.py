@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Processes, Quiet
+from piezoid_cli.options import Force, Json, Processes, Quiet
 
 
 def demo(

@@ -5,17 +5,9 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import (
-    ForceEdited,
-    JsonFile,
-    Quiet,
-    StageLab,
-    print_raw,
-    report_table,
-    say,
-    show_progress,
-    show_statements,
-)
+from piezoid_cli.options import ForceEdited, JsonFile, Quiet, StageLab
+from piezoid_cli.tables import report_table, show_statements
+from piezoid_cli.terminal import display, print_raw, say, show_progress
 
 
 def design(
@@ -47,8 +39,6 @@ def design(
 
     piezoid design stage42/ --json | jq .axes[].loops[].bandwidth_Hz
     """
-    from rich.console import Console
-
     from piezoid.design.design_stage import SpecificationText, design_stage
     from piezoid.design.design_statements import design_statements
     from piezoid.output_folder import add_to_folder, check_folder
@@ -79,7 +69,7 @@ def design(
         print_raw(content)
     elif not quiet:
         loops = loops_table(Page(model=model, design=result))
-        Console().print(report_table(loops, "controllers, worst case over each plant family"))
+        display(report_table(loops, "controllers, worst case over each plant family"))
         show_statements(design_statements(result, model), Level.WARNING)
         for axis in result.axes:
             if rate is not None and axis.sampling_rate_Hz != rate:

@@ -7,19 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import (
-    Force,
-    JsonFile,
-    Quiet,
-    RecordingLab,
-    budget_lines,
-    print_raw,
-    report_table,
-    rich_text,
-    say,
-    show_progress,
-    show_statements,
-)
+from piezoid_cli.options import Force, JsonFile, Quiet, RecordingLab
+from piezoid_cli.tables import budget_lines, report_table, show_statements
+from piezoid_cli.terminal import display, print_raw, say, show_progress
 
 if TYPE_CHECKING:
     from piezoid.diagnosis.compare import ModelComparison
@@ -140,8 +130,6 @@ def _diagnose_files(
 
 def _show(diagnosis: "Diagnosis", recordings: "Sequence[Recording]") -> None:
     """Print findings, errors and statements, and the recordings that do not contribute."""
-    from rich.console import Console
-
     from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
     from piezoid.formatting import count_of, with_unit
     from piezoid.identification.dynamics.behind_hysteresis import excites_dynamics
@@ -151,18 +139,18 @@ def _show(diagnosis: "Diagnosis", recordings: "Sequence[Recording]") -> None:
     from piezoid.statement import Level
     from piezoid_reports.sections.findings import findings_table
 
-    console, counted = Console(), diagnosis.counted
+    counted = diagnosis.counted
     if diagnosis.findings:
         findings = record_in_counts(findings_table([diagnosis]), counted)
         title = f"axis {diagnosis.axis}: {count_of(len(diagnosis.findings), 'effect')} found"
-        console.print(report_table(findings, title))
+        display(report_table(findings, title))
     baseline, final = (with_unit(e.rms_m, "m") for e in (diagnosis.baseline, diagnosis.final))
     line = (
         f"axis {diagnosis.axis}: held-out error {baseline} without the findings, {final} with "
         f"them; sensor noise {with_unit(diagnosis.noise_floor_rms_m, 'm')}"
     )
     for text in (in_counts(line, counted), *budget_lines([diagnosis])):
-        console.print(rich_text(text))
+        display(text)
     statements = diagnosis_statements(diagnosis)
     minimum = Level.ACTION if diagnosis.findings else Level.NOTE
     if any(statement.quantity == "no_effect_tested" for statement in statements):

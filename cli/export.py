@@ -6,16 +6,8 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import (
-    ForceEdited,
-    Json,
-    Quiet,
-    StageLab,
-    print_record,
-    rich_text,
-    say,
-    show_progress,
-)
+from piezoid_cli.options import ForceEdited, Json, Quiet, StageLab
+from piezoid_cli.terminal import display, print_record, say, show_progress
 
 
 def export(
@@ -119,7 +111,5 @@ def export(
 
 def show_unshipped(reasons: Mapping[str, str]) -> None:
     """Print the axes that do not ship, with the reasons."""
-    from rich.console import Console
-
     for axis, reason in reasons.items():
-        Console().print(rich_text(f"axis {axis} does not ship: {reason}", style="bold red"))
+        display(f"axis {axis} does not ship: {reason}", "bold red")

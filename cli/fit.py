@@ -6,20 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piezoid_cli.terminal import (
-    Force,
-    Json,
-    Processes,
-    Quiet,
-    RecordingLab,
-    budget_lines,
-    print_record,
-    rich_text,
-    say,
-    show_progress,
-    show_statements,
-    table,
-)
+from piezoid_cli.options import Force, Json, Processes, Quiet, RecordingLab
+from piezoid_cli.tables import budget_lines, show_statements, table
+from piezoid_cli.terminal import display, print_record, say, show_progress
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -145,14 +134,12 @@ def summary_of(calibration: "Calibration") -> dict[str, Any]:
 
 def show(calibration: "Calibration") -> None:
     """Print a table of axes, their error budgets, the tip, and the statements."""
-    from rich.console import Console
-
     from piezoid.calibration.stage_statements import stage_statements
     from piezoid.statement import Level
     from piezoid_reports.sections.tunnelling import barrier_sentence, joint_sentence, loop_sentence
 
-    console, model, controllers = Console(), calibration.model, calibration.controllers
-    console.print(_table(calibration))
+    model, controllers = calibration.model, calibration.controllers
+    display(_table(calibration))
     lines = [*budget_lines(calibration.diagnoses), LEGEND]
     if (tip := model.tunnelling) is not None:
         of_tip = [] if tip.gap_law is None else [barrier_sentence(tip.gap_law)]
@@ -168,12 +155,12 @@ def show(calibration: "Calibration") -> None:
         )
         lines.append(f"coupled axes {', '.join(coupled.outputs)}: {kind} error {levels}")
     for line in lines:
-        console.print(rich_text(line))
+        display(line)
     verification = controllers.verification
     if verification is not None:
         passed = sum(verdict.passed for verdict in verification.verdicts)
         line = f"verification: {passed} of {len(verification.verdicts)} checks passed"
-        console.print(rich_text(line, "" if verification.passed else "bold red"))
+        display(line, "" if verification.passed else "bold red")
     statements = stage_statements(
         model,
         diagnoses=calibration.diagnoses,
@@ -191,7 +178,7 @@ def show(calibration: "Calibration") -> None:
     }
     for fact in statements:
         if (fact.axis, fact.quantity) in explained and fact.level is Level.WARNING:
-            console.print(rich_text(f"axis {fact.axis}: {fact.text}"))
+            display(f"axis {fact.axis}: {fact.text}")
     show_statements(statements)
 
 
@@ -243,6 +230,7 @@ def calibrate_streamed(
 
     from piezoid.calibration.calibrate import JobResult, finish, try_design
     from piezoid.records.chunked_reader import read_thinned
+    from piezoid.records.collection import Collection
     from piezoid.records.lab import read_lab
     from piezoid.verbs import fit as fit_stage
     from piezoid_reports.render import with_report
@@ -256,4 +244,4 @@ def calibrate_streamed(
     result = JobResult(undiagnosed=UNDIAGNOSED, outcomes=outcomes, fault=fault)
     calibration = finish(model, [result], declared, progress, processes)
     progress("writing the report")
-    return with_report(calibration, None, declared)
+    return with_report(calibration, Collection(recordings=()), declared)

@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import Json, Quiet, print_record, say, show_progress
+from piezoid_cli.options import Json, Quiet
+from piezoid_cli.terminal import print_record, say, show_progress
 
 
 def init(

@@ -5,18 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import (
-    Json,
-    Quiet,
-    RecordingLab,
-    print_record,
-    rich_text,
-    say,
-    show_progress,
-)
+from piezoid_cli.options import Json, Quiet, RecordingLab
+from piezoid_cli.terminal import display, print_record, rich_text, say, show_progress
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
+    from rich.table import Table
 
     from piezoid.records.inspection import ColumnSummary, Inspection
     from piezoid.statement import Statement
@@ -27,9 +20,8 @@ FIRST_LINE_s = 2.0  # without a terminal
 
 # Other units of a file may already have a prefix, as nN has.
 PREFIXED_UNITS = ("s", "V", "m", "A", "K", "Hz")
-HEADINGS = ("#", "column", "is", "unit", "from", "to", "noise rms", "step", "state")
-LABEL, MEANING = 1, 2  # indices of the columns with words
-N_ALWAYS = 6  # columns that are always shown; the others only if they have an entry
+WORDY = ("column", "is")  # headings of the columns with words
+OPTIONAL = ("noise rms", "step", "state")  # columns that are shown only if they have an entry
 GAP, MIN_WORDS = 2, 24  # characters: between columns, and for both columns with words
 ROUNDING = 1e-10  # of the range of a column: smaller noise is rounding of ten digits
 MAX_TEXT = 600  # characters; the headings of a damaged file can be very long
@@ -98,18 +90,15 @@ def _location(statement: "Statement") -> str:
 
 def show(inspections: "tuple[Inspection, ...]") -> None:
     """Print the columns, the clock and the problems of every file."""
-    from rich.console import Console
-
     from piezoid.formatting import count_of
     from piezoid.raw_counts import in_counts
 
-    console = Console(soft_wrap=False)
     for inspection in inspections:
         about = f": {inspection.format}, {inspection.rows} rows" if inspection.format else ""
-        console.print(rich_text(f"{inspection.name}{about}", style="bold"))
+        display(f"{inspection.name}{about}", "bold")
         if inspection.columns:
             has_noise = inspection.response is None
-            console.print(_table(inspection.columns, console.width, has_noise=has_noise))
+            display(_table(inspection.columns, has_noise=has_noise))
         if inspection.axis is not None:
             line = (
                 f"  axis {inspection.axis}, {inspection.sampling_rate_Hz:.9g} Hz for "
@@ -124,28 +113,25 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
                 line += in_counts(f" near {', '.join(levels_V)}", inspection.counted)
             if not inspection.axis_is_named:
                 line += f"; no axis named in the file, {inspection.axis} assumed"
-            console.print(rich_text(line))
-        if inspection.response is not None:
-            for line in response_lines(inspection):
-                console.print(rich_text(line))
+            display(line)
+        for line in response_lines(inspection):
+            display(line)
         for statement in inspection.statements:
             location, text = _truncate(_location(statement)), _truncate(statement.text)
-            console.print(rich_text(f"  {statement.quantity} ({location}): {text}", "yellow"))
+            display(f"  {statement.quantity} ({location}): {text}", "yellow")
         if inspection.refusal is not None:
-            console.print(rich_text(f"  not a recording: {inspection.refusal}", style="red"))
+            display(f"  not a recording: {inspection.refusal}", "red")
         elif not inspection.statements:
-            console.print(rich_text("  no problem found"))
-        console.print()
+            display("  no problem found")
+        display("")
 
 
-def _table(
-    columns: "tuple[ColumnSummary, ...]", width: int, *, has_noise: bool
-) -> "RenderableType":
+def _table(columns: "tuple[ColumnSummary, ...]", *, has_noise: bool) -> "Table":
     """Return a row for each column of a file; numbers are not broken if the terminal has room.
 
-    width      of the terminal, characters
     has_noise  whether the rows are samples
     """
+    from rich.console import Console
     from rich.table import Table
 
     rows = []
@@ -158,36 +144,34 @@ def _table(
         noise_rms = _quantity(noise, column.si_unit)
         if has_noise and column.noise_rms is None and low is not None:
             noise_rms = "unknown"  # too few samples, or too fast a signal
-        states = []
-        if low is None:
-            states.append("empty")
-        elif column.missing:
-            states.append(f"{column.missing} missing")
-        if column.is_dead:
-            states.append("dead")
-        if column.clipped:
-            states.append(f"{100 * column.clipped:.2g} % clipped")
-        cells = (
-            str(column.number),
-            column.label,
-            column.meaning,
-            column.unit,
-            _quantity(low, column.si_unit),
-            _quantity(high, column.si_unit),
-            "" if is_clock else noise_rms,
-            "" if is_clock else _quantity(column.step or None, column.si_unit),
-            ", ".join(states),
+        states = (
+            ("empty", low is None),
+            (f"{column.missing} missing", low is not None and column.missing),
+            ("dead", column.is_dead),
+            (f"{100 * column.clipped:.2g} % clipped", column.clipped),
         )
-        rows.append(tuple(map(_truncate, cells)))
-    visible = [k for k in range(len(HEADINGS)) if k < N_ALWAYS or any(row[k] for row in rows)]
-    numbers = [k for k in visible if k not in (LABEL, MEANING)]
-    spent = sum(max(len(row[k]) for row in (HEADINGS, *rows)) for k in numbers)
-    has_room = width - spent - GAP * len(visible) >= MIN_WORDS
+        cells = {
+            "#": str(column.number),
+            "column": column.label,
+            "is": column.meaning,
+            "unit": column.unit,
+            "from": _quantity(low, column.si_unit),
+            "to": _quantity(high, column.si_unit),
+            "noise rms": "" if is_clock else noise_rms,
+            "step": "" if is_clock else _quantity(column.step or None, column.si_unit),
+            "state": ", ".join(state for state, is_shown in states if is_shown),
+        }
+        rows.append({heading: _truncate(text) for heading, text in cells.items()})
+    visible = [h for h in rows[0] if h not in OPTIONAL or any(row[h] for row in rows)]
+    numbers = [heading for heading in visible if heading not in WORDY]
+    spent = sum(max(len(h), *(len(row[h]) for row in rows)) for h in numbers)
+    has_room = Console().width - spent - GAP * len(visible) >= MIN_WORDS
     table = Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0))
-    for k in visible:
-        table.add_column(HEADINGS[k], overflow="fold", no_wrap=has_room and k in numbers)
+    for heading in visible:
+        no_wrap = has_room and heading in numbers
+        table.add_column(heading, overflow="fold", no_wrap=no_wrap)
     for row in rows:
-        table.add_row(*(rich_text(row[k]) for k in visible))
+        table.add_row(*(rich_text(row[heading]) for heading in visible))
     return table
 
 
@@ -212,16 +196,13 @@ def response_lines(inspection: "Inspection") -> list[str]:
     response = inspection.response
     if response is None:
         return []
-    through = (
-        " and ".join(response.includes) if response.includes else "neither amplifier nor sensor"
-    )
+    through = " and ".join(response.includes) or "neither amplifier nor sensor"
     band = f"{with_unit(response.lowest_Hz, 'Hz')} to {with_unit(response.highest_Hz, 'Hz')}"
     lines = [
         f"  a frequency response, {band}, {response.lines} lines, which includes the poles of "
-        f"{through}",
+        f"{through}"
     ]
     for path in (path for path in response.paths if path.output == path.drive):
-        coherent = f"{path.coherent} of {response.lines} lines coherent"
         resonances = []
         for peak in path.peaks[:MAX_PEAKS]:
             quality = "" if peak.quality is None else f" (Q about {significant(peak.quality, 2)})"
@@ -229,8 +210,9 @@ def response_lines(inspection: "Inspection") -> list[str]:
         peaks = f"possible resonances at {', '.join(resonances)}" if resonances else "no peak"
         if len(path.peaks) > MAX_PEAKS:
             peaks += f" and {len(path.peaks) - MAX_PEAKS} more"
+        coherence = f"{path.coherent} of {response.lines} lines coherent"
+        coherence = coherence if path.has_coherence else "no coherence"
         gain = f"{with_unit(path.gain_m_per_V, 'm')}/V at low frequency"
-        coherence = coherent if path.has_coherence else "no coherence"
         lines.append(f"  axis {path.output}: {gain}, {coherence}, {peaks}")
     if not inspection.axis_is_named:
         lines.append("  no axis named in the file, x assumed")

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, JsonFile, Quiet, StageLab, print_raw, say, show_progress
+from piezoid_cli.options import Force, JsonFile, Quiet, StageLab
+from piezoid_cli.terminal import print_raw, say, show_progress
 
 if TYPE_CHECKING:
     from piezoid.learning.learn import Learned
@@ -15,8 +16,7 @@ if TYPE_CHECKING:
 def learn(
     stage: Annotated[Path, typer.Argument(help="Folder with model.json and params.json.")],
     reference: Annotated[
-        Path,
-        typer.Option(help="One period of the motion: displacement, one row per sample."),
+        Path, typer.Option(help="One period of the motion: displacement, one row per sample.")
     ],
     out: Annotated[Path, typer.Option(help="Folder for the table.")],
     period: Annotated[
@@ -27,8 +27,7 @@ def learn(
     ] = None,
     axis: Annotated[str | None, typer.Option(help="Axis; default: the only one.")] = None,
     open_loop: Annotated[
-        bool,
-        typer.Option("--open-loop", help="For a drive without a controller."),
+        bool, typer.Option("--open-loop", help="For a drive without a controller.")
     ] = False,
     gain: Annotated[
         float, typer.Option(help="Learning gain; 1 is optimal for the worst plant.", min=0.0)

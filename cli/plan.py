@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piezoid_cli.terminal import Force, JsonFile, Quiet, print_raw, rich_text, show_progress, table
+from piezoid_cli.options import Force, JsonFile, Quiet
+from piezoid_cli.tables import table
+from piezoid_cli.terminal import display, print_raw, rich_text, show_progress
 
 if TYPE_CHECKING:
     from piezoid.diagnosis.experiment import Plan
@@ -104,21 +106,18 @@ def plan(
 
 
 def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
-    from rich.console import Console
-
     from piezoid.diagnosis.planning.plan_file import sentences
     from piezoid.formatting import with_unit
 
-    console = Console()
     if not axis.has_dynamics:
-        text = (
+        display(
             f"No resonance or pole of axis {axis.axis} was fitted: for a fast controller record a "
             "small chirp first, sampled at three times the resonance or faster. The plan concerns "
-            "the effects of the diagnosis."
+            "the effects of the diagnosis.",
+            "bold",
         )
-        console.print(rich_text(text, style="bold"))
     for sentence in sentences(planned):
-        console.print(rich_text(sentence))
+        display(sentence)
     # Separability is only defined if two effects compete.
     is_single = planned.question.kind != "separate"
     headings = ("drive", "duration", *(() if is_single else ("separability",)))
@@ -129,11 +128,13 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
             rows.append((name, *[""] * (len(headings) - 1), candidate.refusal))
             continue
         error = estimate.errors[0] if is_single else estimate.worst
+        share = estimate.separability
+        separability = f"{100.0 * share:.2g} %" if share >= 1e-4 else "below 0.01 %"
         rows.append(
             (
                 rich_text(name, style="bold" if name == planned.drive.name else ""),
                 f"{candidate.duration_s:.0f} s",
-                *(() if is_single else (_percent(estimate.separability),)),
+                *(() if is_single else (separability,)),
                 f"{100 * error:.2g} %" if error < 10.0 else "not shown",
             )
         )
@@ -143,13 +144,9 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
         title += f", assumed size {with_unit(question.suspects[0].rms_m, 'm')} rms"
     source = "with the recordings" if planned.recorded is not None else "without the recordings"
     last_heading = f"expected standard error of the size, {source}"
-    console.print(table(title, (*headings, last_heading), rows, n_words=1))
+    display(table(title, (*headings, last_heading), rows, n_words=1))
     is_best = planned.drive.name == planned.alternatives[0].name
     why = "the best drive" if is_best else "the shortest drive of at least 90 % of the best score"
     remark = "" if planned.answers else ", which does not answer the question"
-    console.print(rich_text(f"Chosen: {planned.drive.name}, {why}{remark}."))
-    console.print(rich_text(f"drive: {drive}"))
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %" if share >= 1e-4 else "below 0.01 %"
+    display(f"Chosen: {planned.drive.name}, {why}{remark}.")
+    display(f"drive: {drive}")

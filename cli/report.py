@@ -6,15 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import (
-    ForceEdited,
-    Json,
-    Quiet,
-    StageLab,
-    print_record,
-    say,
-    show_progress,
-)
+from piezoid_cli.options import ForceEdited, Json, Quiet, StageLab
+from piezoid_cli.terminal import print_record, say, show_progress
 
 if TYPE_CHECKING:
     from piezoid.records.collection import Collection

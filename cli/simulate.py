@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet, print_record, say, show_progress
+from piezoid_cli.options import Force, Json, Quiet
+from piezoid_cli.terminal import print_record, say, show_progress
 
 
 def simulate(

@@ -1,4 +1,4 @@
-r"""Output on the terminal: text, tables, statements and progress.
+r"""Output on the terminal: text, JSON and progress.
 
 A heading or the name of a file may contain codes that clear a terminal, move its cursor or set its
 title. All text output is printed by this module, with such characters escaped (``\x1b``). Output
@@ -15,93 +15,47 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
-from textwrap import fill
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Annotated, Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 
 from piezoid.errors import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from rich.table import Table
     from rich.text import Text
 
-    from piezoid.diagnosis.diagnosis import Diagnosis
-    from piezoid.statement import Level, Statement
-    from piezoid_reports.parts import Table as ReportTable
 
-NARROW, MINUS = "\u202f", "\u2212"  # typography of the report
-MAX_SHOWN = 5  # statements
-INDENT = "  "
 INTERVAL_s = 10.0  # between lines in a log
 REPEAT_s = 60.0  # after which the line of a long step is repeated
 
 # With -v: print each step when it starts, also on a terminal.
 VERBOSE: ContextVar[bool] = ContextVar("VERBOSE", default=False)
 
-Quiet = Annotated[bool, typer.Option("--quiet", help="Print only errors.")]
-Force = Annotated[
-    bool,
-    typer.Option("--force", help="Replace earlier results in --out, also files that you edited."),
-]
-ForceEdited = Annotated[
-    bool,
-    typer.Option(
-        "--force", help="Also replace files that you edited; unedited files are always replaced."
-    ),
-]
-StageLab = Annotated[Path | None, typer.Option(help="lab.toml; default: in the stage folder.")]
-RecordingLab = Annotated[
-    Path | None, typer.Option("--lab", help="lab.toml: rig, columns and units.")
-]
-Processes = Annotated[
-    int | None, typer.Option(help="Number of worker processes; default: one per core.", min=1)
-]
-Json = Annotated[bool, typer.Option("--json", help="For scripts: print a JSON summary.")]
-JsonFile = Annotated[bool, typer.Option("--json", help="For scripts: print the JSON file.")]
 
-
-class StandardStream(io.RawIOBase):
+class StandardStream(io.FileIO):
     """Standard output or error that may be closed while a command runs, or be on a full disk.
 
     If the reader of a pipe has closed it, further output is discarded and the command continues.
-    Other failures raise ``OSError`` with the name of the stream, or are ignored without a name.
+    Other failures raise ``OSError`` with the title of the stream, or are ignored without a title.
     """
 
-    def __init__(self, stream: io.RawIOBase | io.BufferedIOBase, name: str = "") -> None:
-        """Write to a binary stream with a name for errors."""
-        self._stream, self._name = stream, name
-        self.is_discarded = False
-
-    def writable(self) -> bool:
-        """Return True."""
-        return True
-
-    def isatty(self) -> bool:
-        """Return whether the stream is a terminal."""
-        return self._stream.isatty()
-
-    def fileno(self) -> int:
-        """Return the file descriptor."""
-        return self._stream.fileno()
+    def __init__(self, number: int, title: str = "") -> None:
+        """Write to a file descriptor; the title names the stream in errors."""
+        super().__init__(number, "w", closefd=False)
+        self._title, self._is_discarded = title, False
 
     def write(self, content: Any, /) -> int:
         """Write bytes and return their number."""
-        size = len(memoryview(content).cast("B"))
         try:
-            if not self.is_discarded:
-                self._stream.write(content)
-                self._stream.flush()
-        except BrokenPipeError:
-            self.is_discarded = True
+            if not self._is_discarded:
+                return super().write(content)
         except OSError as error:
-            self.is_discarded = True
-            if self._name:
-                raise OSError(error.errno, error.strerror, self._name) from error
-        return size
+            self._is_discarded = True
+            if self._title and not isinstance(error, BrokenPipeError):
+                raise OSError(error.errno, error.strerror, self._title) from error
+        return len(memoryview(content).cast("B"))
 
 
 def guard_output() -> None:
@@ -110,15 +64,22 @@ def guard_output() -> None:
     sys.stderr = _guarded(sys.stderr)
 
 
-def _guarded(stream: TextIO | None, name: str = "") -> TextIO:
+def _guarded(stream: TextIO | None, title: str = "") -> TextIO:
     if stream is None:  # closed before the command started
         return Path(os.devnull).open("w", encoding="utf-8")
     if not isinstance(stream, io.TextIOWrapper):
         return stream
-    encoding, buffered = stream.encoding, stream.line_buffering
-    binary = io.BufferedWriter(StandardStream(stream.detach(), name))
+    try:
+        binary = io.BufferedWriter(StandardStream(stream.fileno(), title))
+    except io.UnsupportedOperation:  # in memory
+        return stream
+    stream.flush()
     return io.TextIOWrapper(
-        binary, encoding, errors="replace", line_buffering=buffered, write_through=True
+        binary,
+        stream.encoding,
+        errors="replace",
+        line_buffering=stream.line_buffering,
+        write_through=True,
     )
 
 
@@ -134,28 +95,11 @@ def rich_text(text: str, style: str = "") -> "Text":
     return Text(printable(text, keep="\n"), style)
 
 
-def table(
-    title: str, headings: "Sequence[str]", rows: "Iterable[Sequence[str | Text]]", n_words: int = 0
-) -> "Table":
-    """Return a table with cells that are shown as text.
+def display(part: "str | Table", style: str = "") -> None:
+    """Print a table, or text that is wrapped at the width of the terminal."""
+    from rich.console import Console
 
-    n_words  number of leading columns with words; the others are right-aligned numbers
-    """
-    from rich.table import Table
-
-    cells = Table(title=rich_text(title))
-    for k, heading in enumerate(headings):
-        cells.add_column(heading, justify="left" if k < n_words else "right")
-    for row in rows:
-        cells.add_row(*(rich_text(cell) if isinstance(cell, str) else cell for cell in row))
-    return cells
-
-
-def report_table(part: "ReportTable", title: str = "") -> "Table":
-    """Return a table of the report for a console; default title: that of the report."""
-    plain = str.maketrans({NARROW: " ", MINUS: "-"})
-    rows = ([cell.translate(plain) for cell in row] for row in part.rows)
-    return table(title or part.summary, part.columns, rows, n_words=len(part.columns))
+    Console().print(rich_text(part, style) if isinstance(part, str) else part)
 
 
 def print_raw(content: str | bytes) -> None:
@@ -168,58 +112,6 @@ def print_record(schema: str, **entries: object) -> None:
     from json import dumps
 
     print_raw(dumps({"schema": f"piezoid.{schema}/1", **entries}, indent=1, allow_nan=False))
-
-
-def show_statements(statements: "Iterable[Statement]", minimum: "Level | None" = None) -> None:
-    """Print at most five statements at or above a level (default: action), or all with -v."""
-    from rich.console import Console
-
-    from piezoid.statement import Level, select
-
-    is_verbose = VERBOSE.get()
-    lowest = Level.NOTE if is_verbose else Level.ACTION if minimum is None else minimum
-    selected = select(statements, minimum=lowest)
-    listed = selected if is_verbose else selected[:MAX_SHOWN]
-    console = Console()
-    if listed and lowest is Level.ACTION:
-        console.print(rich_text("needs action:"))
-    for statement in listed:
-        axis = f"axis {statement.axis}: " if statement.axis else ""
-        style = {Level.ACTION: "bold", Level.NOTE: "dim"}.get(statement.level, "")
-        text = fill(
-            f"{axis}{statement.text}",
-            width=console.width,
-            initial_indent=INDENT,
-            subsequent_indent=INDENT,
-        )
-        console.print(rich_text(text, style=style))
-    if len(selected) > len(listed):
-        omitted = len(selected) - len(listed)
-        console.print(rich_text(f"  {omitted} more in the report and with --verbose"))
-
-
-def budget_lines(diagnoses: "Sequence[Diagnosis]") -> list[str]:
-    """Return the error budget of each diagnosed axis as a line, followed by a legend."""
-    from piezoid.formatting import with_unit
-    from piezoid.raw_counts import in_counts
-    from piezoid_reports.sections.error_budget import label_of, visible_parts
-
-    lines = []
-    for diagnosis in diagnoses:
-        terms = ", ".join(
-            f"{label_of(part.part)} {with_unit(part.rms_m, 'm')}{'*' if part.is_explained else ''}"
-            for part in visible_parts(diagnosis)
-        )
-        total = with_unit(diagnosis.baseline.rms_m, "m")
-        name = "simulation" if diagnosis.model is None else "base model"
-        line = f"error budget {diagnosis.axis}: {name} {total}, from {terms}"
-        lines.append(in_counts(line, diagnosis.counted))
-    if any("*" in line for line in lines):
-        lines.append(
-            "(budget: held-out rms; squares add up; base model: hysteresis alone; the final model "
-            "removes the parts with *, the others make up its error)"
-        )
-    return lines
 
 
 @contextmanager

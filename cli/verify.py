@@ -6,18 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import (
-    MAX_SHOWN,
-    ForceEdited,
-    JsonFile,
-    Quiet,
-    StageLab,
-    print_raw,
-    report_table,
-    rich_text,
-    say,
-    show_progress,
-)
+from piezoid_cli.options import ForceEdited, JsonFile, Quiet, StageLab
+from piezoid_cli.tables import MAX_SHOWN, report_table
+from piezoid_cli.terminal import display, print_raw, say, show_progress
 
 if TYPE_CHECKING:
     from piezoid.design.design import Design
@@ -160,41 +151,34 @@ def _design(folder: "StageFolder") -> "Design":
 
 def show(page: "Page", verification: "Verification") -> None:
     """Print the comparison, the proofs, and the verdicts that failed."""
-    from rich.console import Console
-
     from piezoid.formatting import with_unit
     from piezoid.verification.criteria import describe_failure
+    from piezoid_reports.parts import with_rows
     from piezoid_reports.sections.verification import comparison_table, proof_tables
 
-    console = Console()
-    tables = [*proof_tables(verification)]
-    if verification.comparison:
-        tables.insert(0, comparison_table(page, verification))
-    for table in tables:
-        if table.rows:
-            console.print(report_table(table))
+    comparison = comparison_table(page, verification)
+    for table in with_rows(comparison, *proof_tables(verification)):
+        display(report_table(table))
     if verification.bounds:
-        heading = (
+        display(
             "Largest tracking error within half a second, by the speed of the reference, on "
             "stages that are consistent with the recordings:"
         )
-        console.print(rich_text(heading))
     for row in verification.bounds:
         bounded = "no useful bound" if row.bound_m is None else with_unit(row.bound_m, "m")
         if row.is_exceeded:
             bounded += " (exceeded on stages that are farther from the model class)"
         probable_m, share = with_unit(row.probable_m, "m"), 100.0 * row.probability
-        line = (
+        display(
             f"axis {row.axis}, up to {with_unit(row.slew_m_per_s, 'm/s')}, guaranteed: {bounded}; "
             f"with {share:g} % probability: below {probable_m}; worst found by a search: "
             f"{with_unit(row.worst_found_m, 'm')}; median on the identified stage: "
             f"{with_unit(row.simulated_m, 'm')}"
         )
-        console.print(rich_text(line))
     failed = [verdict for verdict in verification.verdicts if not verdict.passed]
     for verdict in failed[:MAX_SHOWN]:
-        console.print(rich_text(f"failed: {describe_failure(verdict)}", style="bold red"))
+        display(f"failed: {describe_failure(verdict)}", "bold red")
     if len(failed) > MAX_SHOWN:
-        console.print(rich_text(f"{len(failed) - MAX_SHOWN} more failed: see verification.json"))
+        display(f"{len(failed) - MAX_SHOWN} more failed: see verification.json")
     n_all = len(verification.verdicts)
-    console.print(rich_text(f"{n_all - len(failed)} of {n_all} checks passed"))
+    display(f"{n_all - len(failed)} of {n_all} checks passed")

@@ -21,47 +21,35 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.2.0"
 
-# Module of each public name.
-_PUBLIC = {
-    **dict.fromkeys(
-        ("calibrate", "diagnose", "fit", "plan", "read", "read_lab", "report"), "piezoid.verbs"
-    ),
-    **dict.fromkeys(
-        ("design", "export", "learn", "simulate_loop", "verify"), "piezoid.control_verbs"
-    ),
-    "ActuatorModel": "piezoid.identification.actuator_model",
-    "AxisDesign": "piezoid.design.design",
-    "AxisModel": "piezoid.identification.model",
-    "Calibration": "piezoid.calibration.calibrate",
-    "Channel": "piezoid.records.recording",
-    "Collection": "piezoid.records.collection",
-    "Comparison": "piezoid.identification.simulation",
-    "CoupledStage": "piezoid.identification.coupled.coupled_stage",
-    "Design": "piezoid.design.design",
-    "Diagnosis": "piezoid.diagnosis.diagnosis",
-    "Finding": "piezoid.diagnosis.diagnosis",
-    "Lab": "piezoid.records.lab",
-    "Learned": "piezoid.learning.learn",
-    "LoopDesign": "piezoid.design.design",
-    "LoopRecord": "piezoid.verification.tracking",
-    "ParameterFile": "piezoid.export.parameter_file",
-    "PeriodicData": "piezoid.identification.dynamics.frequency_response",
-    "PiezoidError": "piezoid.errors",
-    "Plan": "piezoid.diagnosis.experiment",
-    "Quantity": "piezoid.records.recording",
-    "Recording": "piezoid.records.recording",
-    "Shipping": "piezoid.verification.verify_stage",
-    "Verification": "piezoid.verification.verification",
-    "VirtualStage": "piezoid.virtual_stage",
-    "fit_coupled": "piezoid.identification.coupled.fit_coupled",
-    "from_arrays": "piezoid.records.frames",
-    "from_frame": "piezoid.records.frames",
-    "load": "piezoid.sealed_files",
-    "plot": "piezoid.figures",
-    "save": "piezoid.sealed_files",
-    "simulate": "piezoid.virtual_stage",
-    "to_frame": "piezoid.records.frames",
+_MODULES = {
+    "calibration.calibrate": ("Calibration",),
+    "control_verbs": ("design", "export", "learn", "simulate_loop", "verify"),
+    "design.design": ("AxisDesign", "Design", "LoopDesign"),
+    "diagnosis.diagnosis": ("Diagnosis", "Finding"),
+    "diagnosis.experiment": ("Plan",),
+    "errors": ("PiezoidError",),
+    "export.parameter_file": ("ParameterFile",),
+    "figures": ("plot",),
+    "identification.actuator_model": ("ActuatorModel",),
+    "identification.coupled.coupled_stage": ("CoupledStage",),
+    "identification.coupled.fit_coupled": ("fit_coupled",),
+    "identification.dynamics.frequency_response": ("PeriodicData",),
+    "identification.model": ("AxisModel",),
+    "identification.simulation": ("Comparison",),
+    "learning.learn": ("Learned",),
+    "records.collection": ("Collection",),
+    "records.frames": ("from_arrays", "from_frame", "to_frame"),
+    "records.lab": ("Lab",),
+    "records.recording": ("Channel", "Quantity", "Recording"),
+    "sealed_files": ("load", "save"),
+    "verbs": ("calibrate", "diagnose", "fit", "plan", "read", "read_lab", "report"),
+    "verification.tracking": ("LoopRecord",),
+    "verification.verification": ("Verification",),
+    "verification.verify_stage": ("Shipping",),
+    "virtual_stage": ("VirtualStage", "simulate"),
 }
+# Module of each public name.
+_PUBLIC = {name: f"piezoid.{module}" for module, names in _MODULES.items() for name in names}
 
 if TYPE_CHECKING:  # at run time __getattr__ imports these names
     from piezoid.calibration.calibrate import Calibration as Calibration

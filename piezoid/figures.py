@@ -4,7 +4,6 @@ The plots show the content of records and compute no further results. Without ``
 has the width of a journal column; the style sheet of the caller determines everything else.
 """
 
-from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -85,23 +84,25 @@ def plot(
     """
     if isinstance(record, ActuatorModel):
         record = record.one(axis or (recording.axis if recording is not None else None))
+    if isinstance(record, AxisModel) and recording is not None:
+        record = compare(record, recording)
     match record:
         case Recording():
-            return _recording(record, kind or "loop", axis=axis, ax=ax)
-        case AxisModel() if recording is None:
-            return _axis_model(record, kind or "loop", ax=ax)
-        case AxisModel() | Comparison():
-            return _comparison(record, kind or "loop", recording=recording, ax=ax)
+            axes = _recording(record, _kind("recording", kind, "loop", "time"), axis, ax)
+        case AxisModel():
+            axes = _axis_model(record, _kind("model", kind, "loop", "response"), ax)
+        case Comparison():
+            axes = _comparison(record, _kind("comparison", kind, "loop", "error"), ax)
         case Diagnosis():
-            return _diagnosis(record, ax=ax)
+            axes = _diagnosis(record, ax)
         case Design():
-            return _design(record, axis=axis, ax=ax)
+            axes = _design(record, axis, ax)
         case Verification():
-            return _verification(record, kind or "comparison", ax=ax)
+            axes = _verification(record, _kind("verification", kind, "comparison", "verdicts"), ax)
         case LoopRecord():
-            return _closed_loop(record, kind or "path", ax=ax)
+            axes = _closed_loop(record, _kind("closed loop", kind, "path", "error"), ax)
         case Plan():
-            return _plan(record, ax=ax)
+            axes = _plan(record, ax)
         case _:
             raise PictureError(
                 f"no plot of a {type(record).__name__}",
@@ -109,18 +110,14 @@ def plot(
                 "record or plan",
                 remedy="Pass one of those records.",
             )
-
-
-def in_units_of(axes: "Axes", counted: Collection[str]) -> "Axes":
-    """Return axes with counts in their labels, if metres or volts were recorded in counts."""
+    counted = getattr(record, "counted", ())
     for panel in axes.figure.axes if counted else ():
         for name in ("title", "xlabel", "ylabel"):
             panel.set(**{name: in_counts(getattr(panel, f"get_{name}")(), counted)})
     return axes
 
 
-def _recording(recording: Recording, kind: str, *, axis: str | None, ax: "Axes | None") -> "Axes":
-    _check("recording", kind, ("loop", "time"))
+def _recording(recording: Recording, kind: str, axis: str | None, ax: "Axes | None") -> "Axes":
     axis = axis or recording.axis
     voltage_V, time_s = recording.voltage_V(axis), recording.time_s
     channel = recording.find(Quantity.DISPLACEMENT, axis)
@@ -136,7 +133,7 @@ def _recording(recording: Recording, kind: str, *, axis: str | None, ax: "Axes |
         axes.set(ylabel=f"displacement of {axis} ({unit})")
     if kind == "loop":
         axes.set(xlabel=f"drive of {axis} (V)")
-        return in_units_of(axes, recording.counted)
+        return axes
     axes.set(xlabel="time (s)")
     drive = axes.twinx() if channel is not None else axes
     _line(drive, time_s, voltage_V, color=THIRD, linewidth=2.2, alpha=0.45)
@@ -146,24 +143,13 @@ def _recording(recording: Recording, kind: str, *, axis: str | None, ax: "Axes |
     drive.spines["top"].set_visible(False)
     axes.set_zorder(drive.get_zorder() + 1)  # draw the displacement in front of the drive
     axes.patch.set_visible(False)
-    return in_units_of(axes, recording.counted)
+    return axes
 
 
-def _comparison(
-    comparison: Comparison | AxisModel,
-    kind: str,
-    *,
-    recording: Recording | None,
-    ax: "Axes | None",
-) -> "Axes":
-    if isinstance(comparison, AxisModel):
-        assert recording is not None
-        comparison = compare(comparison, recording)
-    _check("comparison", kind, ("loop", "error"))
+def _comparison(comparison: Comparison, kind: str, ax: "Axes | None") -> "Axes":
     axes, axis, drive_V = _axes(ax), comparison.axis, comparison.voltage_V
     if kind == "error":
-        _error_line(axes, comparison.time_s, comparison.error_m, "m")
-        _, unit = _scaled(comparison.error_m, "m")
+        unit = _error_line(axes, comparison.time_s, comparison.error_m, "m")
         axes.set(ylabel=f"measured minus predicted, {axis} ({unit})")
     else:
         scale, unit = _scaled(comparison.measured_m, "m")
@@ -176,16 +162,15 @@ def _comparison(
     share = f"{comparison.rms_percent:.2f} % of the range"
     title = f"error {rms * comparison.rms_m:.3g} {rms_unit} rms, {share}"
     axes.set_title(title, fontsize="medium")
-    return in_units_of(axes, comparison.counted)
+    return axes
 
 
-def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None") -> "Axes":
+def _axis_model(model: AxisModel, kind: str, ax: "Axes | None") -> "Axes":
     """Draw the loops of a model at three ranges of the drive, or the response of its linear part.
 
     The loops are quasi-static loops of the hysteresis after one full cycle. The band around the
     largest loop is the 95 % interval of the loading curve.
     """
-    _check("model", kind, ("loop", "response"))
     axes = _axes(ax)
     if kind == "response":
         system = linear_part(model, None)
@@ -200,7 +185,7 @@ def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None") -> "Axes":
         scale, unit = _scaled(np.array([float(np.median(magnitude))]), "m")
         axes.loglog(frequency_Hz, scale * magnitude, color=MODEL, linewidth=1.0)
         axes.set(xlabel="frequency (Hz)", ylabel=f"response of {model.axis} ({unit}/V)")
-        return in_units_of(axes, model.counted)
+        return axes
     # Closed loops over fractions of the range around its middle, falling first.
     low_V, high_V = model.voltage_V
     operator, loops = model.operator, []
@@ -226,10 +211,10 @@ def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None") -> "Axes":
         axes.plot(drive_V, scale * displacement_m, color=color, linewidth=1.0, label=label)
     axes.set(xlabel=f"drive of {model.axis} (V)", ylabel=f"displacement of {model.axis} ({unit})")
     axes.legend(frameon=False)
-    return in_units_of(axes, model.counted)
+    return axes
 
 
-def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None") -> "Axes":
+def _diagnosis(diagnosis: Diagnosis, ax: "Axes | None") -> "Axes":
     """Draw the rms contribution of each effect: bars for findings, bounds for the others."""
     effects = [(f.effect, f.share * diagnosis.stroke_m) for f in diagnosis.findings]
     absent = [(n.effect, n.upper_bound_m) for n in diagnosis.not_detected if n.upper_bound_m]
@@ -262,10 +247,10 @@ def _diagnosis(diagnosis: Diagnosis, *, ax: "Axes | None") -> "Axes":
     axes.legend(
         frameon=False, fontsize="small", loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=3
     )
-    return in_units_of(axes, diagnosis.counted)
+    return axes
 
 
-def _design(design: Design, *, axis: str | None, ax: "Axes | None") -> "Axes":
+def _design(design: Design, axis: str | None, ax: "Axes | None") -> "Axes":
     """Draw |S_yp| of the nominal plant with the band of the plant family."""
     names = [axis_design.axis for axis_design in design.axes]
     if axis is not None and axis not in names:
@@ -302,8 +287,7 @@ def _design(design: Design, *, axis: str | None, ax: "Axes | None") -> "Axes":
     return axes
 
 
-def _verification(verification: Verification, kind: str, *, ax: "Axes | None") -> "Axes":
-    _check("verification", kind, ("comparison", "verdicts"))
+def _verification(verification: Verification, kind: str, ax: "Axes | None") -> "Axes":
     if kind == "verdicts" or not verification.comparison:
         verdicts = [v for v in verification.verdicts if v.limit > 0.0]
         height_inch = 0.9 + 0.2 * max(len(verdicts), 4)
@@ -338,12 +322,10 @@ def _verification(verification: Verification, kind: str, *, ax: "Axes | None") -
     return axes
 
 
-def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None") -> "Axes":
-    _check("closed loop", kind, ("path", "error"))
+def _closed_loop(loop: LoopRecord, kind: str, ax: "Axes | None") -> "Axes":
     axes, quantity = _axes(ax), "current" if loop.unit == "A" else "position"
     if kind == "error":
-        _error_line(axes, loop.time_s, loop.error, loop.unit)
-        _, unit = _scaled(loop.error, loop.unit)
+        unit = _error_line(axes, loop.time_s, loop.error, loop.unit)
         axes.set(ylabel=f"reference minus {quantity}, {loop.axis} ({unit})")
         return axes
     scale, unit = _scaled(loop.reference, loop.unit)
@@ -355,7 +337,7 @@ def _closed_loop(loop: LoopRecord, kind: str, *, ax: "Axes | None") -> "Axes":
     return axes
 
 
-def _plan(plan: Plan, *, ax: "Axes | None") -> "Axes":
+def _plan(plan: Plan, ax: "Axes | None") -> "Axes":
     axes, drive = _axes(ax), plan.drive
     time_s = np.arange(len(drive.voltage_V)) / drive.sampling_rate_Hz
     _line(axes, time_s, drive.voltage_V, color=MEASURED, linewidth=0.9)
@@ -387,13 +369,15 @@ def _axes(
     return axes
 
 
-def _check(record: str, kind: str, kinds: tuple[str, ...]) -> None:
-    if kind not in kinds:
+def _kind(record: str, kind: str, *kinds: str) -> str:
+    """Return the requested kind of plot, or the first kind of the record."""
+    if kind and kind not in kinds:
         raise PictureError(
             f"{record}: kind {kind!r}",
             needed=f"one of {', '.join(kinds)}",
             remedy="Pass one of these kinds.",
         )
+    return kind or kinds[0]
 
 
 def _scaled(values: Array, base: str) -> tuple[float, str]:
@@ -408,8 +392,10 @@ def _line(axes: "Axes", x: Array, y: Array, **style: Any) -> None:
     axes.plot(x[::step], y[::step], **style)
 
 
-def _error_line(axes: "Axes", time_s: Array, error: Array, base: str) -> None:
-    scale, _ = _scaled(error, base)
+def _error_line(axes: "Axes", time_s: Array, error: Array, base: str) -> str:
+    """Draw an error over time and return its unit."""
+    scale, unit = _scaled(error, base)
     _line(axes, time_s, scale * error, color=MODEL, linewidth=0.8)
     axes.axhline(0.0, color=FAINT, linewidth=0.6)
     axes.set(xlabel="time (s)")
+    return unit

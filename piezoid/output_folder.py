@@ -142,27 +142,26 @@ def write_file(
     only_check  check whether the file may be written, but do not write it
     """
     with _errors_about(path):
-        mode = _mode_of(path)
-        if mode is not None and not stat.S_ISREG(mode):
+        is_present = os.path.lexists(path)
+        if is_present and not is_regular(path):
             raise refusal(f"{path} is not a regular file")
-        is_ours = False
-        if mode is not None:
+        if is_present:
             with path.open("rb") as stream:
                 is_ours = stream.read(len(opening)) == opening
-        if mode is not None and not (is_ours and force):
-            replaced = "or replace it with --force" if is_ours else "--force does not replace it"
-            raise OutputFolderError(
-                f"{path} already exists",
-                needed="the name of a new file",
-                remedy=f"Name another file; {replaced}.",
-            )
+            if not (is_ours and force):
+                remedy = "or replace it with --force" if is_ours else "--force does not replace it"
+                raise OutputFolderError(
+                    f"{path} already exists",
+                    needed="the name of a new file",
+                    remedy=f"Name another file; {remedy}.",
+                )
         if only_check:
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         fresh = _scratch_path(path)
         try:
             _fill(fresh, content)
-            _move(fresh, path, is_ours=mode is not None)
+            _move(fresh, path, is_ours=is_present)
         finally:
             fresh.unlink(missing_ok=True)
 

@@ -15,8 +15,8 @@ from piezoid.digests import digest_in
 from piezoid.errors import ParameterFileError, RecordingError
 from piezoid.export import parameter_file
 from piezoid.export.parameter_file import ParameterFile
-from piezoid.identification import store
 from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.store import read_model as read_model
 from piezoid.identification.store import write_model
 from piezoid.learning.learn import Learned, learned_from_json
 from piezoid.records.lab import Lab, read_lab
@@ -65,14 +65,6 @@ def load(path: FilePath) -> Sealed:
             "verification.json or learning.json.",
         )
     return _READERS[kind](content, str(file))
-
-
-def read_model(content: bytes, location: str = "model.json") -> ActuatorModel:
-    """Read model.json, including extensions that effects define.
-
-    Raises ``ParameterFileError`` as ``store.read_model``.
-    """
-    return store.read_model(content, location)
 
 
 _READERS: Mapping[str, Callable[[bytes, str], Sealed]] = {

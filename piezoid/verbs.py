@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from piezoid.calibration import calibrate as pipeline
 from piezoid.calibration.calibrate import Calibration
@@ -215,21 +214,16 @@ def report(
         "verification.json": controllers.verification,
         "params.json": controllers.parameters,
     }
-    reports, collection = _reports(), collection_of(recordings)
-    page = reports.Page(
+    calibration = Calibration(
         model=model,
-        recordings=collection.recordings,
-        sweeps=collection.sweeps,
-        responses=collection.responses,
-        design=controllers.design,
-        undesigned=controllers.reason,
-        diagnoses=diagnoses,
-        verification=controllers.verification,
-        unshipped=controllers.unshipped,
+        diagnoses=tuple(diagnoses),
+        undiagnosed=(),
+        controllers=controllers,
+        has_crashed=False,
         files={name: sealed(record) for name, record in records.items() if record is not None},
-        lab=lab_of(lab),
     )
-    return str(reports.render(page))
+    reported = _with_report(calibration, collection_of(recordings), lab_of(lab))
+    return reported.files["report.html"].decode()
 
 
 @on_one_thread
@@ -257,10 +251,11 @@ def calibrate(
     calibration = pipeline.calibrate(
         collection, declared, progress or (lambda _: None), threads=threads
     )
-    reported: Calibration = _reports().with_report(calibration, collection, declared)
+    return _with_report(calibration, collection, declared)
+
+
+def _with_report(calibration: Calibration, collection: Collection, lab: Lab | None) -> Calibration:
+    """Add the report, whose room depends on this library."""
+    reports = import_module("piezoid_reports.render")
+    reported: Calibration = reports.with_report(calibration, collection, lab)
     return reported
-
-
-def _reports() -> Any:
-    """Import the renderer of reports, which depends on this library."""
-    return import_module("piezoid_reports.render")

@@ -14,11 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
-from piezoid.diagnosis.drive_response import (
-    driven_recording,
-    null_columns,
-    rows_of,
-)
+from piezoid.diagnosis.drive_response import driven_recording, null_columns, rows_of
 from piezoid.diagnosis.effect import Appearance, over_time
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.planning.open_questions import suspect_of
@@ -193,8 +189,7 @@ MIN_CHANGE = 1e-3  # of the residual: a smaller change is not visible
 HEIGHT = 280
 
 
-# Canvas, layers, name of the recording, and rms error without and with the effect.
-Drawing = tuple[Canvas, tuple[Layer, ...], str, float, float]
+Drawing = tuple[Canvas, tuple[Layer, ...]]
 
 
 def figure_of(finding: Finding, simulations: tuple[EffectSimulation, ...]) -> Figure | None:
@@ -205,19 +200,31 @@ def figure_of(finding: Finding, simulations: tuple[EffectSimulation, ...]) -> Fi
     if not simulations or not (is_visible or is_fault):
         return None
     clearest = max(simulations, key=lambda s: rms(s.without_m) - rms(s.with_m))
-    drawing = None
+    drawing: Drawing | None = None
+    plotted: tuple[EffectSimulation, ...] = (clearest,)
+    without_m, with_m = rms(clearest.without_m), rms(clearest.with_m)
     if appearance.kind == "spectrum":
-        drawing = _spectrum(appearance, clearest)
+        # The rows that the fit leaves out may contain the resonance.
+        if abs(without_m - with_m) > MIN_CHANGE * without_m:
+            drawing = _spectrum(appearance, clearest)
         if drawing is None:
             return None
     elif appearance.kind != "time":
-        drawing = _in_classes(appearance, simulations)
+        coordinate, residuals_m = _residuals_along(appearance, simulations)
+        drawing = _in_classes(appearance, coordinate, residuals_m)
+        if drawing is not None:
+            plotted, is_finite = simulations, np.isfinite(coordinate)
+            without_m, with_m = (rms(residual_m[is_finite]) for residual_m in residuals_m[:2])
     if drawing is None:
         appearance = appearance if appearance.kind == "time" else over_time(appearance)
-        drawing = _over_time(appearance, clearest)
-    canvas, layers, recording, without_m, with_m = drawing
+        coordinate, residuals_m = _residuals_along(appearance, plotted)
+        drawing = _over_time(appearance, coordinate, residuals_m)
+        without_m, with_m = (rms(residual_m) for residual_m in residuals_m[:2])
+    canvas, layers = drawing
+    name = plotted[0].trace.recording.name
+    recordings = name if len(plotted) == 1 else f"{len(plotted)} recordings"
     return Figure(
-        title=f"{words(finding.effect).capitalize()}, {recording}: "
+        title=f"{words(finding.effect).capitalize()}, {recordings}: "
         f"residual against {appearance.label}",
         caption=f"Residual of the samples drawn: {number(with_m, 'm')} rms with the final model, "
         f"{number(without_m, 'm')} after removal of the effect without a new fit.",
@@ -227,61 +234,58 @@ def figure_of(finding: Finding, simulations: tuple[EffectSimulation, ...]) -> Fi
     )
 
 
+def _residuals_along(
+    appearance: Appearance, simulations: Sequence[EffectSimulation]
+) -> tuple[Array, list[Array]]:
+    """Return coordinate and residuals of all samples: without the effect, with it, look-alike."""
+    along = [appearance.along(simulation.trace.recording) for simulation in simulations]
+    rows = [simulation.rows for simulation in simulations]
+    coordinate, sign = (
+        np.concatenate([values[k] for values, k in zip(part, rows, strict=True)])
+        for part in zip(*along, strict=True)
+    )
+    residuals_m = [
+        sign * np.concatenate([getattr(simulation, name) for simulation in simulations])
+        for name in ("without_m", "with_m", "lookalike_m")
+    ]
+    return coordinate, residuals_m
+
+
 def _axis(appearance: Appearance, coordinate: Array) -> Axis:
     make_axis = decades_over if appearance.decades else axis_over
     return make_axis(appearance.label, [coordinate], appearance.unit)
 
 
-def _over_time(appearance: Appearance, simulation: EffectSimulation) -> Drawing:
-    coordinate, sign = (
-        values[simulation.rows] for values in appearance.along(simulation.trace.recording)
-    )
-    residuals_m = (simulation.without_m, simulation.with_m, simulation.lookalike_m)
-    curves = [sign * residual_m for residual_m in residuals_m]
-    y = axis_over("residual", curves, "m", symmetric=True)
+def _over_time(appearance: Appearance, coordinate: Array, residuals_m: list[Array]) -> Drawing:
+    y = axis_over("residual", residuals_m, "m", symmetric=True)
     canvas = Canvas(x=_axis(appearance, coordinate), y=y, height=HEIGHT)
-    without, with_effect, lookalike = curves
+    without, with_effect, lookalike = residuals_m
     # A running mean shows slow changes under the noise.
     width = max(len(lookalike) // 150, 1)
     padded = np.pad(lookalike, (width // 2, width - 1 - width // 2), mode="edge")
     slow = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
-    layers = (
+    return canvas, (
         canvas.range_over_time("before", "without it", coordinate, without),
         canvas.range_over_time("model", "with it", coordinate, with_effect),
         canvas.line("limit", "look-alike", coordinate, slow),
     )
-    return canvas, layers, simulation.trace.recording.name, rms(without), rms(with_effect)
 
 
 def _in_classes(
-    appearance: Appearance, simulations: tuple[EffectSimulation, ...]
+    appearance: Appearance, coordinate: Array, residuals_m: list[Array]
 ) -> Drawing | None:
-    coordinates, signs = zip(
-        *(appearance.along(simulation.trace.recording) for simulation in simulations), strict=True
-    )
-    rows = [simulation.rows for simulation in simulations]
-    coordinate = np.concatenate([c[k] for c, k in zip(coordinates, rows, strict=True)])
-    sign = np.concatenate([s[k] for s, k in zip(signs, rows, strict=True)])
-    without, with_effect, lookalike = (
-        sign * np.concatenate([getattr(simulation, name) for simulation in simulations])
-        for name in ("without_m", "with_m", "lookalike_m")
-    )
-    classes = [_classes(coordinate, values) for values in (without, with_effect, lookalike)]
+    classes = [_classes(coordinate, values) for values in residuals_m]
     if any(len(curve) < 2 for curve in classes):
         return None
-    y = axis_over(
-        "residual", [classes[0][:, 1:], classes[1][:, 1:], classes[2][:, 2]], "m", symmetric=True
-    )
+    without, with_effect, lookalike = classes
+    curves = [without[:, 1:], with_effect[:, 1:], lookalike[:, 2]]
+    y = axis_over("residual", curves, "m", symmetric=True)
     canvas = Canvas(x=_axis(appearance, coordinate), y=y, height=HEIGHT)
-    layers: list[Layer] = []
-    layers += canvas.quantiles("rising", "without it", "middle half", classes[0])
-    layers += canvas.quantiles("falling", "with it", "middle half", classes[1])
-    layers.append(canvas.line("limit", "look-alike: median", classes[2][:, 0], classes[2][:, 2]))
-    name = simulations[0].trace.recording.name
-    if len(simulations) > 1:
-        name = f"{len(simulations)} recordings"
-    is_finite = np.isfinite(coordinate)
-    return canvas, tuple(layers), name, rms(without[is_finite]), rms(with_effect[is_finite])
+    return canvas, (
+        *canvas.quantiles("rising", "without it", "middle half", without),
+        *canvas.quantiles("falling", "with it", "middle half", with_effect),
+        canvas.line("limit", "look-alike: median", lookalike[:, 0], lookalike[:, 2]),
+    )
 
 
 def _classes(coordinate: Array, values: Array) -> Array:
@@ -301,11 +305,7 @@ def _classes(coordinate: Array, values: Array) -> Array:
 
 
 def _spectrum(appearance: Appearance, simulation: EffectSimulation) -> Drawing | None:
-    """Draw the largest amplitude density in each band; None if the effect does not show."""
-    without_m, with_m = rms(simulation.without_m), rms(simulation.with_m)
-    # The rows that the fit leaves out may contain the resonance.
-    if abs(without_m - with_m) <= MIN_CHANGE * without_m:
-        return None
+    """Draw the largest amplitude density in each band; None for less than two bands."""
     rate_Hz = simulation.trace.recording.sampling_rate_Hz
     curves = []
     for values in (simulation.without_m, simulation.with_m, simulation.lookalike_m):
@@ -325,11 +325,10 @@ def _spectrum(appearance: Appearance, simulation: EffectSimulation) -> Drawing |
     y = decades_over("amplitude density", [c[:, 1] for c in curves], "nm/√Hz")
     canvas = Canvas(x=_axis(appearance, curves[0][:, 0]), y=y, height=HEIGHT)
     roles = (("before", "without it"), ("model", "with it"), ("limit", "look-alike"))
-    layers = tuple(
+    return canvas, tuple(
         canvas.line(role, name, c[:, 0], c[:, 1])
         for (role, name), c in zip(roles, curves, strict=True)
     )
-    return canvas, layers, simulation.trace.recording.name, without_m, with_m
 
 
 def unnamed_figure(finding: Finding) -> Figure | None:

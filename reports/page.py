@@ -100,9 +100,10 @@ def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[T
                 line_m=np.where(is_modelled, zero_m + slope * voltage_V, np.nan),
             )
         )
-    ranges_V = {id(trace): float(np.ptp(trace.voltage_V)) for trace in traces}
-    min_range_V = WIDE_SHARE * max(ranges_V.values(), default=0.0)
-    return tuple(sorted(traces, key=lambda t: (ranges_V[id(t)] < min_range_V, -rms(t.residual_m))))
+    min_range_V = WIDE_SHARE * max((np.ptp(trace.voltage_V) for trace in traces), default=0.0)
+    return tuple(
+        sorted(traces, key=lambda t: (np.ptp(t.voltage_V) < min_range_V, -rms(t.residual_m)))
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,11 +156,8 @@ class Page:
         """Statements of the summary: the most important action and the most important warning."""
         if not self.has_summary:
             return ()
-        facts = (
-            next((fact for fact in self.statements if fact.level is level), None)
-            for level in (Level.ACTION, Level.WARNING)
-        )
-        return tuple(fact for fact in facts if fact is not None)
+        first = {fact.level: fact for fact in reversed(self.statements)}
+        return tuple(first[level] for level in (Level.ACTION, Level.WARNING) if level in first)
 
     def text_of(self, statement: Statement) -> str:
         """Return the text of a statement, preceded by its axis if the stage has several axes."""
@@ -184,9 +182,7 @@ class Page:
 
     def loop_of(self, axis: str) -> LoopDesign | None:
         """Return the recommended loop of an axis, if it has one."""
-        return next(
-            (design.recommended for design in self.axis_designs if design.axis == axis), None
-        )
+        return {design.axis: design.recommended for design in self.axis_designs}.get(axis)
 
     def ships(self, axis: str) -> bool:
         """Return whether the controller of an axis passed its verification."""
@@ -209,10 +205,9 @@ def tracking_error(page: Page, axis: str) -> str:
     verification = page.verification
     if verification is None:
         return ""
-    for row in verification.comparison:
-        if (row.method, row.frequency_Hz) == (verification.methods.get(axis), SPIRAL_Hz):
-            return number(row.rms_m, "m")
-    return ""
+    errors_m = {(row.method, row.frequency_Hz): row.rms_m for row in verification.comparison}
+    error_m = errors_m.get((verification.methods.get(axis, ""), SPIRAL_Hz))
+    return "" if error_m is None else number(error_m, "m")
 
 
 def guarantee(page: Page, axis: AxisModel, *, has_speeds: bool = False) -> str:

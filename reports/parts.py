@@ -35,8 +35,7 @@ def axis_heading(axis: AxisModel) -> Heading:
     if axis.verdict.applies:
         return Heading(text=f"Axis {axis.axis}")
     return Heading(
-        text=f"Axis {axis.axis}: the model does not apply; these numbers only show why",
-        tone="bad",
+        text=f"Axis {axis.axis}: the model does not apply; these numbers only show why", tone="bad"
     )
 
 
@@ -260,7 +259,7 @@ def side_by_side(columns: Sequence[Mapping[str, str]]) -> tuple[tuple[str, ...],
     return tuple(row for row in rows if any(row[1:]))
 
 
-def with_rows(*tables: Table) -> list[Part]:
+def with_rows(*tables: Table) -> list[Table]:
     """Return the tables that have rows."""
     return [table for table in tables if table.rows]
 
@@ -268,6 +267,12 @@ def with_rows(*tables: Table) -> list[Part]:
 def folded(summary: str, parts: Sequence[Part]) -> list[Part]:
     """Return parts in one fold, or nothing if there are none."""
     return [Fold(summary=summary, parts=tuple(parts))] if parts else []
+
+
+def folded_listing(summary: str, items: Iterable[str]) -> list[Part]:
+    """Return sentences in one fold, or nothing if there are none."""
+    listing = Listing(items=tuple(items))
+    return folded(summary, [listing] if listing.items else [])
 
 
 def html(

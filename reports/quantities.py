@@ -29,7 +29,7 @@ def with_half_width(value: float, half: float, unit: str) -> str:
         return f"{number(value, unit, 4)} (fixed)"
     decimals = min(max(1 - math.floor(math.log10(spread)), 0), 6)
     pair = f"{middle:.{decimals}f}{NARROW}±{NARROW}{spread:.{decimals}f}".replace("-", MINUS)
-    return _joined(f"({pair})" if scale.unit else pair, scale.unit)
+    return f"({pair}){NARROW}{scale.unit}" if scale.unit else pair
 
 
 def significant(value: float, digits: int = 3) -> str:
@@ -42,10 +42,6 @@ def percent(share: float) -> str:
     return number(100.0 * share, "%")
 
 
-def _joined(number: str, unit: str) -> str:
-    return f"{number}{NARROW}{unit}" if unit else number
-
-
 def with_interval(value: float, interval: tuple[float, float], unit: str) -> str:
     """Return a value and its 95 % interval, which need not be symmetric or bounded."""
     low, high = interval
@@ -53,7 +49,8 @@ def with_interval(value: float, interval: tuple[float, float], unit: str) -> str
         return "unknown (the interval is unbounded)"
     if unit in ("", "eV"):
         limits = [significant(end, 4) if math.isfinite(end) else "any" for end in (low, high)]
-        return f"{_joined(significant(value, 4), unit)} ({limits[0]} to {limits[1]})"
+        middle = f"{significant(value, 4)}{NARROW}{unit}" if unit else significant(value, 4)
+        return f"{middle} ({limits[0]} to {limits[1]})"
     if not math.isfinite(high):
         return f"{number(value, unit)} ({number(low, unit)} or more)"
     return f"{number(value, unit)} ({number(low, unit)} to {number(high, unit)})"

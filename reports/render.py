@@ -106,19 +106,17 @@ def _page_html(page: Page, renderers: Sequence[Renderer], *, alarm: tuple[str, s
     return html(title, sections, alarm=alarm, counted=page.counted)
 
 
-def with_report(
-    calibration: Calibration, collection: Collection | None, lab: Lab | None
-) -> Calibration:
+def with_report(calibration: Calibration, collection: Collection, lab: Lab | None) -> Calibration:
     """Return the calibration with report.html added to its files.
 
-    collection  recordings, for the figures of the report; None if they are larger than memory
+    collection  recordings, for the figures of the report; none if they are larger than memory
     """
     controllers = calibration.controllers
     page = Page(
         model=calibration.model,
-        recordings=() if collection is None else collection.recordings,
-        sweeps=() if collection is None else collection.sweeps,
-        responses=() if collection is None else collection.responses,
+        recordings=collection.recordings,
+        sweeps=collection.sweeps,
+        responses=collection.responses,
         design=controllers.design,
         undesigned=controllers.reason,
         diagnoses=calibration.diagnoses,

@@ -14,10 +14,10 @@ from functools import cached_property
 from typing import BinaryIO, Self
 from zlib import compress, decompress
 
-from msgspec import ValidationError, convert, json, msgpack
+from msgspec import convert, json, msgpack
 
 from piezoid.digests import seal, seal_stream, unseal
-from piezoid.errors import ParameterFileError
+from piezoid.record_json import refusing
 
 STAGE_SCHEMA = "piezoid.batch_stage/1"
 FLEET_SCHEMA = "piezoid.batch/1"
@@ -170,11 +170,6 @@ class Fleet:
 def stage_from_json(content: bytes, source: str) -> FleetStage:
     """Read the record of a stage; reject a wrong digest, another schema, or a missing entry."""
     record = unseal(content, STAGE_SCHEMA, source)
-    try:
+    remedy = "Delete the folder of the stage and run the batch again."
+    with refusing(STAGE_SCHEMA, source, remedy=remedy):
         return convert(record, FleetStage)
-    except ValidationError as error:
-        raise ParameterFileError(
-            f"{source}: {type(error).__name__} at {error}",
-            needed=f"every entry of schema {STAGE_SCHEMA}, with its type",
-            remedy="Delete the folder of the stage and run the batch again.",
-        ) from error

@@ -15,12 +15,12 @@ from piezoid_reports.page import Page
 from piezoid_reports.parts import (
     Figure,
     Heading,
-    Listing,
     Part,
     Prose,
     Section,
     Table,
     folded,
+    folded_listing,
 )
 from piezoid_reports.quantities import MINUS, number, significant
 
@@ -68,10 +68,7 @@ def render(page: Page) -> Section | None:
             parts.append(Prose(text=text))
             conditions += certificate.conditions
         conditions += assumptions_of(model)
-    items = tuple(dict.fromkeys(conditions))
-    parts += folded(
-        "Conditions of margins and guarantees", [Listing(items=items)] if items else []
-    )
+    parts += folded_listing("Conditions of margins and guarantees", dict.fromkeys(conditions))
     return Section(
         anchor="controllers",
         title="Controllers",
@@ -145,17 +142,12 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
     ]
     decades = np.log10(frequency_Hz)
     x = decades_over("frequency", [decades], "Hz")
-    levels_dB = [np.maximum(level_dB, -80.0), *(limit for _, limit in limits)]
-    y = axis_over(f"|{function}| [dB]", [part.ravel() for part in levels_dB], "")
-    canvas, family_dB = Canvas(x=x, y=y), levels_dB[0]
+    family_dB = np.maximum(level_dB, -80.0)
+    y = axis_over(f"|{function}| [dB]", [family_dB.ravel(), *(level for _, level in limits)], "")
+    canvas = Canvas(x=x, y=y)
+    low_dB, high_dB = family_dB.min(axis=0), family_dB.max(axis=0)
     layers: list[Layer] = [
-        canvas.band(
-            "model-band",
-            "plant family",
-            decades,
-            levels_dB[0].min(axis=0),
-            levels_dB[0].max(axis=0),
-        ),
+        canvas.band("model-band", "plant family", decades, low_dB, high_dB),
         canvas.line("model", "nominal", decades, family_dB[0]),
     ]
     layers += [canvas.line("limit", name, decades, limit) for name, limit in limits]

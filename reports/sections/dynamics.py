@@ -87,10 +87,10 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
     if not excited:
         return []
     recording, _ = excited[0]
+    low_Hz, high_Hz = dynamics.band_Hz
     drive_V = voltage_behind_hysteresis(axis, recording)
     measured = measure_response(drive_V, recording, axis.axis)
-    lines = np.flatnonzero(measured.frequency_Hz <= 2.0 * dynamics.band_Hz[1])
-    measured = measured.at_lines(lines)
+    measured = measured.at_lines(np.flatnonzero(measured.frequency_Hz <= 2.0 * high_Hz))
     decades, response = np.log10(measured.frequency_Hz), measured.response
     is_used = ~measured.is_rejected
     modelled = dynamics.response_as_measured(measured.frequency_Hz)
@@ -99,7 +99,6 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
     low_dB, high_dB, mid_dB = (
         decibel(np.maximum(values, floor)) for values in (level - half, level + half, level)
     )
-    low_Hz, high_Hz = dynamics.band_Hz
     return [
         response_figure(
             "gain",
@@ -123,7 +122,7 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
         ),
         coherence_figure(
             f"Axis {axis.axis}: coherence",
-            f"{int((~measured.is_rejected).sum())} of {len(measured.frequency_Hz)} lines lie "
+            f"{int(is_used.sum())} of {len(measured.frequency_Hz)} lines lie "
             f"above the minimum of {significant(measured.least_coherence, 2)}.",
             decades,
             measured.coherence,
@@ -143,14 +142,13 @@ def response_parts(
     page: Page, axis: AxisModel, dynamics: LinearDynamics, fit: ResponseFit
 ) -> list[Part]:
     """Return gain, phase and coherence of a measured response, if its file is available."""
-    parts: list[Part] = []
     record = next((r for r in page.responses if r.name == fit.name), None)
     if record is None:
-        return parts
+        return []
     record = record if record.axis_is_named else record.renamed(axis.axis)
     path = record.path(axis.axis, axis.axis)
     if path is None:
-        return parts
+        return []
     f = record.frequency_Hz
     is_used = path.is_coherent & ~np.isin(f, fit.left_out_Hz)
     measured = fit.factor * measured_response(record, axis.axis, dynamics.declared)
@@ -161,7 +159,7 @@ def response_parts(
     model_deg = np.degrees(np.unwrap(np.angle(axis.polarity * model)))
     # Unwrap the measured phase with the model: lines may be too far apart to unwrap it directly.
     measured_deg = model_deg + np.degrees(np.angle(measured / model))
-    parts += [
+    parts: list[Part] = [
         response_figure(
             "gain",
             f"Axis {axis.axis}: gain as measured, {record.name}",
@@ -219,13 +217,7 @@ def response_figure(
     fitted_points = measured if is_used is None else np.where(is_used, measured, np.nan)
     layers.append(canvas.line("measured", "measured", decades, fitted_points))
     layers.append(canvas.line("model", "model", decades, model))
-    return Figure(
-        title=title,
-        caption=numbers,
-        guide=guide,
-        canvas=canvas,
-        layers=tuple(layers),
-    )
+    return Figure(title=title, caption=numbers, guide=guide, canvas=canvas, layers=tuple(layers))
 
 
 def coherence_figure(
@@ -247,13 +239,12 @@ def coherence_figure(
 
 
 def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
-    resolved = resolved_modes(dynamics)
     modes = zip(
         dynamics.mode_frequency_Hz,
         dynamics.mode_frequency_interval_Hz(),
         dynamics.mode_damping,
         dynamics.mode_damping_interval(),
-        resolved,
+        resolved_modes(dynamics),
         strict=True,
     )
     rows = [
@@ -264,15 +255,10 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
         )
         for frequency_Hz, interval_Hz, damping, between, is_resolved in modes
     ]
-    rows += [
-        ("lag", *_with_interval(frequency_Hz, interval_Hz, "Hz"), "", "")
-        for frequency_Hz, interval_Hz in zip(
-            dynamics.lag_frequency_Hz, dynamics.lag_frequency_interval_Hz(), strict=True
-        )
-    ]
-    rows.append(
-        ("delay", *_with_interval(dynamics.delay_s, dynamics.delay_interval_s(), "s"), "", "")
-    )
+    lags = zip(dynamics.lag_frequency_Hz, dynamics.lag_frequency_interval_Hz(), strict=True)
+    rows += [("lag", *_with_interval(lag_Hz, between, "Hz"), "", "") for lag_Hz, between in lags]
+    delay = _with_interval(dynamics.delay_s, dynamics.delay_interval_s(), "s")
+    rows.append(("delay", *delay, "", ""))
     rows += [
         (f"{declared.name}, declared", number(declared.frequency_Hz, "Hz"), "", "", "")
         for declared in dynamics.declared

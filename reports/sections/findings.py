@@ -4,13 +4,12 @@ import math
 from collections.abc import Sequence
 from itertools import chain
 
-from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, NotDetected
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis
 from piezoid.diagnosis.diagnosis_statements import largest_first
 from piezoid.diagnosis.effects import effect_named, thermal_drift
 from piezoid.diagnosis.residual_coordinates import CONTROL_ADVICE
 from piezoid.formatting import p_value, words
 from piezoid.identification.fit_statements import ZERO_DRIFT
-from piezoid.identification.model import AxisModel
 from piezoid_reports.effect_figures import compare_effects, figure_of, unnamed_figure
 from piezoid_reports.page import Page
 from piezoid_reports.parts import Heading, Part, Prose, Section, Table, with_rows
@@ -92,24 +91,20 @@ def findings_table(diagnoses: Sequence[Diagnosis]) -> Table | Prose:
     )
 
 
-def _not_detected_tables(page: Page) -> list[Part]:
+def _not_detected_tables(page: Page) -> list[Table]:
     """Return the effects and data faults that were not detected, largest limit first."""
-    diagnoses = page.diagnoses
-    absent = [
-        (absence, diagnosis.axis) for diagnosis in diagnoses for absence in diagnosis.not_detected
-    ]
+    axes = [diagnosis.axis for diagnosis in page.diagnoses]
+    absences = {(a.effect, d.axis): a for d in page.diagnoses for a in d.not_detected}
     # An effect smaller than both bound and limit would not be noticed.
-    absent.sort(
-        key=lambda pair: -max(pair[0].detection_limit_m or 0.0, pair[0].upper_bound_m or 0.0)
+    ordered = sorted(
+        absences.values(), key=lambda a: -max(a.detection_limit_m or 0.0, a.upper_bound_m or 0.0)
     )
-    names = dict.fromkeys(absence.effect for absence, _ in absent)
+    names = dict.fromkeys(absence.effect for absence in ordered)
     effects = [name for name in names if effect_named(name).fault is None]
     faults = [name for name in names if effect_named(name).fault is not None]
-    axes = [diagnosis.axis for diagnosis in diagnoses]
-    by_name = {(absence.effect, axis): absence for absence, axis in absent}
     confounded = {
         (alternative, diagnosis.axis): finding.effect
-        for diagnosis in diagnoses
+        for diagnosis in page.diagnoses
         for finding in diagnosis.findings
         for alternative in finding.not_separable_from
     }
@@ -117,13 +112,20 @@ def _not_detected_tables(page: Page) -> list[Part]:
     drifting = {fact.axis for fact in page.statements if fact.quantity == ZERO_DRIFT}
 
     def cells(name: str, axis: str) -> tuple[str, str]:
-        absence = by_name.get((name, axis))
+        """Return bound and detection limit, or why the effect could not be tested."""
+        absence, model = absences.get((name, axis)), page.model.axes.get(axis)
         if absence is None:
             return "found", ""
         if (name, axis) in confounded:
             return f"not separable from {words(confounded[name, axis])}", ""
-        bound, limit = _bound_and_limit(absence, page.model.axes.get(axis))
-        if limit and name == thermal_drift.EFFECT.name and axis in drifting:
+        if absence.detection_limit_m is None:
+            return f"not tested: {absence.reason}", ""
+        bound, limit = "", number(absence.detection_limit_m, "m")
+        if absence.upper_bound_m is not None:
+            max_m = math.inf if model is None else MAX_BOUND * model.quality.range_m
+            is_useful = absence.upper_bound_m <= max_m
+            bound = number(absence.upper_bound_m, "m") if is_useful else "no useful bound"
+        if name == thermal_drift.EFFECT.name and axis in drifting:
             limit += ", in addition to the drift in the fit"
         return bound, limit
 
@@ -147,15 +149,3 @@ def _not_detected_tables(page: Page) -> list[Part]:
         ),
     )
     return with_rows(of_effects, of_faults)
-
-
-def _bound_and_limit(absence: NotDetected, axis: AxisModel | None) -> tuple[str, str]:
-    """Return bound and detection limit, or why the effect could not be tested."""
-    if absence.detection_limit_m is None:
-        return f"not tested: {absence.reason}", ""
-    bound = ""
-    if absence.upper_bound_m is not None:
-        max_m = math.inf if axis is None else MAX_BOUND * axis.quality.range_m
-        is_useful = absence.upper_bound_m <= max_m
-        bound = number(absence.upper_bound_m, "m") if is_useful else "no useful bound"
-    return bound, number(absence.detection_limit_m, "m")

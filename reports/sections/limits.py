@@ -5,7 +5,7 @@ from dataclasses import replace
 from piezoid.identification.fit_statements import DYNAMICS
 from piezoid.statement import Level, Statement
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Listing, Part, Prose, Section, Table, folded
+from piezoid_reports.parts import Part, Prose, Section, Table, folded_listing
 from piezoid_reports.quantities import number
 from piezoid_reports.sections.error_budget import label_of
 
@@ -17,11 +17,11 @@ def render(page: Page) -> Section:
     open_facts = [
         fact for fact in page.statements if fact.level > Level.NOTE and fact not in page.headline
     ]
-    notes = tuple(
+    notes = [
         page.text_of(fact)
         for fact in page.statements
         if fact.level is Level.NOTE and fact.quantity != DYNAMICS
-    )
+    ]
     untested = []
     for axis in page.axes:
         low_V, high_V = axis.voltage_V
@@ -55,11 +55,8 @@ def render(page: Page) -> Section:
         )
     elif not page.headline:
         parts.append(Prose(text="No limit was found that needs action.", tone="good"))
-    for summary, items in (
-        (f"Notes: {len(notes)}", notes),
-        ("Conditions that were not tested", tuple(untested)),
-    ):
-        parts += folded(summary, [Listing(items=items)] if items else [])
+    parts += folded_listing(f"Notes: {len(notes)}", notes)
+    parts += folded_listing("Conditions that were not tested", untested)
     return Section(
         anchor="limits",
         title="Limits and next experiment" if has_action else "Limits",

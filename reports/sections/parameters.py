@@ -60,11 +60,12 @@ def render(page: Page) -> Section | None:
         ranked = sorted(usable[0].budget.contributions, key=lambda c: -c.standard)
         columns = []
         for expected in (budget.budget for budget in usable):
-            cells = dict.fromkeys((c.name for c in ranked), "")
-            for c in expected.contributions:
-                share = percent(expected.share(c))
-                cells[c.name] = f"{number(c.standard, 'm')} ({share})" if c.standard else ""
-            columns.append(cells)
+            cells = {
+                c.name: f"{number(c.standard, 'm')} ({percent(expected.share(c))})"
+                for c in expected.contributions
+                if c.standard
+            }
+            columns.append({**dict.fromkeys((c.name for c in ranked), ""), **cells})
         together = [{"together": number(b.budget.combined, "m")} for b in usable]
         parts.append(
             Table(
@@ -122,7 +123,7 @@ def _loop_width(axis: AxisModel) -> str:
     return f"{number(width_m, 'm')} (no usable interval)"
 
 
-def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Part]:
+def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Table]:
     """Return the errors of each axis, from the expected errors to the guaranteed limit."""
     columns = []
     for budget in budgets:

@@ -54,35 +54,36 @@ def _agreement(model: ActuatorModel, recording: Recording | RawTable) -> str:
 
 
 def _chain(page: Page) -> Table:
-    model = page.model_digest
-    sealed = {name: text for name, text in page.files.items() if name.endswith(".json")}
-    digests = {name: digest_in(text) for name, text in sealed.items()}
+    files, verification = page.files, page.verification
+    digests = {name: digest_in(text) for name, text in files.items() if name.endswith(".json")}
+
+    def source(name: str, expected: str) -> str:
+        actual = page.model_digest if name == "model.json" else digests[name]
+        return name if expected == actual else f"another {name}: {expected[:19]}..."
+
     rows = [("lab.toml", page.model.lab or "none given", "the laboratory")]
     if page.lab is not None and page.lab.digest and page.lab.digest != page.model.lab:
         rows.append(("lab.toml, current", page.lab.digest, "the laboratory, after the fit"))
-    if model:
-        rows.append(("model.json", model, "the recordings in the model, lab.toml"))
-    if "diagnosis.json" in page.files:
+    if page.model_digest:
+        rows.append(("model.json", page.model_digest, "the recordings in the model, lab.toml"))
+    if "diagnosis.json" in files:
         rows.append(("diagnosis.json", digests["diagnosis.json"], "the recordings, lab.toml"))
-    if page.design is not None and "design.json" in page.files:
-        made_from = _of("model.json", page.design.model_digest, model)
+    if page.design is not None and "design.json" in files:
+        made_from = source("model.json", page.design.model_digest)
         made_from += _lab(page, page.design.lab_digest)
         rows.append(("design.json", digests["design.json"], made_from))
-    if "params.json" in page.files:
-        sources = loads(page.files["params.json"])["sources"]
-        made_from = _of("model.json", sources.get("model", ""), model)
-        if "design.json" in page.files:
-            design = _of("design.json", sources.get("design", ""), digests["design.json"])
-            made_from += f", {design}"
+    if "params.json" in files:
+        sources = loads(files["params.json"])["sources"]
+        made_from = source("model.json", sources.get("model", ""))
+        if "design.json" in files:
+            made_from += f", {source('design.json', sources.get('design', ''))}"
         made_from += _lab(page, sources.get("lab", ""))
         rows.append(("params.json", digests["params.json"], made_from))
-    verification = page.verification
     if verification is not None:
-        runtime = ("runtime source, as shipped", verification.runtime_digest)
-        rows.append((*runtime, "piezoid_runtime.h and .c"))
-        if "verification.json" in page.files and "params.json" in page.files:
-            expected = verification.parameters_digest
-            made_from = _of("params.json", expected, digests["params.json"])
+        runtime = verification.runtime_digest
+        rows.append(("runtime source, as shipped", runtime, "piezoid_runtime.h and .c"))
+        if "verification.json" in files and "params.json" in files:
+            made_from = source("params.json", verification.parameters_digest)
             made_from += ", this runtime source, model.json"
             made_from += _lab(page, verification.lab_digest)
             rows.append(("verification.json", digests["verification.json"], made_from))
@@ -100,7 +101,3 @@ def _lab(page: Page, digest: str) -> str:
     if digest == fitted:
         return ", lab.toml" if digest else ""
     return f", another lab.toml: {digest[:19]}..." if digest else ", no lab.toml"
-
-
-def _of(name: str, expected: str, actual: str) -> str:
-    return name if expected == actual else f"another {name}: {expected[:19]}..."

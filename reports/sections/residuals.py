@@ -46,12 +46,10 @@ def render(page: Page) -> Section | None:
     )
 
 
-def over_time(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = None) -> Figure:
-    """Draw the residual against time with the band of the noise.
-
-    size  width and height in pixels in the summary, None elsewhere
-    """
-    width, height = size or (Canvas.width, TIME_HEIGHT)
+def over_time(
+    trace: Trace, axis: AxisModel, *, width: int = Canvas.width, height: int = TIME_HEIGHT
+) -> Figure:
+    """Draw the residual against time with the band of the noise; sizes are in pixels."""
     noise_m, residual_m = axis.quality.noise_rms_m, trace.residual_m
     x = axis_over("time", [trace.time_s], "s")
     y = axis_over("residual", [residual_m, np.array([SIGMAS * noise_m])], "m", symmetric=True)
@@ -78,7 +76,6 @@ def over_time(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = N
         f"twice the sensor noise of {number(noise_m, 'm')} (95 % expected for noise alone).",
         guide=GUIDE_TIME,
         canvas=canvas,
-        is_small=size is not None,
         layers=tuple(layers),
     )
 

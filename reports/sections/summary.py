@@ -13,12 +13,7 @@ from piezoid_reports.quantities import number, percent, significant, with_interv
 from piezoid_reports.sections import loops, residuals, tunnelling
 
 LOOP_SIZE, RESIDUAL_SIZE = (300, 122), (440, 122)  # pixels, side by side
-TONES = {
-    Grade.GOOD: "good",
-    Grade.LIMITED: "middling",
-    Grade.POOR: "bad",
-    Grade.REJECTED: "bad",
-}
+TONES = {Grade.GOOD: "good", Grade.LIMITED: "middling", Grade.POOR: "bad", Grade.REJECTED: "bad"}
 
 
 def render(page: Page) -> Section:
@@ -98,12 +93,15 @@ def _card(page: Page, axis: AxisModel) -> Card:
         # Loop and residual of the recording with the largest residual are linked in time.
         name = traces[0].recording.name
         link = f"axis-{list(page.model.axes).index(axis.axis)}"
-        residual = residuals.over_time(traces[0], axis, size=RESIDUAL_SIZE)
+        width, height = RESIDUAL_SIZE
+        residual = residuals.over_time(traces[0], axis, width=width, height=height)
         span = float(traces[0].time_s[-1]) / residual.canvas.x.scale.factor
         loop = loops.without_line(page, axis, traces[0], size=LOOP_SIZE)
         figures = (
             replace(loop, link=link, short_title=f"{name}: loop"),
-            replace(residual, link=link, span=span, short_title=f"{name}: residual"),
+            replace(
+                residual, is_small=True, link=link, span=span, short_title=f"{name}: residual"
+            ),
         )
     quality, design = axis.quality, page.loop_of(axis.axis)
     noise_m, error_m = quality.noise_rms_m, quality.held_out_rms_m
@@ -172,5 +170,8 @@ def _tip_card(page: Page) -> tuple[Card, ...]:
         ("Bandwidth", "none" if loop is None else number(loop.recommended.bandwidth_Hz, "Hz")),
         ("Ships", ships(page, "z" if loop is None else loop.axis)),
     )
-    figures = tunnelling.law_figures(page, sizes=(LOOP_SIZE, RESIDUAL_SIZE))
+    figures = tuple(
+        replace(figure, is_small=True, short_title=figure.title.partition(",")[0])
+        for figure in tunnelling.law_figures(page, sizes=(LOOP_SIZE, RESIDUAL_SIZE))
+    )
     return (Card(title="Tip", tone=tone, word=word, figures=figures, facts=facts),)

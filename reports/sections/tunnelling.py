@@ -1,11 +1,12 @@
 """Tunnelling junction: current over height, barrier, and the closed loop with its noise."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from piezoid.formatting import count_of
-from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
+from piezoid.identification.tunnelling.approach import Direction
 from piezoid.identification.tunnelling.barrier_fit import GapLaw
 from piezoid.identification.tunnelling.closed_loop import LoopPlant, LoopSummary
 from piezoid.identification.tunnelling.confidence import Confidence
@@ -52,6 +53,9 @@ GUIDE_SPECTRA = (
     "below. Bad: the current above the motion over a decade, or strong mains lines."
 )
 MIN_DENSITY_m2_per_Hz = 1e-34  # drawn for a constant signal
+LAW_SIZES = (Canvas.width, Canvas.height), (Canvas.width, 260)  # pixels
+
+Curve = tuple[Array, Array]  # height in m and current in A
 
 
 def render(page: Page) -> Section | None:
@@ -96,39 +100,36 @@ def barrier_sentence(law: GapLaw) -> str:
     return f"Apparent barrier {barrier}, {law.confidence.value} confidence{unmet}."
 
 
-def law_figures(
-    page: Page, *, sizes: tuple[tuple[int, int], tuple[int, int]] | None = None
-) -> tuple[Figure, ...]:
+def law_figures(page: Page, *, sizes: Sequence[tuple[int, int]] = LAW_SIZES) -> tuple[Figure, ...]:
     """Draw the first gap law with sweeps over its sweeps, and its residual.
 
-    sizes  width and height of both figures in pixels in the summary, None elsewhere
+    sizes  width and height of both figures in pixels
     """
-    junction = page.model.tunnelling
-    for law, direction in () if junction is None else _laws(junction, page):
-        curves = [c for c in curves_of(page.sweeps) if c.direction is direction]
-        if not curves:
-            continue
-        if sizes is None:
-            return _curve(law, curves), _residual(law, curves)
-        figures = _curve(law, curves, sizes[0]), _residual(law, curves, sizes[1])
-        return tuple(replace(f, short_title=f.title.partition(",")[0]) for f in figures)
+    for law, direction in _laws(page):
+        curves = []  # ascending heights, and the current without offset, with positive polarity
+        for curve in curves_of(page.sweeps):
+            if curve.direction is direction:
+                order = np.argsort(curve.height_m, kind="stable")
+                current_A = law.polarity * (curve.current_A[order] - law.offset_A)
+                curves.append((curve.height_m[order], current_A))
+        if curves:
+            return _current(law, curves, *sizes[0]), _residual(law, curves, *sizes[1])
     return ()
 
 
-def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Direction], ...]:
-    first = junction.gap_law
-    if first is None:
+def _laws(page: Page) -> tuple[tuple[GapLaw, Direction], ...]:
+    junction = page.model.tunnelling
+    if junction is None or junction.gap_law is None:
         return ()
     if junction.forward is not None and junction.backward is not None:
         return (junction.forward, Direction.FORWARD), (junction.backward, Direction.BACKWARD)
     directions = {curve.direction for curve in curves_of(page.sweeps)}
-    return (
-        (first, Direction.BACKWARD if directions == {Direction.BACKWARD} else Direction.FORWARD),
-    )
+    direction = Direction.BACKWARD if directions == {Direction.BACKWARD} else Direction.FORWARD
+    return ((junction.gap_law, direction),)
 
 
 def _table(junction: TunnellingModel, page: Page) -> Table:
-    laws = _laws(junction, page)
+    laws = _laws(page)
     by_direction = [(direction.value, law) for law, direction in laws]
     note = ""
     if len(laws) > 1 and junction.gap_law is not None:
@@ -157,68 +158,52 @@ def _modelled(law: GapLaw, height_m: Array) -> Array:
     return np.asarray(current_A)
 
 
-def _measured(law: GapLaw, curve: ApproachCurve) -> tuple[Array, Array]:
-    """Return ascending heights, and the current minus its offset with positive polarity."""
-    order = np.argsort(curve.height_m, kind="stable")
-    return curve.height_m[order], law.polarity * (curve.current_A[order] - law.offset_A)
-
-
-def _curve(
-    law: GapLaw, curves: list[ApproachCurve], size: tuple[int, int] | None = None
-) -> Figure:
+def _current(law: GapLaw, curves: Sequence[Curve], width: int, height: int) -> Figure:
     """Draw the positive currents over the height on a logarithmic axis."""
-    rows = [_measured(law, curve) for curve in curves]
-    heights = np.unique(np.concatenate([height for height, _ in rows]))
+    heights_m = np.unique(np.concatenate([height_m for height_m, _ in curves]))
     floor = np.log10(law.floor_A / 1e-12)
-    logs = [np.log10(np.where(i > 0.0, i, np.nan) / 1e-12) for _, i in rows]
-    line = np.log10(_modelled(law, heights) / 1e-12)
-    x = axis_over("height", [heights], "m")
+    logs = [np.log10(np.where(i > 0.0, i, np.nan) / 1e-12) for _, i in curves]
+    line = np.log10(_modelled(law, heights_m) / 1e-12)
+    x = axis_over("height", [heights_m], "m")
     y = decades_over("current", [*logs, np.array([floor])], "pA")
-    width, height_px = size or (Canvas.width, Canvas.height)
-    canvas = Canvas(x=x, y=y, width=width, height=height_px)
+    canvas = Canvas(x=x, y=y, width=width, height=height)
     is_compared = line > floor - 1.0  # no measurement shows currents far below the noise
-    layers: list[Layer] = [
-        canvas.line("measured", f"sweep {k + 1}", height, log, points=400)
-        for k, ((height, _), log) in enumerate(zip(rows, logs, strict=True))
-    ]
-    layers.append(canvas.line("model", "gap law", heights[is_compared], line[is_compared]))
-    layers.append(canvas.line("zero", "noise, rms", heights[[0, -1]], np.full(2, floor)))
     return Figure(
         title=f"Current over height, {count_of(len(curves), 'sweep')}",
         caption=f"Polarity {POLARITY[law.polarity]}, offset {number(law.offset_A, 'A')} removed.",
         guide=GUIDE_CURVE,
         canvas=canvas,
-        layers=tuple(layers),
-        is_small=size is not None,
+        layers=(
+            *(
+                canvas.line("measured", f"sweep {k + 1}", height_m, log, points=400)
+                for k, ((height_m, _), log) in enumerate(zip(curves, logs, strict=True))
+            ),
+            canvas.line("model", "gap law", heights_m[is_compared], line[is_compared]),
+            canvas.line("zero", "noise, rms", heights_m[[0, -1]], np.full(2, floor)),
+        ),
     )
 
 
-def _residual(
-    law: GapLaw, curves: list[ApproachCurve], size: tuple[int, int] | None = None
-) -> Figure:
-    rows = [_measured(law, curve) for curve in curves]
-    residuals = [(height, current_A - _modelled(law, height)) for height, current_A in rows]
-    x = axis_over("height", [height for height, _ in residuals], "m")
-    y = axis_over(
-        "measured minus gap law", [residual for _, residual in residuals], "A", symmetric=True
-    )
-    width, height_px = size or (Canvas.width, 260)
-    canvas = Canvas(x=x, y=y, width=width, height=height_px)
-    rms_A = float(np.sqrt(np.mean(np.concatenate([residual for _, residual in residuals]) ** 2)))
-    zero = canvas.line("zero", "gap law", np.array([x.low, x.high]) * x.scale.factor, np.zeros(2))
+def _residual(law: GapLaw, curves: Sequence[Curve], width: int, height: int) -> Figure:
+    residuals_A = [current_A - _modelled(law, height_m) for height_m, current_A in curves]
+    x = axis_over("height", [height_m for height_m, _ in curves], "m")
+    y = axis_over("measured minus gap law", residuals_A, "A", symmetric=True)
+    canvas = Canvas(x=x, y=y, width=width, height=height)
+    rms_A = float(np.sqrt(np.mean(np.concatenate(residuals_A) ** 2)))
+    ends_m = np.array([x.low, x.high]) * x.scale.factor
     return Figure(
         title="Residual of the gap law",
-        caption=(
-            f"{number(rms_A, 'A')} rms; the noise without current is {number(law.floor_A, 'A')}."
-        ),
+        caption=f"{number(rms_A, 'A')} rms; the noise without current is "
+        f"{number(law.floor_A, 'A')}.",
         guide=GUIDE_RESIDUAL,
         canvas=canvas,
-        is_small=size is not None,
         layers=(
-            zero,
+            canvas.line("zero", "gap law", ends_m, np.zeros(2)),
             *(
-                canvas.line("measured", f"sweep {k + 1}", height, residual, points=400)
-                for k, (height, residual) in enumerate(residuals)
+                canvas.line("measured", f"sweep {k + 1}", height_m, residual_A, points=400)
+                for k, ((height_m, _), residual_A) in enumerate(
+                    zip(curves, residuals_A, strict=True)
+                )
             ),
         ),
     )

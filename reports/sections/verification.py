@@ -43,7 +43,7 @@ def render(page: Page) -> Section | None:
     details = [*spirals, *motions(verification)]
     figures: list[Part] = [_shape_figure(verification)] if verification.comparison else []
     figures += folded(f"Steps and spiral: {count_of(len(details), 'figure')}", details)
-    figures += [comparison_table(page, verification)] if verification.comparison else []
+    figures += with_rows(comparison_table(page, verification))
     currents = Table(
         caption="Tip over a surface of 0.1 nm rms. Largest current: relative to the set point.",
         columns=("path", "std of ln i", "height rms", "largest current", "retracted samples"),
@@ -76,42 +76,39 @@ def render(page: Page) -> Section | None:
 
 
 def _shape_figure(verification: Verification) -> Figure:
-    methods = list(dict.fromkeys(row.method for row in verification.comparison))
-    curves = {m: [row for row in verification.comparison if row.method == m] for m in methods}
+    curves: dict[str, list[ComparisonRow]] = {}
+    for row in verification.comparison:
+        curves.setdefault(row.method, []).append(row)
     points = {
-        m: (
+        method: (
             np.log10([row.frequency_Hz for row in rows]),
-            np.log10([max(row.aligned_rms_m, 1e-12) * 1e9 for row in rows]),
+            np.log10([max(row.aligned_rms_m, MIN_ERROR_m) * 1e9 for row in rows]),
         )
-        for m, rows in curves.items()
+        for method, rows in curves.items()
     }
-    x = decades_over("frequency", [p[0] for p in points.values()], "Hz")
-    y = decades_over("shape error", [p[1] for p in points.values()], "nm")
+    x = decades_over("frequency", [across for across, _ in points.values()], "Hz")
+    y = decades_over("shape error", [up for _, up in points.values()], "nm")
     canvas = Canvas(x=x, y=y)
-    layers = [canvas.line(STROKES[m], METHOD_NAMES[m], *points[m]) for m in methods]
-    shipped = curves[methods[0]]
+    shipped = verification.comparison[0]
     return Figure(
         title="Shape error on spirals by method",
-        caption=f"{METHOD_NAMES[methods[0]].capitalize()}: "
-        f"{number(shipped[0].aligned_rms_m, 'm')} rms at "
-        f"{number(shipped[0].frequency_Hz, 'Hz')}. Shape error: distance from the path after the "
-        "best common delay.",
+        caption=f"{METHOD_NAMES[shipped.method].capitalize()}: "
+        f"{number(shipped.aligned_rms_m, 'm')} rms at {number(shipped.frequency_Hz, 'Hz')}. "
+        "Shape error: distance from the path after the best common delay.",
         guide="Good: the shipped controller has the smallest error. Bad: it crosses another "
         "method.",
         canvas=canvas,
-        layers=tuple(layers),
+        layers=tuple(canvas.line(STROKES[m], METHOD_NAMES[m], *points[m]) for m in points),
     )
 
 
 def comparison_table(page: Page, verification: Verification) -> Table:
     """Return the error of each method at each rate, and the guaranteed error if it ships."""
-    rates_Hz = sorted({row.frequency_Hz for row in verification.comparison})
-    by_method: dict[str, dict[float, ComparisonRow]] = {}
-    for row in verification.comparison:
-        by_method.setdefault(row.method, {})[row.frequency_Hz] = row
+    comparison = {(row.method, row.frequency_Hz): row for row in verification.comparison}
+    rates_Hz = sorted({rate_Hz for _, rate_Hz in comparison})
     rows = []
-    for method, of_method in by_method.items():
-        errors = [of_method.get(rate_Hz) for rate_Hz in rates_Hz]
+    for method in dict.fromkeys(method for method, _ in comparison):
+        errors = [comparison.get((method, rate_Hz)) for rate_Hz in rates_Hz]
         rows.append(
             (METHOD_NAMES[method], *("" if e is None else number(e.rms_m, "m") for e in errors))
         )
@@ -157,7 +154,7 @@ def _guaranteed(page: Page, verification: Verification, row: ComparisonRow) -> s
     """Return the guaranteed distance from the path at its speed, from all certificates."""
     loops = [
         (axis.axis, loop.certificate)
-        for axis in (page.design.axes if page.design is not None else ())
+        for axis in page.axis_designs
         for loop in axis.loops
         if axis.axis in verification.methods
         and axis.axis in page.model.axes
@@ -261,8 +258,7 @@ def spiral(trace: SpiralTrace, verification: Verification) -> Figure:
     limits = (v.limit for v in verification.verdicts if (v.name, v.scenario) == check)
     limit_m = next(limits, Limits().aligned_percent) / 100.0 * 2.0 * verification.radius_m
     # The shade of a sample depends on the fraction of the limit that its error reaches.
-    edges_m = [limit_m * share if np.isfinite(share) else np.inf for share in SHADES.values()]
-    shade = np.searchsorted(edges_m, error_m)
+    shade = np.searchsorted([limit_m * share for share in SHADES.values()], error_m)
     layers = []
     for index, (role, share) in enumerate(SHADES.items()):
         is_shade = shade == index

@@ -114,6 +114,7 @@
     if (figure.dataset.link) links.push({ name: figure.dataset.link, figure, light: (stretches) => light(stretches) });
     let viewport = { ...full };
     let curvePoints = null;
+    const curves = () => (curvePoints = curvePoints || layers.map((layer) => strokes(layer.getAttribute("d"))));
 
     const valueX = (x) => ends.x[0] + (ends.x[1] - ends.x[0]) * x / full.w;
     const valueY = (y) => ends.y[1] - (ends.y[1] - ends.y[0]) * y / full.h;
@@ -172,11 +173,10 @@
     let timedPoints = null;
     function timed() {
       if (timedPoints) return timedPoints;
-      curvePoints = curvePoints || layers.map((layer) => strokes(layer.getAttribute("d")));
       const index = layers.findIndex((layer) => layer.dataset.times);
       const times = index < 0 ? [] : layers[index].dataset.times.split(" ").map((time) => time / 1e4);
       let k = 0;
-      timedPoints = (curvePoints[index] || []).map((points) => {
+      timedPoints = (curves()[index] || []).map((points) => {
         const stroke = [];
         for (let i = 0; i + 1 < points.length; i += 2) stroke.push({ x: points[i], y: points[i + 1], time: times[k++] });
         return stroke;
@@ -248,12 +248,11 @@
     }
 
     function nearest(x, y) {
-      curvePoints = curvePoints || layers.map((layer) => strokes(layer.getAttribute("d")));
       const scale = width / viewport.w;
       let best = { distance: REACH };
       layers.forEach((layer, index) => {
         if (layer.classList.contains("off") || /limit|band|zero/.test(layer.dataset.role)) return;
-        for (const points of curvePoints[index]) {
+        for (const points of curves()[index]) {
           for (let k = 2; k + 1 < points.length; k += 2) {
             const ax = points[k - 2], ay = points[k - 1];
             const dx = points[k] - ax, dy = points[k + 1] - ay;
@@ -326,12 +325,11 @@
 
     // Numbers of every curve as CSV, resolved to a twentieth of a pixel of the full view.
     function numbers() {
-      curvePoints = curvePoints || layers.map((layer) => strokes(layer.getAttribute("d")));
       const head = (name, unit) => quoted(unit ? `${name} [${unit}]` : name);
       const shown = (name, value) => (data.decades.includes(name) ? 10 ** value : value).toPrecision(6);
       const rows = [`${quoted("curve")},${head(data.xName, data.xUnit)},${head(data.yName, data.yUnit)}`];
       layers.forEach((layer, index) => {
-        for (const points of curvePoints[index]) {
+        for (const points of curves()[index]) {
           for (let k = 0; k + 1 < points.length; k += 2) {
             rows.push(`${quoted(layer.dataset.name)},${shown("x", valueX(points[k]))},${shown("y", valueY(points[k + 1]))}`);
           }
