@@ -39,7 +39,7 @@ _TOP = """\
 
 enum {{ {enumerators}, PIEZO_AXES }};
 
-/* Bit i: axis i regulates a current (Z). */
+/* Bit i: axis i is a tip axis, which regulates a current. */
 #define PIEZO_TIP_AXES {tip_axes}u
 
 #ifdef PZ_REAL_FLOAT
@@ -128,7 +128,7 @@ def c_header(file: ParameterFile, digest: str) -> str:
                 break_on_hyphens=False,
             )
         if not axis.is_tip:
-            lines.append("        /* All other members are for Z only, and 0. */")
+            lines.append("        /* All other members belong to a tip axis, and are 0. */")
         axes.append(f"    [PIEZO_AXIS_{name}] = {{\n" + "\n".join(lines) + "\n    },\n")
     return top + "".join(axes) + _BOTTOM.format(decoupling=decoupling)
 

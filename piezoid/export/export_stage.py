@@ -125,7 +125,7 @@ def _export_axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisPara
 def lateral_axis(
     model: AxisModel, design: AxisDesign, guards: Mapping[str, ArrayLike | str] | None = None
 ) -> AxisParameters:
-    """Return X or Y with its recommended loop, and all other methods as alternatives.
+    """Return a position axis with its recommended loop, and all other methods as alternatives.
 
     guards  runtime parameters that are not part of the design: ``stuck_samples``, ...
 
@@ -153,7 +153,7 @@ def lateral_axis(
         if loop.observer is None:
             raise ParameterFileError(
                 f"the loop of method {loop.method} has no observer",
-                needed="a disturbance observer for X and Y",
+                needed="a disturbance observer for a position axis",
                 remedy="Use tunnelling_axis for a controller given as R, S and T.",
             )
         # The fastest change of the reference in a sample for which the error is bounded.
@@ -183,7 +183,7 @@ def lateral_axis(
 
 
 def tunnelling_axis(design: AxisDesign, guards: Mapping[str, ArrayLike | str]) -> AxisParameters:
-    """Return Z with its recommended loop and its guards.
+    """Return a tip axis with its recommended loop and its guards.
 
     guards  of ``tip_guards``
     """

@@ -884,7 +884,7 @@ void pz_reset(pz_state *state) {
     state->reset_wanted = 1;
 }
 
-/* ---- real time: X and Y -------------------------------------------------------------------- */
+/* ---- real time: position axis -------------------------------------------------------------- */
 
 /* The reference made usable, filtered, relative to the offset. */
 static pz_real take_reference(pz_state *s, const pz_parameters *p, pz_real reference) {
@@ -1057,7 +1057,7 @@ static void step_lateral(pz_state *s, const pz_parameters *p, pz_real reference,
     }
 }
 
-/* ---- real time: Z -------------------------------------------------------------------------- */
+/* ---- real time: tip axis ------------------------------------------------------------------- */
 
 /* ln(r / i_0) of the reference made usable. */
 static pz_real take_current_reference(pz_state *s, const pz_parameters *p, pz_real reference_A) {

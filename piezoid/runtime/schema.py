@@ -110,9 +110,9 @@ _COUNTS = (
         lower=-1,
         default=1,
     ),
-    _integer("play_count", MAX_PLAYS, "plays in use"),
-    _integer("knot_count", MAX_KNOTS, "dead zones in use; 0: no dead zone"),
-    _integer("envelope_count", MAX_KNOTS, "knots of the envelope in use; 0: no envelope"),
+    _integer("play_count", MAX_PLAYS, "plays in use, that of half-width 0 included"),
+    _integer("knot_count", MAX_KNOTS, "knots of the dead zones, that at 0 included; 0: none"),
+    _integer("envelope_count", MAX_KNOTS, "knots of the envelope, that at 0 included; 0: none"),
     _integer("edge_count", MAX_EDGES, "edges of the play functions phi_i; 0: phi_i(z) = w_i z"),
     _integer(
         "edge_steps", MAX_PLAYS, "distance of the edges, as a multiple of play_threshold_V[1]"
@@ -123,12 +123,12 @@ _COUNTS = (
     _integer("observer_order", MAX_ORDER, "observer states, the disturbance not counted"),
     _integer("preview_samples", 1e6, "samples by which the reference is given ahead"),
     _integer("stuck_samples", 1e6, "equal readings in a row before a sensor is stuck; 0: off"),
-    _integer("blind_samples", 1e6, "X, Y: unusable readings before a latch; 0: no latch"),
-    _integer("bad_samples", 1e6, "Z: unusable currents in a row before a retract"),
-    _integer("retract_samples", 1e6, "Z: length of the first retract; each further one doubles"),
-    _integer("contact_samples", 1e6, "Z: samples in a row at the set point before contact"),
-    _integer("trip_limit", 1e6, "Z: retracts in a row before a latch; 0: no latch"),
-    _integer("trip_samples", 1e6, "Z: samples without retract before its count restarts"),
+    _integer("blind_samples", 1e6, "position axis: unusable readings before a latch; 0: no latch"),
+    _integer("bad_samples", 1e6, "tip axis: unusable currents in a row before a retract"),
+    _integer("retract_samples", 1e6, "tip axis: first retract; each further one doubles"),
+    _integer("contact_samples", 1e6, "tip axis: samples in a row at the set point before contact"),
+    _integer("trip_limit", 1e6, "tip axis: retracts in a row before a latch; 0: no latch"),
+    _integer("trip_samples", 1e6, "tip axis: samples without retract before its count restarts"),
     _integer("rst_T_count", MAX_TAPS, "coefficients of T"),
     _integer("rst_R_count", MAX_TAPS, "coefficients of R"),
     _integer("rst_S_count", MAX_TAPS, "coefficients of S, its integrator not counted"),
@@ -150,7 +150,9 @@ _SIGNALS = (
     _real("reference_maximum_m", *_m, "highest reference followed"),
     _real("reference_step_m", *_STEP, "largest change of the reference in a sample; 0: unlimited"),
     _real(
-        "certified_step_m", *_STEP, "largest change of the reference with an error bound; 0: none"
+        "certified_step_m",
+        *_STEP,
+        "largest change of the reference in a sample with a proven error limit; 0: none",
     ),
     _real("displacement_minimum_m", *_m, "lowest plausible measurement"),
     _real("displacement_maximum_m", *_m, "highest plausible measurement"),
@@ -160,11 +162,11 @@ _SIGNALS = (
 _MODEL = (
     _real("play_threshold_V", "V", 0, 1e4, "half-widths of the plays", MAX_PLAYS),
     _real("play_weight_m_per_V", "m/V", -1e3, 1e3, "weights of the plays", MAX_PLAYS),
-    _real("play_memory_V", *_V, "states of the plays before pz_start", MAX_PLAYS),
+    _real("play_memory_V", *_V, "states from which pz_start begins; 0: de-poled", MAX_PLAYS),
     _real("knot_m", *_m, "dead-zone thresholds", MAX_KNOTS),
-    _real("knot_weight", *_WEIGHT, "dead-zone weights", MAX_KNOTS),
+    _real("knot_weight", *_WEIGHT, "dead zones: slope at 0 and its changes", MAX_KNOTS),
     _real("envelope_knot_V", *_V, "knots of the envelope in front of the plays", MAX_KNOTS),
-    _real("envelope_weight", *_WEIGHT, "changes of the envelope's slope at its knots", MAX_KNOTS),
+    _real("envelope_weight", *_WEIGHT, "envelope: slope at 0 and its changes", MAX_KNOTS),
     _real("edge_V", *_V, "lowest edge of the play functions"),
     _real(
         "play_value_m",
@@ -214,7 +216,9 @@ _TUNNELLING = (
     _real(
         "search_voltage_V", *_VOLTAGE_STEP, "search range beyond the last contact; 0: to the end"
     ),
-    _real("schedule_limit", "1", 1, 1e3, "gain ratios stay in [1/limit, limit]", default=1),
+    _real(
+        "schedule_limit", "1", 1, 1e3, "tip axis: gain ratios stay in [1/limit, limit]", default=1
+    ),
     _real("rst_T_V", "V", *_TAP, "T, on the reference", MAX_TAPS),
     _real("rst_R_V", "V", *_TAP, "R, on the measurement", MAX_TAPS),
     _real("rst_S", "1", *_TAP, "S without its integrator, monic", MAX_TAPS),

@@ -198,7 +198,7 @@ def test_an_axis_that_is_no_identifier_in_c_is_refused(axis):
 
 
 def is_stated(parameter, axis):
-    """Return whether the header states a parameter: members of Z that are 0 are left out."""
+    """Return whether the header states a parameter: zeros of a tip axis may be left out."""
     is_for_axis = axis.method == "rst" or parameter.name not in TIP_PARAMETERS
     return is_for_axis or axis.values[parameter.name].any()
 
@@ -230,10 +230,10 @@ def readme() -> str:
     return stage_bundle()["README.md"].decode()
 
 
-def code_block(section):
+def code_block(section, text=None):
     """Return the indented lines of a section of the bundle's README."""
-    text = readme().partition(section)[2].partition("\n## ")[0]
-    return "\n".join(re.findall(r"^    (.*)", text, flags=re.M))
+    lines = (text or readme()).partition(section)[2].partition("\n## ")[0]
+    return "\n".join(re.findall(r"^    (.*)", lines, flags=re.M))
 
 
 def test_the_commands_of_the_readme_build_and_pass_the_test(tmp_path):
@@ -242,15 +242,54 @@ def test_the_commands_of_the_readme_build_and_pass_the_test(tmp_path):
     assert run("sh", "-ec", code_block("## 1."), cwd=folder).endswith(" 0 differ\n")
 
 
-def test_the_calls_of_the_readme_compile(tmp_path):
-    folder = write_bundle(tmp_path)
+@pytest.mark.parametrize("axes", ["x", "z", "zx"])
+def test_the_calls_of_the_readme_compile(axes, tmp_path):
+    files = bundle(replace(stage(), axes=tuple(map(stage().axis, axes))))
+    folder = write_bundle(tmp_path, files)
     (folder / "calls.c").write_text(
-        '#include "piezo_params.h"\n'
-        "pz_real dac_voltage_V(void), read_sensor(void);\nvoid write_dac(pz_real);\n"
-        "void stop_with(const char *), power_up(void), on_timer(void);\n"
-        f"static pz_real reference;\n{code_block('## 2.')}\n"
+        DECLARATIONS + code_block("## 2.", files["README.md"].decode()) + "\n"
     )
     run(require_tool("cc", "gcc", "clang"), *STRICT, "-fsyntax-only", str(folder / "calls.c"))
+
+
+DECLARATIONS = """#include "piezo_params.h"
+pz_real dac_voltage_V(void), read_sensor(void);
+void write_dac(pz_real), stop_with(const char *), stop_timer(void);
+void power_up(void), on_timer(void);
+static pz_real target;
+"""
+SATURATED = """
+#include <stdio.h>
+static int outputs, has_stopped;
+pz_real dac_voltage_V(void) { return piezo_params[0].voltage_offset_V; }
+pz_real read_sensor(void) {
+    const pz_parameters *p = &piezo_params[0];
+    return outputs == 0 ? p->displacement_offset_m : 2 * p->displacement_maximum_m;
+}
+void write_dac(pz_real voltage_V) { (void)voltage_V; ++outputs; }
+void stop_with(const char *name) { printf("invalid: %s", name); }
+void stop_timer(void) { has_stopped = 1; }
+int main(void) {
+    power_up();
+    while (!has_stopped && outputs < 1000) {
+        on_timer();
+    }
+    printf("%d", outputs);
+    return 0;
+}
+"""
+
+
+def test_the_sketch_of_the_readme_stops_at_a_saturated_sensor(tmp_path):
+    axis = stage().axis("x").with_values({"stuck_samples": 20, "stuck_voltage_V": 0.2})
+    files = bundle(replace(stage(), axes=(axis,)))
+    text = files["README.md"].decode()
+    calls = code_block("## 2.", text).partition("void on_timer")[0]
+    sketch = code_block("## 4.", text)
+    folder = write_bundle(tmp_path, files)
+    (folder / "calls.c").write_text(DECLARATIONS + calls + "\n" + sketch + SATURATED)
+    program = build(folder, *STRICT, main="calls.c", out="calls")
+    assert run(program) == "20"  # one output with a sound reading, 19 with the limit
 
 
 def test_the_readme_states_limits_codes_and_bytes():
@@ -287,9 +326,54 @@ def test_the_readme_states_margin_guarantee_and_transient_of_the_parameter_file(
     assert file.axes[0].robustness == ROBUSTNESS
     row = table_row(bundle(file)["README.md"].decode(), LOOPS, "x")
     assert row["delay margin"] == "282 us"
+    assert row["safe delay"] == "85 us"
     assert row["guaranteed error"] == "2.00 um up to 3.39 mm/s"
     assert row["transient"] == "1.3 ms"
     assert file.axes[0].with_values({"lsb_V": 0.0}).robustness is None
+
+
+@pytest.mark.parametrize(
+    ("step_m", "error_m", "cell", "sentences"),
+    [
+        (0.0, None, "none", []),
+        (1e-7, None, "no useful bound", ["`UNCERTIFIED`", "For x, this limit exceeds"]),
+        (1e-7, 2e-6, "2.00 um up to 3.39 mm/s", ["`UNCERTIFIED`", "guaranteed error of section"]),
+    ],
+)
+def test_the_readme_has_only_the_sentences_of_its_guarantee(step_m, error_m, cell, sentences):
+    axis = stage().axis("x").with_values({"certified_step_m": step_m})
+    axis = replace(axis, robustness=replace(ROBUSTNESS, guaranteed_error_m=error_m))
+    text = bundle(replace(stage(), axes=(axis,)))["README.md"].decode()
+    assert table_row(text, LOOPS, "x")["guaranteed error"] == cell
+    for sentence in ("`UNCERTIFIED`", "For x, this limit exceeds", "guaranteed error of section"):
+        assert (sentence in text) == (sentence in sentences)
+
+
+def test_the_readme_states_the_lag_of_the_observer_model():
+    axis = stage().axis("x")
+    order, rate_Hz = int(axis.values["observer_order"]), axis.sampling_rate_Hz
+    A, B, C = (axis.values[f"observer_{name}"] for name in "ABC")
+    x, readings_m = np.zeros(order), []
+    for sample in range(4000):
+        readings_m.append(C[:order] @ x)
+        x = A[:order, :order] @ x + B[:order] * sample
+    lag_s = (3999 - readings_m[-1] / float(axis.values["gain_m_per_V"])) / rate_Hz
+    stated, unit = table_row(readme(), LOOPS, "x")["lag"].split()
+    assert float(stated) * {"us": 1e-6, "ms": 1e-3}[unit] == pytest.approx(lag_s, rel=0.01)
+
+
+def test_the_readme_states_the_readings_at_the_ends_of_the_output_range():
+    heading = "| axis | reading at the lowest output |"
+    text = bundle(replace(stage(), axes=(stage().axis("x"),)))["README.md"].decode()
+    assert table_row(text.replace("\n  |", "\n|"), heading, "x") == {
+        "axis": "x",
+        "reading at the lowest output": "-3e-05 m",
+        "at the highest output": "3e-05 m",
+        "centre of the model": "0 m at 0 V",
+    }
+    falling = stage().axis("x").with_values({"polarity": -1})
+    text = bundle(replace(stage(), axes=(falling,)))["README.md"].decode()
+    assert "| x | 3e-05 m | -3e-05 m |" in text
 
 
 @pytest.mark.parametrize("low_V", [-5.0, 0.0, 2.0])
@@ -313,9 +397,9 @@ def test_the_start_of_the_readme_lies_inside_and_its_jump_bounds_the_first_outpu
 @pytest.mark.parametrize(
     ("axes", "features", "others"),
     [
-        ("x", ["displacement limits", "no Z"], ["`trip_limit`", "Z:", "X, Y:", "`rst`: "]),
-        ("z", ["`trip_limit`", "`rst`: "], ["displacement limits", "X, Y:", "`blind_samples`"]),
-        ("xz", ["displacement limits", "`trip_limit`", "X, Y:", "Z:"], ["no Z"]),
+        ("x", ["displacement limits", "about a tip"], ["`trip_limit`", " axis: ", "`rst`: "]),
+        ("z", ["`trip_limit`", "`rst`: "], ["displacement limits", " axis: ", "`blind_samples`"]),
+        ("xz", ["displacement limits", "`trip_limit`", "Position axis: ", "Tip axis: "], ["skip"]),
     ],
 )
 def test_the_readme_leaves_out_what_concerns_no_axis(axes, features, others):

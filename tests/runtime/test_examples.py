@@ -104,7 +104,7 @@ def test_the_examples_refuse_the_axis_of_a_tip(example, language, axis, tmp_path
         (tmp_path / "example").write_text(content)
         result = attempt(*command, str(tmp_path / "example"))
         assert (result.returncode != 0) is is_refused, result.stderr
-        assert ("for X and Y only" in result.stderr) is is_refused
+        assert ("for position axes only" in result.stderr) is is_refused
 
 
 @pytest.mark.parametrize("example", ["stm32f405/main.c", "arduino/piezoid.ino"])

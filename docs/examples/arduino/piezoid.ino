@@ -8,8 +8,8 @@
 #include "piezo_params.h"
 #include "piezoid_runtime.h"
 
-const int AXIS = 0; // X and Y only: a tip may retract below 0 V, which the pin cannot
-static_assert(((PIEZO_TIP_AXES >> AXIS) & 1u) == 0u, "this sketch is for X and Y only");
+const int AXIS = 0; // a position axis: a tip may retract below 0 V, which the pin cannot
+static_assert(((PIEZO_TIP_AXES >> AXIS) & 1u) == 0u, "this sketch is for position axes only");
 // To be adapted. The sensor has the scale, zero and sign of the recordings.
 const float SENSOR_m_PER_CODE = 1e-8f;
 // Volts at the input of the high-voltage amplifier for one code: here a buffer makes 0 to 10 V of

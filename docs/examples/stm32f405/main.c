@@ -15,11 +15,11 @@
 #include "piezo_params.h"
 #include "piezoid_runtime.h"
 
-/* To be adapted. The sensor has the scale, zero and sign of the recordings. X and Y only: a tip
- * may retract below 0 V, which this converter cannot put out. */
+/* To be adapted. The sensor has the scale, zero and sign of the recordings. Position axes only: a
+ * tip may retract below 0 V, which this converter cannot put out. */
 #define AXIS 0
 #if (PIEZO_TIP_AXES >> AXIS) & 1u
-#error "AXIS regulates a current: this program is for X and Y only"
+#error "AXIS regulates a current: this program is for position axes only"
 #endif
 #define SENSOR_m_PER_CODE PZ_REAL(1e-8)
 #define SENSOR_ZERO_m PZ_REAL(0)
@@ -243,7 +243,7 @@ int main(void) {
         stop(); /* parameters that pz_check refuses */
     }
     reference_m = state.reference_m;
-    start_timer();                   /* the interrupt begins after pz_start */
+    start_timer(); /* the interrupt begins after pz_start */
     watch();
     return 0;
 }
