@@ -117,17 +117,12 @@ def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> st
         costs=_table(_COST, [row for row in rows if "instructions" in row]),
         cost_rule=fill(_cost_rule(), _WIDTH),
         readings=indent(_table(_READING, [row for row in rows if _READING[1] in row]), "  "),
-        dac_ranges=", ".join(
-            f"{axis.values['lsb_V'] * 2**16:.7g} V ({axis.axis})"
-            for axis in file.axes
-            if axis.values["lsb_V"]
-        ),
+        dac_ranges=_dac_ranges(file.axes),
         has_guarantee=any(
             axis.robustness and axis.robustness.guaranteed_error_m for axis in lateral
         ),
         has_certified_step=any(axis.values["certified_step_m"] for axis in lateral),
         useless_bounds=[name for name, bound in bounds.items() if bound == _USELESS],
-        limited_samples=max((1, *(int(axis.values["stuck_samples"]) for axis in lateral))),
         first=first.upper(),
         first_axis=first,
         loops=_table(_LOOP, rows),
@@ -272,6 +267,16 @@ def _limits_per_sample(axes: Sequence[AxisParameters], name: str) -> str:
     """Return the present values of a limit per sample, by axis."""
     unit = name.rpartition("_")[2]
     return ", ".join(f"{float(axis.values[name]):.4g} {unit} ({axis.axis})" for axis in axes)
+
+
+def _dac_ranges(axes: Sequence[AxisParameters]) -> str:
+    """Return the full range of a DAC of 16 bits with the step of each axis."""
+    names: dict[float, list[str]] = {}
+    for axis in axes:
+        names.setdefault(float(axis.values["lsb_V"]), []).append(axis.axis)
+    return ", ".join(
+        f"{2**16 * step_V:.7g} V ({', '.join(group)})" for step_V, group in names.items() if step_V
+    )
 
 
 def _instructions(axis: AxisParameters) -> str:

@@ -261,12 +261,17 @@ static pz_real target;
 SATURATED = """
 #include <stdio.h>
 static int outputs, has_stopped;
+static pz_real low_V = PZ_REAL(1e9), high_V = PZ_REAL(-1e9);
 pz_real dac_voltage_V(void) { return piezo_params[0].voltage_offset_V; }
 pz_real read_sensor(void) {
     const pz_parameters *p = &piezo_params[0];
-    return outputs == 0 ? p->displacement_offset_m : 2 * p->displacement_maximum_m;
+    return outputs == 0 ? p->displacement_offset_m : PZ_REAL(2) * p->displacement_maximum_m;
 }
-void write_dac(pz_real voltage_V) { (void)voltage_V; ++outputs; }
+void write_dac(pz_real voltage_V) {
+    low_V = voltage_V < low_V ? voltage_V : low_V;
+    high_V = voltage_V > high_V ? voltage_V : high_V;
+    ++outputs;
+}
 void stop_with(const char *name) { printf("invalid: %s", name); }
 void stop_timer(void) { has_stopped = 1; }
 int main(void) {
@@ -274,22 +279,23 @@ int main(void) {
     while (!has_stopped && outputs < 1000) {
         on_timer();
     }
-    printf("%d", outputs);
+    printf("%d outputs, %d", outputs, high_V - low_V <= piezo_params[0].lsb_V);
     return 0;
 }
 """
 
 
-def test_the_sketch_of_the_readme_stops_at_a_saturated_sensor(tmp_path):
-    axis = stage().axis("x").with_values({"stuck_samples": 20, "stuck_voltage_V": 0.2})
+def test_the_program_of_the_readme_stops_at_a_saturated_sensor_without_motion(tmp_path):
+    axis = stage().axis("x").with_values({"blind_samples": 30})
     files = bundle(replace(stage(), axes=(axis,)))
     text = files["README.md"].decode()
-    calls = code_block("## 2.", text).partition("void on_timer")[0]
-    sketch = code_block("## 4.", text)
+    power_up = code_block("## 2.", text).partition("void on_timer")[0]
+    on_timer = code_block("## 4.", text)
+    source = "#include <math.h>\n" + DECLARATIONS + power_up + "\n" + on_timer + SATURATED
     folder = write_bundle(tmp_path, files)
-    (folder / "calls.c").write_text(DECLARATIONS + calls + "\n" + sketch + SATURATED)
+    (folder / "calls.c").write_text(source)
     program = build(folder, *STRICT, main="calls.c", out="calls")
-    assert run(program) == "20"  # one output with a sound reading, 19 with the limit
+    assert run(program) == "30 outputs, 1"  # one sound reading, 29 before the latch
 
 
 def test_the_readme_states_limits_codes_and_bytes():
@@ -408,6 +414,15 @@ def test_the_readme_leaves_out_what_concerns_no_axis(axes, features, others):
     assert all(feature in text for feature in features)
     assert not any(other in text for other in others)
     assert not re.search(r"^@", text, flags=re.M)
+
+
+@pytest.mark.parametrize(("axes", "is_tip"), [("x", False), ("z", True), ("xz", True)])
+def test_a_saturated_current_is_never_hidden_from_a_tip(axes, is_tip):
+    """A tip waits at NaN, and retracts at once from a current at its ceiling."""
+    file = replace(stage(), axes=tuple(map(stage().axis, axes)))
+    text = bundle(file)["README.md"].decode()
+    assert ("Do not pass `NAN` at the highest code" in text) == is_tip
+    assert ("Pass `NAN` also at the lowest and at the highest code" in text) == ("x" in axes)
 
 
 def test_a_zero_lsb_is_explained_only_where_an_axis_has_none():
