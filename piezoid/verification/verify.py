@@ -111,7 +111,15 @@ def verify(
         largest_percent = max(row.percent for row in coupling)
         limit_percent, unit = runner.limits.coupling_percent, "% of the motion"
         name = "motion of an axis while another one moves"
-        runner.verdicts.append(Verdict(name, "coupled axes", largest_percent, limit_percent, unit))
+        runner.verdicts.append(
+            Verdict(
+                name=name,
+                scenario="coupled axes",
+                value=largest_percent,
+                limit=limit_percent,
+                unit=unit,
+            )
+        )
     outside = none_of("voltages not finite or outside the limits", "all", runner.outside_voltages)
     varied = [plant for plants_of_set in variations for plant in plants_of_set]
     return Verification(
@@ -173,7 +181,11 @@ def _judge_scenario(runner: ScenarioRunner, scenario: Scenario, path: Path) -> R
     if UNCOMPENSATED in methods[1:]:
         errors_m = [worst[method][0].aligned_rms_m for method in (shipped, UNCOMPENSATED)]
         ratio = errors_m[0] / errors_m[1]
-        runner.verdicts.append(Verdict(criteria.SHAPE_RATIO, scenario.name, ratio, 1.0, "1"))
+        runner.verdicts.append(
+            Verdict(
+                name=criteria.SHAPE_RATIO, scenario=scenario.name, value=ratio, limit=1.0, unit="1"
+            )
+        )
     return worst[shipped][1]
 
 
