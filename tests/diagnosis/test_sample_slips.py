@@ -165,6 +165,17 @@ def test_a_slip_in_fast_motion_does_not_add_a_delay():
 
 
 @pytest.mark.slow
+def test_a_slip_before_faster_motion_is_not_a_delay():
+    """No speed occurs on both sides of the slip: only the error separates it from a delay."""
+    campaign = draw_stage(stage("duhem", "single", 0, 20_263_730), settled=True)
+    recordings, lab = read_campaign(campaign)
+    selected = [r for r in recordings if r.name != "staircase.csv"]
+    outcome = search(with_fewer_rows(view_on(selected, axis="x", lab=lab), 3))
+    assert outcome.causes == ()
+    assert outcome.faults["timestamp_fault"].value == 2
+
+
+@pytest.mark.slow
 def test_a_slip_is_found_in_the_presence_of_a_gain_change():
     reading_m = np.array(clean("waves")[2])
     reading_m[2000:] *= 1.05

@@ -20,6 +20,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.effect import (
@@ -264,7 +265,8 @@ def find_slips(view: View, refit: Refit | None = None) -> Fault | None:
 def find_equal_slips(view: View, refit: Refit, samples: int) -> Fault | None:
     """Find slips of the length of other slips by the error alone, at most one in each track.
 
-    A chirp has no equal speeds before and after a slip, so that ``find_slips`` finds none.
+    A chirp has no equal speeds before and after a slip, so that ``find_slips`` finds none. The
+    p-value is that of the likelihood ratio of n independent blocks, z^2 = 2 n ln(rms / rms').
 
     refit    refits repaired tracks with the effects of the view
     samples  length of the slips
@@ -286,11 +288,12 @@ def find_equal_slips(view: View, refit: Refit, samples: int) -> Fault | None:
             repaired, slips = trial, [*slips, slip]
     if not slips:
         return None
+    blocks = len(view.null.edges)
     return Fault(
         tracks=repaired.tracks,
         value=samples,
         spread=ROUNDING,
-        p_value=1.0,
+        p_value=2.0 * float(ndtr(-np.sqrt(2.0 * blocks * np.log(view.rms / repaired.rms)))),
         locations=slip_locations(slips, view.tracks),
     )
 
