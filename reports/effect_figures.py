@@ -14,11 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
-from piezoid.diagnosis.drive_response import (
-    driven_recording,
-    null_columns,
-    rows_of,
-)
+from piezoid.diagnosis.drive_response import driven_recording, null_columns, rows_of
 from piezoid.diagnosis.effect import Appearance, over_time
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.planning.open_questions import suspect_of
@@ -148,7 +144,7 @@ def _fit_tangents(
     if not pairs:
         return [(k, residual_m, {}, {}) for k, residual_m in zip(rows, residuals_m, strict=True)]
     drives = [
-        replace(driven_recording(axis, trace.recording), rows=k)
+        replace(driven_recording(axis, trace.recording), selected_rows=k)
         for trace, k in zip(traces, rows, strict=True)
     ]
     null = basis_of(

@@ -13,13 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.drive_response import (
-    ROWS,
-    DriveResponse,
-    driven_recording,
-    rows_of,
-    scaled_drives,
-)
+from piezoid.diagnosis.drive_response import DriveResponse, driven_recording
 from piezoid.diagnosis.effects.cross_coupling import NAME as COUPLING
 from piezoid.diagnosis.planning.candidate_drives import (
     EXPERIMENTS,
@@ -174,15 +168,15 @@ class CandidateTable:
         best = ranked[0]
         nearly = [a for a in ranked if a.score >= NEARLY * best.score > 0.0]
         shortest = min(nearly, key=lambda alternative: alternative.duration_s, default=best)
-        with_best = Plan(
+        best_plan = Plan(
             question=question,
             alternatives=ranked,
             best=best,
             recorded=self._estimate(question) if self.recorded else None,
             bench=self.bench,
         )
-        shorter = replace(with_best, best=shortest)
-        return shorter if shorter.answers else with_best
+        shorter_plan = replace(best_plan, best=shortest)
+        return shorter_plan if shorter_plan.answers else best_plan
 
     def _estimate(self, question: Question, *planned: DriveResponse) -> SeparationEstimate:
         noise_m, final_m = self.diagnosis.noise_floor_rms_m, self.diagnosis.final.rms_m
@@ -216,8 +210,7 @@ def simulate_candidates(
             model=axis,
             rate_Hz=drive.sampling_rate_Hz,
             voltage_V=drive.voltage_V[:, 0],
-            rows=rows_of(len(drive.voltage_V), ROWS),
-            other_drives=scaled_drives(others_V),
+            others_V=others_V,
         )
         candidates.append(replace(candidate, drive=drive, response=response))
     return CandidateTable(
@@ -239,8 +232,7 @@ def usual_drives(axis: AxisModel, bench: Bench) -> tuple[DriveResponse, ...]:
         rate_Hz = min(bench.clock_Hz, CYCLE_ROWS * frequency_Hz)
         playback = Playback(limits=limits, rate_Hz=rate_Hz)
         voltage_V = equal_cycles(playback, frequency_Hz=frequency_Hz, cycles=5)
-        rows = rows_of(len(voltage_V), ROWS)
-        drives.append(DriveResponse(model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V, rows=rows))
+        drives.append(DriveResponse(model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V))
     return tuple(drives)
 
 
@@ -288,27 +280,27 @@ def plan(
         questions = tuple(q for q in questions if COUPLING not in q.effects) or questions
     unanswered: list[Plan] = []
     for question in questions:
-        next_plan = table.plan(question)
-        if next_plan.answers:
+        best_plan = table.plan(question)
+        if best_plan.answers:
             set_aside = tuple(earlier.question for earlier in unanswered)
-            return replace(next_plan, set_aside=set_aside)
-        unanswered.append(next_plan)
-    best = next((candidate for candidate in unanswered if candidate.shows), unanswered[0])
-    question, forbids = best.question, ""
+            return replace(best_plan, set_aside=set_aside)
+        unanswered.append(best_plan)
+    best_plan = next((p for p in unanswered if p.shows), unanswered[0])
+    question, forbids = best_plan.question, ""
     if question.kind != "detect" or is_open(question):
         forbids = limiting_factor(
             bench,
             lambda looser: table_on(looser).plan(question).remaining_share,
-            best.remaining_share,
+            best_plan.remaining_share,
         )
-    if not best.shows:
+    if not best_plan.shows:
         raise ExcitationError(
             f"no drive shows {' and '.join(question.effects)} inside these limits",
             needed="a range and speed in which it moves the stage",
             remedy=f"{forbids} Declare wider limits in lab.toml, or the other axes that can be "
             "driven.",
         )
-    return replace(best, forbids=forbids)
+    return replace(best_plan, forbids=forbids)
 
 
 def limiting_factor(
