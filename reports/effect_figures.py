@@ -144,7 +144,7 @@ def _fit_tangents(
     if not pairs:
         return [(k, residual_m, {}, {}) for k, residual_m in zip(rows, residuals_m, strict=True)]
     drives = [
-        replace(driven_recording(axis, trace.recording), rows=k)
+        replace(driven_recording(axis, trace.recording), selected_rows=k)
         for trace, k in zip(traces, rows, strict=True)
     ]
     null = basis_of(

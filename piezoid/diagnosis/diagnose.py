@@ -16,32 +16,14 @@ from piezoid.diagnosis.budget import RemainingErrors, with_budget
 from piezoid.diagnosis.candidate import Outcome
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
 from piezoid.diagnosis.constant_drive import diagnose_at_rest
-from piezoid.diagnosis.diagnosis import (
-    SOMETHING_ELSE,
-    Diagnosis,
-    HeldOut,
-    fraction_explained,
-)
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, HeldOut, fraction_explained
 from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.findings import findings_of, not_detected
 from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.identified_modes import split_by_mode, with_modes
-from piezoid.diagnosis.null_distribution import (
-    ALPHA,
-    evidence_p_value,
-    smallest_structure_p_value,
-)
-from piezoid.diagnosis.refit import (
-    CLEARLY_WORSE,
-    ModelErrors,
-    attribute_errors,
-    repair_recordings,
-)
-from piezoid.diagnosis.residual_structure import (
-    SearchResult,
-    add_structure,
-    locate_residual,
-)
+from piezoid.diagnosis.null_distribution import ALPHA, evidence_p_value, smallest_structure_p_value
+from piezoid.diagnosis.refit import CLEARLY_WORSE, ModelErrors, attribute_errors, repair_recordings
+from piezoid.diagnosis.residual_structure import SearchResult, add_structure, locate_residual
 from piezoid.diagnosis.residual_view import View, view_of
 from piezoid.diagnosis.segments import tracks_of
 from piezoid.diagnosis.selection import (

@@ -34,20 +34,37 @@ HISTORY_CYCLES = 2  # over the range, before a drive whose initial state is unkn
 class DriveResponse:
     """Response of the model of one axis to one drive.
 
-    model         of the axis
-    rate_Hz       sampling rate of the drive
-    voltage_V     (samples,)
-    rows          (rows,)   samples at which columns are computed
-    other_drives  scaled drives of other axes that move, by axis
-    memory_V      (plays,)  before the first sample; None: that after cycles over the range
+    model          of the axis
+    rate_Hz        sampling rate of the drive
+    voltage_V      (samples,)
+    others_V       (samples,)  drives of other axes, by axis
+    memory_V       (plays,)  before the first sample; None: that after cycles over the range
+    selected_rows  (rows,)   samples at which columns are computed; None: spread over the drive
     """
 
     model: AxisModel
     rate_Hz: float
     voltage_V: Array
-    rows: NDArray[np.int_]
-    other_drives: Mapping[str, Array] = field(default_factory=dict)
+    others_V: Mapping[str, Array] = field(default_factory=dict)
     memory_V: Array | None = None
+    selected_rows: NDArray[np.int_] | None = None
+
+    @cached_property
+    def rows(self) -> NDArray[np.int_]:
+        """Return the samples at which columns are computed, (rows,)."""
+        if self.selected_rows is not None:
+            return self.selected_rows
+        return rows_of(len(self.voltage_V), ROWS)
+
+    @cached_property
+    def other_drives(self) -> dict[str, Array]:
+        """Return the drives of other axes that move, scaled to -1 to 1 over their range."""
+        spans = {axis: (float(u.min()), float(u.max())) for axis, u in self.others_V.items()}
+        return {
+            axis: (2.0 * self.others_V[axis] - low - high) / (high - low)
+            for axis, (low, high) in spans.items()
+            if high > low
+        }
 
     @property
     def time_s(self) -> Array:
@@ -174,7 +191,7 @@ def rows_of(samples: int, count: int) -> NDArray[np.int_]:
 def driven_recording(axis: AxisModel, recording: Recording) -> DriveResponse:
     """Return the response to the drive of a recording, with its fitted initial memory."""
     starts = axis.starts_of(recording)
-    other_drives = {
+    others_V = {
         channel.axis: channel.values
         for channel in recording.channels
         if channel.quantity is Quantity.VOLTAGE and channel.axis != axis.axis
@@ -183,20 +200,9 @@ def driven_recording(axis: AxisModel, recording: Recording) -> DriveResponse:
         model=axis,
         rate_Hz=recording.sampling_rate_Hz,
         voltage_V=recording.voltage_V(axis.axis),
-        rows=rows_of(recording.samples, ROWS),
-        other_drives=scaled_drives(other_drives),
+        others_V=others_V,
         memory_V=starts[0].memory_V if starts else None,
     )
-
-
-def scaled_drives(others_V: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the drives that move, scaled to -1 to 1 over their range."""
-    spans = {axis: (float(u.min()), float(u.max())) for axis, u in others_V.items()}
-    return {
-        axis: (2.0 * others_V[axis] - low - high) / (high - low)
-        for axis, (low, high) in spans.items()
-        if high > low
-    }
 
 
 def null_columns(drives: Sequence[DriveResponse], *, lag: bool) -> Array:

@@ -13,15 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.drive_response import (
-    ROWS,
-    DriveResponse,
-    driven_recording,
-    rows_of,
-    scaled_drives,
-)
+from piezoid.diagnosis.drive_response import DriveResponse, driven_recording
 from piezoid.diagnosis.effects.cross_coupling import NAME as COUPLING
-from piezoid.diagnosis.planning.candidate_drives import EXPERIMENTS, drive_of, equal_cycles
+from piezoid.diagnosis.planning.candidate_drives import (
+    EXPERIMENTS,
+    Playback,
+    drive_of,
+    equal_cycles,
+)
 from piezoid.diagnosis.planning.drive_limits import Bench, Drive, DriveLimits, bench_of
 from piezoid.diagnosis.planning.open_questions import (
     POWER,
@@ -74,18 +73,47 @@ class Alternative:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Choice:
-    """The best drive for one question.
+class Plan:
+    """The next experiment: the best drive for one question.
 
     alternatives  all candidates, best first
     best          the best candidate, or a shorter one that is nearly as good
     recorded      estimate from the recordings; None without them
+    bench         limits of the drive, with their origin
+    forbids       if it is not worth a recording, the limit that prevents more, as a sentence; else
+                  empty
+    set_aside     more pressing questions, which no drive answers
     """
 
     question: Question
     alternatives: tuple[Alternative, ...]
     best: Alternative
     recorded: SeparationEstimate | None
+    bench: Bench
+    forbids: str = ""
+    set_aside: tuple[Question, ...] = ()
+
+    @property
+    def axis(self) -> str:
+        """Return the axis of the experiment."""
+        return self.bench.axis
+
+    @property
+    def limits(self) -> DriveLimits:
+        """Return the limits of the drive."""
+        return self.bench.limits
+
+    @property
+    def drive(self) -> Drive:
+        """Return the planned drive."""
+        assert self.best.drive is not None
+        return self.best.drive
+
+    @property
+    def planned(self) -> SeparationEstimate:
+        """Return the estimate from the recordings and the planned drive."""
+        assert self.best.estimate is not None
+        return self.best.estimate
 
     @property
     def shows(self) -> bool:
@@ -102,32 +130,28 @@ class Choice:
     @property
     def remaining_share(self) -> float:
         """Share of the uncertainty that remains after the drive, 0 to 1."""
-        estimate = self.best.estimate
-        if estimate is None or not self.shows:
+        if not self.shows:
             return 1.0
-        return remaining_uncertainty(self.question, self.recorded, estimate)
+        return remaining_uncertainty(self.question, self.recorded, self.planned)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CandidateTable:
     """All candidate drives within the limits of one stage, simulated.
 
-    noise_m      of the sensor
-    structure_m  rms of the model error
-    recorded     drives of the recordings
-    reference    drives along which a diagnosed effect has its size
-    candidates   not yet evaluated
+    recorded    drives of the recordings
+    reference   drives along which a diagnosed effect has its size
+    candidates  not yet evaluated
     """
 
-    noise_m: float
-    structure_m: float
+    bench: Bench
+    diagnosis: Diagnosis
     recorded: tuple[DriveResponse, ...]
     reference: tuple[DriveResponse, ...]
     candidates: tuple[Alternative, ...]
 
-    def choice(self, question: Question) -> Choice:
+    def plan(self, question: Question) -> Plan:
         """Return the best drive for a question, or a shorter one that is nearly as good."""
-        recorded = self._estimate(question) if self.recorded else None
         evaluated = []
         for candidate in self.candidates:
             if candidate.response is None:
@@ -144,17 +168,24 @@ class CandidateTable:
         best = ranked[0]
         nearly = [a for a in ranked if a.score >= NEARLY * best.score > 0.0]
         shortest = min(nearly, key=lambda alternative: alternative.duration_s, default=best)
-        choice = Choice(question=question, alternatives=ranked, best=best, recorded=recorded)
-        shorter = replace(choice, best=shortest)
-        return shorter if shorter.answers else choice
+        best_plan = Plan(
+            question=question,
+            alternatives=ranked,
+            best=best,
+            recorded=self._estimate(question) if self.recorded else None,
+            bench=self.bench,
+        )
+        shorter_plan = replace(best_plan, best=shortest)
+        return shorter_plan if shorter_plan.answers else best_plan
 
     def _estimate(self, question: Question, *planned: DriveResponse) -> SeparationEstimate:
+        noise_m, final_m = self.diagnosis.noise_floor_rms_m, self.diagnosis.final.rms_m
         return estimate_separation(
             [*self.recorded, *planned],
             question.suspects,
             self.reference,
-            noise_m=self.noise_m,
-            structure_m=self.structure_m,
+            noise_m=noise_m,
+            structure_m=max(final_m**2 - noise_m**2, 0.0) ** 0.5,
         )
 
 
@@ -179,14 +210,12 @@ def simulate_candidates(
             model=axis,
             rate_Hz=drive.sampling_rate_Hz,
             voltage_V=drive.voltage_V[:, 0],
-            rows=rows_of(len(drive.voltage_V), ROWS),
-            other_drives=scaled_drives(others_V),
+            others_V=others_V,
         )
         candidates.append(replace(candidate, drive=drive, response=response))
-    noise_m, final_m = diagnosis.noise_floor_rms_m, diagnosis.final.rms_m
     return CandidateTable(
-        noise_m=noise_m,
-        structure_m=max(final_m**2 - noise_m**2, 0.0) ** 0.5,
+        bench=bench,
+        diagnosis=diagnosis,
         recorded=tuple(recorded),
         reference=tuple(recorded) or usual_drives(axis, bench),
         candidates=tuple(candidates),
@@ -201,35 +230,10 @@ def usual_drives(axis: AxisModel, bench: Bench) -> tuple[DriveResponse, ...]:
     drives = []
     for frequency_Hz in (SLOW_Hz, fast_Hz):
         rate_Hz = min(bench.clock_Hz, CYCLE_ROWS * frequency_Hz)
-        voltage_V = equal_cycles(limits, rate_Hz, frequency_Hz=frequency_Hz, cycles=5)
-        rows = rows_of(len(voltage_V), ROWS)
-        drives.append(DriveResponse(model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V, rows=rows))
+        playback = Playback(limits=limits, rate_Hz=rate_Hz)
+        voltage_V = equal_cycles(playback, frequency_Hz=frequency_Hz, cycles=5)
+        drives.append(DriveResponse(model=axis, rate_Hz=rate_Hz, voltage_V=voltage_V))
     return tuple(drives)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Plan(Choice):
-    """The next experiment.
-
-    limits_from  origin of the limits, in words
-    planned      estimate from the recordings and the planned drive
-    forbids      if it is not worth a recording, the limit that prevents more, as a sentence; else
-                 empty
-    set_aside    more pressing questions, which no drive answers
-    """
-
-    axis: str
-    drive: Drive
-    limits: DriveLimits
-    limits_from: str
-    planned: SeparationEstimate
-    forbids: str
-    set_aside: tuple[Question, ...]
-
-    @property
-    def duration_s(self) -> float:
-        """Return the duration of the drive."""
-        return self.drive.duration_s
 
 
 def plan(
@@ -242,7 +246,10 @@ def plan(
     clock_Hz: float | None = None,
     seed: int = 0,
 ) -> Plan:
-    """Choose the next experiment on the diagnosed axis.
+    """Choose the next experiment on the diagnosed axis: for the first question a drive answers.
+
+    If no question is answered, the plan is for the first question with a drive that shows its
+    effect.
 
     recordings  those of the diagnosis: the expectation is then of all recordings together, and is
                 compared with the present precision
@@ -271,52 +278,29 @@ def plan(
     questions = questions_of(diagnosis, effect)
     if effect is None and not bench.other_limits:  # no drive of this rig shows it
         questions = tuple(q for q in questions if COUPLING not in q.effects) or questions
-    choice, set_aside = _first_answered(table, questions)
-    question, drive, estimate = choice.question, choice.best.drive, choice.best.estimate
-    forbids = ""
-    if not choice.answers and (question.kind != "detect" or is_open(question)):
+    unanswered: list[Plan] = []
+    for question in questions:
+        best_plan = table.plan(question)
+        if best_plan.answers:
+            set_aside = tuple(earlier.question for earlier in unanswered)
+            return replace(best_plan, set_aside=set_aside)
+        unanswered.append(best_plan)
+    best_plan = next((p for p in unanswered if p.shows), unanswered[0])
+    question, forbids = best_plan.question, ""
+    if question.kind != "detect" or is_open(question):
         forbids = limiting_factor(
             bench,
-            lambda looser: table_on(looser).choice(question).remaining_share,
-            choice.remaining_share,
+            lambda looser: table_on(looser).plan(question).remaining_share,
+            best_plan.remaining_share,
         )
-    if not choice.shows or estimate is None or drive is None:
+    if not best_plan.shows:
         raise ExcitationError(
             f"no drive shows {' and '.join(question.effects)} inside these limits",
             needed="a range and speed in which it moves the stage",
             remedy=f"{forbids} Declare wider limits in lab.toml, or the other axes that can be "
             "driven.",
         )
-    return Plan(
-        question=question,
-        alternatives=choice.alternatives,
-        best=choice.best,
-        recorded=choice.recorded,
-        axis=bench.axis,
-        drive=drive,
-        limits=bench.limits,
-        limits_from=f"{bench.range_from}; {bench.speed_from}",
-        planned=estimate,
-        forbids=forbids,
-        set_aside=set_aside,
-    )
-
-
-def _first_answered(
-    table: CandidateTable, questions: Sequence[Question]
-) -> tuple[Choice, tuple[Question, ...]]:
-    """Return the first question that a drive answers, and the questions before it.
-
-    If no question is answered: the first question with a drive that shows its effect, else the
-    first question.
-    """
-    unanswered: list[Choice] = []
-    for question in questions:
-        choice = table.choice(question)
-        if choice.answers:
-            return choice, tuple(earlier.question for earlier in unanswered)
-        unanswered.append(choice)
-    return next((choice for choice in unanswered if choice.shows), unanswered[0]), ()
+    return replace(best_plan, forbids=forbids)
 
 
 def limiting_factor(

@@ -17,19 +17,12 @@ from piezoid.diagnosis.candidate import (
     exceeds_structure,
     size_of,
 )
-from piezoid.diagnosis.diagnosis import (
-    SOMETHING_ELSE,
-    Finding,
-    NotDetected,
-    Size,
-    held_out_gain,
-)
+from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Finding, NotDetected, Size, held_out_gain
 from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
 from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.null_distribution import evidence_p_value
 from piezoid.diagnosis.refit import ModelErrors
 from piezoid.diagnosis.residual_structure import SearchResult
-from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import ScoreTest
 from piezoid.diagnosis.structure_findings import noise_finding, noise_level, structure_finding
 from piezoid.formatting import significant, with_unit, words
@@ -61,47 +54,37 @@ def findings_of(
         axis: that was searched.
         scales: of the search.
     """
-    outcome, half_stroke_m = result.outcome, result.raw.half_stroke_m
+    outcome, structure = result.outcome, result.structure
+    half_stroke_m, scale_m = result.raw.half_stroke_m, scales.displacement_m
     findings = [
-        *(
-            fault_finding(name, fault, errors, half_stroke_m)
-            for name, fault in outcome.faults.items()
-        ),
-        *(effect_finding(cause, outcome, errors) for cause in outcome.causes),
+        fault_finding(name, fault, errors, half_stroke_m) for name, fault in outcome.faults.items()
     ]
-    structure = result.structure
+    findings += [effect_finding(cause, outcome, errors) for cause in outcome.causes]
+    # the displacement at which the static response is 0
+    view = outcome.final if structure is None else structure.view
+    displacement_m = recordings[0].displacement_m(axis)[: len(view.tracks[0].drive)]
+    static_m = scale_m * view.static[0][: len(displacement_m)]
+    middle_m = float(np.median(displacement_m - static_m))
     has_effects = any(cause.effect.structural is None for cause in outcome.causes)
     if structure is not None:
+        before_m = errors.without_m[SOMETHING_ELSE]
         findings.append(
             structure_finding(
                 structure,
-                before_m=errors.without_m[SOMETHING_ELSE],
+                before_m=before_m,
                 after_m=errors.final_m,
-                scale_m=scales.displacement_m,
-                middle_m=_middle_m(structure.view, recordings, axis, scales),
+                scale_m=scale_m,
+                middle_m=middle_m,
             )
         )
     elif not (outcome.rejection or outcome.faults or has_effects):
         # other effects than hysteresis could pass for noise
-        noise = noise_level(outcome.final)
+        noise, error_m = noise_level(outcome.final), errors.final_m
         if noise is not None:
-            middle_m = _middle_m(outcome.final, recordings, axis, scales)
             findings.append(
-                noise_finding(
-                    noise,
-                    error_m=errors.final_m,
-                    scale_m=scales.displacement_m,
-                    middle_m=middle_m,
-                )
+                noise_finding(noise, error_m=error_m, scale_m=scale_m, middle_m=middle_m)
             )
     return tuple(sorted(findings, key=lambda finding: finding.held_out_gain, reverse=True))
-
-
-def _middle_m(view: View, recordings: Sequence[Recording], axis: str, scales: Scales) -> float:
-    """Return the displacement at which the static response is 0."""
-    displacement_m = recordings[0].displacement_m(axis)[: len(view.tracks[0].drive)]
-    static_m = scales.displacement_m * view.static[0][: len(displacement_m)]
-    return float(np.median(displacement_m - static_m))
 
 
 def fault_finding(name: str, fault: Fault, errors: ModelErrors, half_stroke_m: float) -> Finding:

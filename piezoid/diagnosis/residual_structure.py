@@ -21,10 +21,7 @@ from piezoid.diagnosis.coordinate_scores import (
     score_coordinates,
 )
 from piezoid.diagnosis.diagnosis import Unexplained
-from piezoid.diagnosis.null_distribution import (
-    rank_p_value,
-    structure_p_value,
-)
+from piezoid.diagnosis.null_distribution import rank_p_value, structure_p_value
 from piezoid.diagnosis.refinement import SelectedEffect, with_effects
 from piezoid.diagnosis.residual_coordinates import Signals, displacement_basis
 from piezoid.diagnosis.residual_view import View, with_tracks

@@ -18,6 +18,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size
 from piezoid.diagnosis.experiment import Plan, plan
 from piezoid.diagnosis.planning.candidate_drives import (
     EXPERIMENTS,
+    Playback,
     drive_of,
     multisine_period,
     odd_lines,
@@ -316,7 +317,7 @@ def test_every_candidate_drive_stays_inside_range_and_slew_rate(experiment, slew
     assert jumps_V * drive.sampling_rate_Hz <= 1.01 * slew_V_per_s
     assert (drive.voltage_V[[0, -1]] == 1.0).all()
     if experiment.waveform is not None:  # within the range before drive_of limits it
-        body_V = experiment.waveform(limits, drive.sampling_rate_Hz, np.random.default_rng(0))
+        body_V = experiment.waveform(Playback(limits=limits, rate_Hz=drive.sampling_rate_Hz))
         assert body_V.min() >= limits.voltage_min_V - 1e-9
         assert body_V.max() <= limits.voltage_max_V + 1e-9
 

@@ -14,7 +14,6 @@ from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.experiment import (
     Alternative,
     CandidateTable,
-    Choice,
     Plan,
     plan,
     simulate_candidates,
@@ -70,7 +69,7 @@ def _table() -> CandidateTable:
 def test_the_predicted_limit_is_not_below_what_the_diagnosis_can_name(effect):
     diagnosis = _diagnosis_with_limits(**{effect: HIGH_m})
     (question,) = questions_of(diagnosis, effect)
-    alternative = _table().choice(question).best
+    alternative = _table().plan(question).best
     if alternative.estimate is not None and alternative.score > 0.0:
         limit_m = expected_limit_m(question, None, alternative.estimate)
         assert limit_m >= MINIMUM_SHARE * diagnosis.stroke_m
@@ -85,7 +84,7 @@ def test_an_unexcited_coupling_is_planned_with_a_drive_of_the_other_axis():
         for absent in diagnosis.not_detected
     )
     (question,) = questions_of(replace(diagnosis, not_detected=not_detected), "cross_coupling")
-    alternative = _table().choice(question).best
+    alternative = _table().plan(question).best
     assert alternative.name == "other_axis"
     assert 1e-6 < alternative.estimate.errors[0] < 1.0
 
@@ -151,7 +150,12 @@ def test_two_effects_below_their_errors_are_not_separated(errors, is_answered):
     question = questions_of(diagnosed(finding("creep", rivals=("thermal_drift",))), "creep")[0]
     dissimilar = SeparationEstimate(separability=0.9, errors=errors)
     alternative = Alternative(name="drive", why="", estimate=dissimilar, score=1.0)
-    choice = Choice(
-        question=question, alternatives=(alternative,), best=alternative, recorded=None
+    bench = bench_of(MODEL, MODEL["x"], Lab(), (), CLOCK_Hz)
+    drive_plan = Plan(
+        question=question,
+        alternatives=(alternative,),
+        best=alternative,
+        recorded=None,
+        bench=bench,
     )
-    assert choice.answers is is_answered
+    assert drive_plan.answers is is_answered

@@ -14,10 +14,7 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import (
-    OVER_DRIVE,
-    Effect,
-)
+from piezoid.diagnosis.effect import OVER_DRIVE, Effect
 from piezoid.diagnosis.signals import with_added
 from piezoid.records.recording import Recording
 

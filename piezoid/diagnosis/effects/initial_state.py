@@ -19,12 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.effect import (
-    OVER_TIME,
-    Effect,
-    Structural,
-    Trial,
-)
+from piezoid.diagnosis.effect import OVER_TIME, Effect, Structural, Trial
 from piezoid.diagnosis.nuisance_search import with_shared_state_if_as_good
 from piezoid.diagnosis.residual_view import View, with_free_memory
 from piezoid.diagnosis.signals import with_added

@@ -20,13 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.effect import (
-    OVER_SPEED,
-    Effect,
-    Parameters,
-    delay_tangent,
-    without_part,
-)
+from piezoid.diagnosis.effect import OVER_SPEED, Effect, Parameters, delay_tangent, without_part
 from piezoid.diagnosis.signals import delay_trials, trial_times_s, with_extension
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.lags import FirstOrderLag

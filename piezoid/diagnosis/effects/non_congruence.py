@@ -20,13 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.effect import (
-    OVER_DRIVE,
-    Effect,
-    Structural,
-    Tangent,
-    Trial,
-)
+from piezoid.diagnosis.effect import OVER_DRIVE, Effect, Structural, Tangent, Trial
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.numerics.arrays import Array

@@ -16,14 +16,7 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.drive_response import DriveResponse
-from piezoid.diagnosis.effect import (
-    OVER_SPEED,
-    Effect,
-    Parameters,
-    Tangent,
-    Trial,
-    without_part,
-)
+from piezoid.diagnosis.effect import OVER_SPEED, Effect, Parameters, Tangent, Trial, without_part
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
 from piezoid.identification.extensions.amplifier_limits import SlewLimit

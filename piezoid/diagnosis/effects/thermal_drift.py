@@ -17,13 +17,7 @@ Source
 import numpy as np
 from numpy.polynomial.legendre import legval
 
-from piezoid.diagnosis.effect import (
-    OVER_TIME,
-    Effect,
-    Tangent,
-    Trial,
-    without_part,
-)
+from piezoid.diagnosis.effect import OVER_TIME, Effect, Tangent, Trial, without_part
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import added_percent, with_added
 from piezoid.identification.extensions.thermal_drift import ThermalDrift

@@ -23,12 +23,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from piezoid.diagnosis.blocked_regression import Null
-from piezoid.diagnosis.effect import (
-    OVER_TIME,
-    Effect,
-    Fault,
-    FaultTest,
-)
+from piezoid.diagnosis.effect import OVER_TIME, Effect, Fault, FaultTest
 from piezoid.diagnosis.effects.outliers import spikes, without_spikes
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.sample_slips import (

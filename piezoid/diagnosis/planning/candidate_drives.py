@@ -6,7 +6,7 @@ at a part of the converter's clock, so that a file of minutes stays readable.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 
@@ -32,10 +32,56 @@ CYCLES_BEFORE = 2
 CYCLE_s = 2.0  # of one such cycle, where the slew limit allows
 FULL_AT_Hz = 100.0  # fastest sine of the full range, to protect the mechanics
 GLIDE = np.pi / 2  # peak speed of half a cosine over its mean speed
+TRIANGLE, SINE = 4.5, 2 * np.pi  # speeds in half ranges per period, with a margin for a triangle
 CURVES = 10  # first-order reversal curves
 HOLD_s = 8.0  # of a level
 
-Waveform = Callable[[DriveLimits, float, np.random.Generator], Array]
+
+@dataclass(frozen=True, kw_only=True)
+class Playback:
+    """Limits and rate at which a waveform is played.
+
+    limits   of the drive
+    rate_Hz  sampling rate
+    rng      random numbers of the waveform
+    """
+
+    limits: DriveLimits
+    rate_Hz: float
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+    def phase(self, frequency_Hz: float, cycles: int, speed: float) -> Array:
+        """Return the phase in periods, slower if the slew limit requires it.
+
+        speed  largest speed of the waveform, in half ranges per period
+        """
+        limits = self.limits
+        frequency_Hz = min(frequency_Hz, limits.slew_V_per_s / (speed * limits.reach_V))
+        samples = np.arange(round(cycles / frequency_Hz * self.rate_Hz))
+        return np.asarray(samples * frequency_Hz / self.rate_Hz)
+
+    def path_V(self, stops_V: Sequence[float], *, move_s: float, hold_s: float = 0.0) -> Array:
+        """Return a drive through voltages, with half-cosine moves and holds.
+
+        move_s  of each move; longer if the slew limit requires it
+        """
+        parts = [np.array([stops_V[0]])]
+        for start_V, stop_V in pairwise(stops_V):
+            time_s = max(move_s, GLIDE * abs(stop_V - start_V) / self.limits.slew_V_per_s)
+            count = max(int(np.ceil(time_s * self.rate_Hz)), 1)
+            share = 0.5 * (1.0 - np.cos(np.pi * np.arange(1, count + 1) / count))
+            hold_V = np.full(round(hold_s * self.rate_Hz), stop_V)
+            parts += [start_V + (stop_V - start_V) * share, hold_V]
+        return np.concatenate(parts)
+
+    def with_lead_in(self, body_V: Array) -> Array:
+        """Return a drive after cycles over the whole range, followed by a return to rest."""
+        limits, (first_V, last_V) = self.limits, body_V[[0, -1]].tolist()
+        full_cycle_V = (limits.voltage_max_V, limits.voltage_min_V)
+        stops_V = [limits.rest_V, *full_cycle_V * CYCLES_BEFORE, first_V]
+        lead_in_V = self.path_V(stops_V, move_s=CYCLE_s / 2)
+        return_V = self.path_V([last_V, limits.rest_V], move_s=CYCLE_s / 2)
+        return np.concatenate([lead_in_V, body_V, return_V])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,14 +90,14 @@ class Experiment:
 
     name        of the drive
     why         purpose, in one sentence
-    waveform    (limits, rate in Hz, generator) -> (samples,) volts of the axis; None: the axis
-                rests while every other axis moves
+    waveform    (playback) -> (samples,) volts of the axis; None: the axis rests while every other
+                axis moves
     highest_Hz  largest rate at which it is played, or a function of the limits
     """
 
     name: str
     why: str
-    waveform: Waveform | None
+    waveform: Callable[[Playback], Array] | None
     highest_Hz: float | Callable[[DriveLimits], float] = SLOW_Hz
 
 
@@ -60,14 +106,14 @@ def drive_of(experiment: Experiment, bench: Bench, seed: int) -> Drive:
 
     Raises ``ExcitationError`` where the bench cannot play it.
     """
-    limits, highest_Hz, waveform = bench.limits, experiment.highest_Hz, experiment.waveform
+    limits, highest_Hz = bench.limits, experiment.highest_Hz
     highest_Hz = highest_Hz(limits) if callable(highest_Hz) else highest_Hz
     rate_Hz = bench.clock_Hz / max(int(np.ceil(bench.clock_Hz / highest_Hz - 1e-9)), 1)
-    if waveform is None:
+    if experiment.waveform is None:
         voltage_V, others_V = _other_axes(bench, rate_Hz)
     else:
-        body_V, others_V = waveform(limits, rate_Hz, np.random.default_rng(seed)), {}
-        voltage_V = with_lead_in(body_V, rate_Hz, limits)
+        playback = Playback(limits=limits, rate_Hz=rate_Hz, rng=np.random.default_rng(seed))
+        voltage_V, others_V = playback.with_lead_in(experiment.waveform(playback)), {}
     return Drive(
         name=experiment.name,
         why=experiment.why,
@@ -77,143 +123,81 @@ def drive_of(experiment: Experiment, bench: Bench, seed: int) -> Drive:
     )
 
 
-def rest_V(limits: DriveLimits) -> float:
-    """Return the voltage within the limits that is nearest to 0 V."""
-    return float(np.clip(0.0, limits.voltage_min_V, limits.voltage_max_V))
-
-
-def with_lead_in(body_V: Array, rate_Hz: float, limits: DriveLimits) -> Array:
-    """Return a drive preceded by cycles over the whole range and followed by a return to rest."""
-    full_cycle_V = (limits.voltage_max_V, limits.voltage_min_V)
-    stops_V = [rest_V(limits), *full_cycle_V * CYCLES_BEFORE, float(body_V[0])]
-    lead_in_V = path_V(stops_V, limits, rate_Hz, move_s=CYCLE_s / 2)
-    return_V = path_V([float(body_V[-1]), rest_V(limits)], limits, rate_Hz, move_s=CYCLE_s / 2)
-    return np.concatenate([lead_in_V, body_V, return_V])
-
-
-def path_V(
-    stops_V: Sequence[float],
-    limits: DriveLimits,
-    rate_Hz: float,
-    *,
-    move_s: float,
-    hold_s: float = 0.0,
-) -> Array:
-    """Return a drive through voltages, with half-cosine moves and holds.
-
-    move_s  of each move; longer if the slew limit requires it
-    """
-    parts = [np.array([stops_V[0]])]
-    for start_V, stop_V in pairwise(stops_V):
-        time_s = max(move_s, GLIDE * abs(stop_V - start_V) / limits.slew_V_per_s)
-        count = max(int(np.ceil(time_s * rate_Hz)), 1)
-        share = 0.5 * (1.0 - np.cos(np.pi * np.arange(1, count + 1) / count))
-        parts += [start_V + (stop_V - start_V) * share, np.full(round(hold_s * rate_Hz), stop_V)]
-    return np.concatenate(parts)
-
-
-def decaying_loops(
-    limits: DriveLimits,
-    rate_Hz: float,
-    _: np.random.Generator | None = None,
-    *,
-    frequency_Hz: float,
-    cycles: int,
-) -> Array:
+def decaying_loops(playback: Playback, *, frequency_Hz: float, cycles: int) -> Array:
     """Return triangles about the middle with decaying amplitude: nested minor loops."""
-    middle_V, reach_V = _middle(limits)
-    frequency_Hz = min(frequency_Hz, limits.slew_V_per_s / (4.5 * reach_V))
-    phase = np.arange(round(cycles / frequency_Hz * rate_Hz)) * frequency_Hz / rate_Hz
-    amplitude_V = reach_V * (1.0 - phase / cycles)
-    return middle_V + np.asarray(amplitude_V) * _triangle(np.asarray(phase))
+    phase = playback.phase(frequency_Hz, cycles, TRIANGLE)
+    amplitude_V = playback.limits.reach_V * (1.0 - phase / cycles)
+    return playback.limits.middle_V + amplitude_V * _triangle(phase)
 
 
-def equal_cycles(
-    limits: DriveLimits,
-    rate_Hz: float,
-    _: np.random.Generator | None = None,
-    *,
-    frequency_Hz: float,
-    cycles: int,
-) -> Array:
+def equal_cycles(playback: Playback, *, frequency_Hz: float, cycles: int) -> Array:
     """Return equal sine cycles."""
-    middle_V, reach_V = _middle(limits)
-    frequency_Hz = min(frequency_Hz, limits.slew_V_per_s / (2 * np.pi * reach_V))
-    phase = np.arange(round(cycles / frequency_Hz * rate_Hz)) * frequency_Hz / rate_Hz
-    return np.asarray(middle_V + reach_V * np.sin(2 * np.pi * phase))
+    wave = np.sin(2 * np.pi * playback.phase(frequency_Hz, cycles, SINE))
+    return np.asarray(playback.limits.middle_V + playback.limits.reach_V * wave)
 
 
-def reversal_curves(limits: DriveLimits, rate_Hz: float, _: np.random.Generator) -> Array:
+def reversal_curves(playback: Playback) -> Array:
     """Return first-order reversal curves: from the top down to ever lower turns and back."""
-    top_V, low_V = limits.voltage_max_V, limits.voltage_min_V
-    turns = np.linspace(top_V, low_V, CURVES + 1)[1:]
-    stops = [top_V, *(stop for turn in turns.tolist() for stop in (turn, top_V))]
-    return path_V(stops, limits, rate_Hz, move_s=1.0)
+    low_V, top_V = playback.limits.range_V
+    turns_V = np.linspace(top_V, low_V, CURVES + 1)[1:].tolist()
+    stops_V = [top_V, *(stop_V for turn_V in turns_V for stop_V in (turn_V, top_V))]
+    return playback.path_V(stops_V, move_s=1.0)
 
 
-def held_levels(
-    limits: DriveLimits,
-    rate_Hz: float,
-    rng: np.random.Generator,
-    *,
-    levels: int,
-    mirrored: bool = False,
-) -> Array:
+def held_levels(playback: Playback, *, levels: int, mirrored: bool = False) -> Array:
     """Return random levels, each held; if ``mirrored``, followed by their mirror image."""
-    middle_V, reach_V = _middle(limits)
-    shares = rng.uniform(-0.95, 0.95, levels)
+    limits = playback.limits
+    shares = playback.rng.uniform(-0.95, 0.95, levels)
     shares = np.concatenate([shares, -shares]) if mirrored else shares
-    stops_V = (middle_V + reach_V * shares).tolist()
-    return path_V([limits.voltage_min_V, *stops_V], limits, rate_Hz, move_s=0.05, hold_s=HOLD_s)
+    levels_V = (limits.middle_V + limits.reach_V * shares).tolist()
+    return playback.path_V([limits.voltage_min_V, *levels_V], move_s=0.05, hold_s=HOLD_s)
 
 
-def sine_grid(limits: DriveLimits, rate_Hz: float, _: np.random.Generator) -> Array:
+def sine_grid(playback: Playback) -> Array:
     """Return sines of every amplitude and frequency in the slew limit, small and fast first."""
-    middle_V, reach_V = _middle(limits)
-    parts = [np.array([middle_V])]
+    limits, rate_Hz = playback.limits, playback.rate_Hz
+    parts = [np.array([limits.middle_V])]
     for share in AMPLITUDES:
         for frequency_Hz in GRID_Hz:
-            speed_V_per_s = 2 * np.pi * frequency_Hz * share * reach_V
+            speed_V_per_s = 2 * np.pi * frequency_Hz * share * limits.reach_V
             is_too_fast = speed_V_per_s > limits.slew_V_per_s or share * frequency_Hz > FULL_AT_Hz
             if is_too_fast or frequency_Hz > rate_Hz / ROWS:
                 continue
             cycles = max(round(SINE_s * frequency_Hz), MIN_CYCLES)
             count = round(cycles / frequency_Hz * rate_Hz)
             phase = cycles * np.arange(1, count + 1) / count
-            parts.append(middle_V + share * reach_V * np.sin(2 * np.pi * phase))
+            parts.append(limits.middle_V + share * limits.reach_V * np.sin(2 * np.pi * phase))
     return np.concatenate(parts)
 
 
-def rising_ramps(limits: DriveLimits, rate_Hz: float, _: np.random.Generator) -> Array:
+def rising_ramps(playback: Playback) -> Array:
     """Return full triangles whose speed rises from a share of the slew limit up to it."""
-    low_V, reach_V = limits.voltage_min_V, _middle(limits)[1]
-    parts = [np.array([low_V])]
+    limits = playback.limits
+    parts = [np.array([limits.voltage_min_V])]
     for share in RAMP_SHARES:
-        frequency_Hz = share * limits.slew_V_per_s / (4.5 * reach_V)
-        count = max(round(2.0 / frequency_Hz * rate_Hz), 8)
+        frequency_Hz = share * limits.slew_V_per_s / (TRIANGLE * limits.reach_V)
+        count = max(round(2.0 / frequency_Hz * playback.rate_Hz), 8)
         phase = 2.0 * np.arange(1, count + 1) / count
-        parts.append(low_V + reach_V * (1.0 + _triangle(phase - 0.25)))
+        parts.append(limits.voltage_min_V + limits.reach_V * (1.0 + _triangle(phase - 0.25)))
     return np.concatenate(parts)
 
 
-def constant_drive(
-    limits: DriveLimits, rate_Hz: float, _: np.random.Generator, *, time_s: float
-) -> Array:
+def constant_drive(playback: Playback, *, time_s: float) -> Array:
     """Return mid-range."""
-    return np.full(round(time_s * rate_Hz), 0.5 * sum(limits.range_V))
+    return np.full(round(time_s * playback.rate_Hz), playback.limits.middle_V)
 
 
-def small_multisine(limits: DriveLimits, rate_Hz: float, rng: np.random.Generator) -> Array:
+def small_multisine(playback: Playback) -> Array:
     """Return periods of a small multisine about mid-range.
 
     Raises ``ExcitationError`` if it exceeds the slew limit.
     """
-    samples, (middle_V, reach_V) = round(rate_Hz), _middle(limits)
+    limits, rate_Hz, rng = playback.limits, playback.rate_Hz, playback.rng
     lines = odd_lines(5.0, rate_Hz / 10.0, 1.0, left_out_of=4, rng=rng)
     # the rms speed of equal lines, with room for a peak of four times as much
     rms_rad_per_s = 2 * np.pi * float(np.sqrt(np.mean(lines.astype(float) ** 2)))
-    rms_V = min(MULTISINE_RMS * reach_V, limits.slew_V_per_s / (5.0 * rms_rad_per_s))
-    period_V = middle_V + rms_V * multisine_period(lines, samples, rng)
+    rms_V = min(MULTISINE_RMS * limits.reach_V, limits.slew_V_per_s / (5.0 * rms_rad_per_s))
+    period_V = limits.middle_V + rms_V * multisine_period(lines, round(rate_Hz), rng)
     slew_V_per_s = float(np.abs(np.diff(period_V, append=period_V[0])).max()) * rate_Hz
     if slew_V_per_s > limits.slew_V_per_s:
         raise ExcitationError(
@@ -274,29 +258,28 @@ def _other_axes(bench: Bench, rate_Hz: float) -> tuple[Array, dict[str, Array]]:
             needed="another axis that can be driven",
             remedy="Record its drive as well.",
         )
-    second, middle_V = round(rate_Hz), 0.5 * sum(bench.limits.range_V)
-    loops = {
-        axis: decaying_loops(limits, rate_Hz, frequency_Hz=0.7, cycles=10)
-        for axis, limits in bench.other_limits.items()
-    }
-    approach = {
-        axis: path_V([rest_V(limits), float(loops[axis][0])], limits, rate_Hz, move_s=1.0)
-        for axis, limits in bench.other_limits.items()
-    }
-    longest = max(map(len, loops.values()))
-    own_V = with_lead_in(np.full(longest + 2 * second, middle_V), rate_Hz, bench.limits)
-    settled = int(np.flatnonzero(own_V == middle_V)[-longest - second])
-    begin = max(settled, *map(len, approach.values()))
-    drives = {bench.axis: np.pad(own_V, (begin - settled, 0), mode="edge")}
+    loops_V, approaches_V, returns_V = {}, {}, {}
     for axis, limits in bench.other_limits.items():
-        zero_V, loop_V = rest_V(limits), loops[axis]
-        wait_V = np.full(begin - len(approach[axis]), zero_V)
-        return_V = path_V([float(loop_V[-1]), zero_V], limits, rate_Hz, move_s=1.0)
-        drives[axis] = np.concatenate([wait_V, approach[axis], loop_V, return_V])
-    samples = max(map(len, drives.values()))
+        playback = Playback(limits=limits, rate_Hz=rate_Hz)
+        loops_V[axis] = decaying_loops(playback, frequency_Hz=0.7, cycles=10)
+        first_V, last_V = loops_V[axis][[0, -1]].tolist()
+        approaches_V[axis] = playback.path_V([limits.rest_V, first_V], move_s=1.0)
+        returns_V[axis] = playback.path_V([last_V, limits.rest_V], move_s=1.0)
+    second, middle_V = round(rate_Hz), bench.limits.middle_V
+    longest = max(map(len, loops_V.values()))
+    rest_V = np.full(longest + 2 * second, middle_V)
+    own_V = Playback(limits=bench.limits, rate_Hz=rate_Hz).with_lead_in(rest_V)
+    # all loops begin together, a second after this axis has reached mid-range or later
+    settled = int(np.flatnonzero(own_V == middle_V)[-longest - second])
+    begin = max(settled, *map(len, approaches_V.values()))
+    drives_V = {bench.axis: np.pad(own_V, (begin - settled, 0), mode="edge")}
+    for axis, approach_V in approaches_V.items():
+        move_V = np.concatenate([approach_V, loops_V[axis], returns_V[axis]])
+        drives_V[axis] = np.pad(move_V, (begin - len(approach_V), 0), mode="edge")
+    samples = max(map(len, drives_V.values()))
     others_V = {
         axis: np.pad(drive_V, (0, samples - len(drive_V)), mode="edge")
-        for axis, drive_V in drives.items()
+        for axis, drive_V in drives_V.items()
     }
     return others_V.pop(bench.axis), others_V
 
@@ -304,11 +287,6 @@ def _other_axes(bench: Bench, rate_Hz: float) -> tuple[Array, dict[str, Array]]:
 def _triangle(phase: Array) -> Array:
     """Return a triangle with the reversals of the sine of 2 pi phase."""
     return np.asarray(2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * phase)))
-
-
-def _middle(limits: DriveLimits) -> tuple[float, float]:
-    low_V, high_V = limits.range_V
-    return 0.5 * (low_V + high_V), 0.5 * (high_V - low_V)
 
 
 EXPERIMENTS: tuple[Experiment, ...] = (
@@ -382,8 +360,8 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     Experiment(
         name="slow_ramp",
         why="The whole range once, slowly, up and down.",
-        waveform=lambda limits, rate_Hz, _: path_V(
-            [*limits.range_V, limits.voltage_min_V], limits, rate_Hz, move_s=40.0
+        waveform=lambda playback: playback.path_V(
+            [*playback.limits.range_V, playback.limits.voltage_min_V], move_s=40.0
         ),
         highest_Hz=1000.0,
     ),

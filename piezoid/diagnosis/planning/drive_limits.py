@@ -35,6 +35,21 @@ class DriveLimits:
         """Return the lowest and the highest voltage."""
         return self.voltage_min_V, self.voltage_max_V
 
+    @property
+    def middle_V(self) -> float:
+        """Return the middle of the range."""
+        return 0.5 * (self.voltage_min_V + self.voltage_max_V)
+
+    @property
+    def reach_V(self) -> float:
+        """Return half the range."""
+        return 0.5 * (self.voltage_max_V - self.voltage_min_V)
+
+    @property
+    def rest_V(self) -> float:
+        """Return the voltage within the limits that is nearest to 0 V."""
+        return min(max(0.0, self.voltage_min_V), self.voltage_max_V)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drive:

@@ -54,13 +54,13 @@ def plan_files(plan: Plan, *, model_digest: str, diagnosis_digest: str) -> dict[
             "axes": list(drive.axes),
             "sampling_rate_Hz": drive.sampling_rate_Hz,
             "samples": len(drive.voltage_V),
-            "duration_s": plan.duration_s,
+            "duration_s": drive.duration_s,
         },
         "limits": {
             "voltage_min_V": limits.voltage_min_V,
             "voltage_max_V": limits.voltage_max_V,
             "slew_V_per_s": limits.slew_V_per_s,
-            "from": plan.limits_from,
+            "from": f"{plan.bench.range_from}; {plan.bench.speed_from}",
         },
         "answers": plan.answers,
         "forbids": plan.forbids,
@@ -104,9 +104,9 @@ def _estimate_json(
 
 def sentences(plan: Plan) -> tuple[str, ...]:
     """Return reason, drive, expectation and remaining questions of a plan."""
-    question, limits = plan.question, plan.limits
-    drive = (
-        f"{plan.drive.name}, {plan.duration_s:.0f} s, {plan.drive.sampling_rate_Hz:g} samples/s "
+    question, drive, limits = plan.question, plan.drive, plan.limits
+    drive_text = (
+        f"{drive.name}, {drive.duration_s:.0f} s, {drive.sampling_rate_Hz:g} samples/s "
         f"between {limits.voltage_min_V:.4g} and {limits.voltage_max_V:.4g} V"
     )
     if question.kind == "detect" and not is_open(question):
@@ -114,13 +114,13 @@ def sentences(plan: Plan) -> tuple[str, ...]:
             f"These recordings show {words(question.effects[0])} from "
             f"{with_unit(question.limit_m or 0.0, 'm')} rms, the smallest size that a diagnosis "
             "reports: no recording is needed.",
-            f"The best drive for a check is {drive}.",
+            f"The best drive for a check is {drive_text}.",
         )
     verdict = "No drive answers this question within these limits; the best is"
     unanswered = "; ".join(map(_topic, plan.set_aside))
     texts = (
         _reason(question),
-        f"{'Play' if plan.answers else verdict} {drive}. {plan.drive.why}",
+        f"{'Play' if plan.answers else verdict} {drive_text}. {drive.why}",
         _expectation(plan),
         ALONE if plan.recorded is None else "",
         plan.forbids,
