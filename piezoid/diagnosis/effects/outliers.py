@@ -18,8 +18,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from piezoid.diagnosis.converter_steps import drive_step
 from piezoid.diagnosis.effect import OVER_TIME, Effect, Fault, FaultTest
-from piezoid.diagnosis.effects.quantisation import drive_step
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.signals import stroke_of, with_displacement

@@ -17,6 +17,7 @@ Source
 
 import numpy as np
 
+from piezoid.diagnosis.converter_steps import lattice_step
 from piezoid.diagnosis.drive_response import DriveResponse
 from piezoid.diagnosis.effect import (
     Appearance,
@@ -29,7 +30,6 @@ from piezoid.diagnosis.effect import (
     unsigned,
     without_part,
 )
-from piezoid.diagnosis.effects.quantisation import lattice_step
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.identification.extensions.extension import Extension
