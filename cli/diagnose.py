@@ -146,8 +146,8 @@ def _show(diagnosis: "Diagnosis", recordings: "Sequence[Recording]") -> None:
         display(report_table(findings, title))
     baseline, final = (with_unit(e.rms_m, "m") for e in (diagnosis.baseline, diagnosis.final))
     line = (
-        f"axis {diagnosis.axis}: held-out error {baseline} without the findings, {final} with "
-        f"them; sensor noise {with_unit(diagnosis.noise_floor_rms_m, 'm')}"
+        f"axis {diagnosis.axis}: held-out error {baseline} of the base model, {final} of "
+        f"the final model; sensor noise {with_unit(diagnosis.noise_floor_rms_m, 'm')}"
     )
     for text in (in_counts(line, counted), *budget_lines([diagnosis])):
         display(text)

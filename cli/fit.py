@@ -20,8 +20,9 @@ WRITTEN = (
     *("report.html", "bundle/README.md"),
 )
 LEGEND = (
-    "(table: error on held-out data; closure: error / noise; bandwidth of the feedback; "
-    "guaranteed: proven limit of the tracking error; ships: verified, in bundle/)"
+    "(table: error on held-out data; closure: error / noise, 1 if only noise remains; bandwidth "
+    "of the feedback; guaranteed: proven limit of the tracking error, which adds up worst cases; "
+    "ships: verified, in bundle/)"
 )
 UNDIAGNOSED = (
     "not diagnosed, because the recordings were read in chunks; for a diagnosis, fit a part that "

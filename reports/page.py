@@ -201,13 +201,29 @@ class Page:
 
 
 def tracking_error(page: Page, axis: str) -> str:
-    """Return the rms error of the shipped controller on the spiral, or empty without one."""
-    verification = page.verification
-    if verification is None:
-        return ""
-    errors_m = {(row.method, row.frequency_Hz): row.rms_m for row in verification.comparison}
-    error_m = errors_m.get((verification.methods.get(axis, ""), SPIRAL_Hz))
+    """Return the rms error of the shipped controllers on the spiral, or empty without one.
+
+    The error is the distance in the plane of all axes of the spiral (`moving_axes`).
+    """
+    methods = {} if page.verification is None else page.verification.methods
+    error_m = spiral_error_m(page, methods.get(axis, ""))
     return "" if error_m is None else number(error_m, "m")
+
+
+def spiral_error_m(page: Page, method: str) -> float | None:
+    """Return the rms error of a method on the spiral of ``SPIRAL_Hz``, if it was simulated."""
+    rows = () if page.verification is None else page.verification.comparison
+    errors_m = {row.method: row.rms_m for row in rows if row.frequency_Hz == SPIRAL_Hz}
+    return errors_m.get(method)
+
+
+def moving_axes(verification: Verification | None) -> str:
+    """Return which axes follow the spirals, which have two dimensions."""
+    methods = {} if verification is None else verification.methods
+    lateral = [axis for axis, method in methods.items() if method != "rst"]
+    if len(lateral) == 1:
+        return f"axis {lateral[0]} with an ideal second axis"
+    return f"axes {' and '.join(lateral)} together"
 
 
 def guarantee(page: Page, axis: AxisModel, *, has_speeds: bool = False) -> str:

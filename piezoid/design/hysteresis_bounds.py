@@ -210,9 +210,9 @@ def inverse_bounds(
         reach_V=reach_V,
         conditions=(
             describe_command_range(centre_V - reach_V, centre_V + reach_V),
-            f"the true hysteresis differs from the model as little as {100.0 * confidence:g} % of "
-            f"{len(replicates)} refits do",
-            f"the displacement outside the class of the inverse stays below "
+            "the true hysteresis differs from the model by no more than "
+            f"{100.0 * confidence:g} % of {len(replicates)} refits to parts of the data do",
+            "the displacement that plays and dead zones cannot represent stays below "
             f"{with_unit(remainder_m, 'm')}",
         ),
     )

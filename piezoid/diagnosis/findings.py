@@ -138,10 +138,11 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
         share = sqrt(before_m**2 - after_m**2) / (2.0 * outcome.first.half_stroke_m)
         factor, (low, high) = 100.0 * share / size.value, size.ci95
         size = replace(size, value=factor * size.value, ci95=(factor * low, factor * high))
-    size_text = f"{100 * share:.3g} % of the stroke (rms)"
+    rms_text = with_unit(2.0 * share * outcome.first.half_stroke_m, "m")
+    size_text = f"{100 * share:.3g} % of the stroke ({rms_text} rms)"
     if effect.structural is None:
-        where = "Behind jumps of the drive" if cause.selected.from_jumps else "Here"
-        evidence = f"{where} {size_text} cannot be imitated by any hysteresis."
+        where = "behind jumps of the drive " if cause.selected.from_jumps else ""
+        evidence = f"Of its contribution {where}no hysteresis can imitate {size_text}."
     else:
         evidence = f"A simulation without it misses {size_text}; the model includes it."
     sentences = [effect.summary, evidence]

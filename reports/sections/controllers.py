@@ -11,7 +11,7 @@ from piezoid.formatting import count_of
 from piezoid.numerics.polynomial import decibel
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
-from piezoid_reports.page import Page
+from piezoid_reports.page import Page, SPIRAL_Hz, spiral_error_m
 from piezoid_reports.parts import (
     Figure,
     Heading,
@@ -26,15 +26,16 @@ from piezoid_reports.quantities import MINUS, number, significant
 
 GRID = 240  # frequencies
 LOWEST_DIVISOR = 300.0  # of the bandwidth; below, the sensitivity is a straight line
+MINUS_3_dB = -3.0  # of |Syp|, up to which a loop attenuates disturbances
 NYQUIST = 0.499  # of the sampling rate
 FUNCTIONS = {
     "Syp": (
-        "output sensitivity |Syp|",
+        "output sensitivity",
         "Good: the whole band below every dashed line. Bad: a band that widens at one frequency, "
         "where the plant is uncertain.",
     ),
     "Syb": (
-        "noise sensitivity |Syb|",
+        "noise sensitivity",
         "Good: 0 dB up to the bandwidth, then falling. Bad: a hump near the delay limit.",
     ),
 }
@@ -46,15 +47,18 @@ def render(page: Page) -> Section | None:
         return None
     parts: list[Part] = [loops_table(page)]
     conditions: list[str] = []  # of guaranteed errors and plant families
+    is_named = len(page.axis_designs) > 1
     for axis in page.axis_designs:
         loop = axis.recommended
-        parts += [Heading(text=f"Axis {axis.axis}"), _figure(axis, loop, "Syp")]
+        parts += [Heading(text=f"Axis {axis.axis}"), *recommendation(page, axis)]
+        parts.append(_figure(axis, loop, "Syp"))
         parts += folded("Noise sensitivity: 1 figure", [_figure(axis, loop, "Syb")])
         mode = describe_mode(loop)
         parts += [Prose(text=mode)] if mode else []
         model, certificate = page.model.axes.get(axis.axis), loop.certificate
         if model is None:
             continue
+        prefix = f"axis {axis.axis}: " if is_named else ""
         is_useful = page.ships(axis.axis) and useful_bound_m(certificate, model) is not None
         if certificate is not None and is_useful:
             sizes_m = {name: m for name, m in error_parts_m(certificate).items() if m > 0.0}
@@ -62,20 +66,47 @@ def render(page: Page) -> Section | None:
             text = (
                 f"Axis {axis.axis}: guaranteed error "
                 f"{number(certificate.guaranteed_error_m, 'm')} ({terms}); small gain "
-                f"{significant(certificate.small_gain)}, below 1; sensor noise adds "
+                f"{significant(certificate.small_gain)} (below 1: the loop is stable for every "
+                "hysteresis within the conditions); sensor noise adds "
                 f"{number(certificate.noise_error_m, 'm')} (three standard deviations)."
             )
             parts.append(Prose(text=text))
-            conditions += certificate.conditions
-        conditions += assumptions_of(model)
+            conditions += [f"{prefix}{condition}" for condition in certificate.conditions]
+        conditions += [f"{prefix}{assumption}" for assumption in assumptions_of(model)]
     parts += folded_listing("Conditions of margins and guarantees", dict.fromkeys(conditions))
     return Section(
         anchor="controllers",
         title="Controllers",
         lead="Margins and guaranteed errors hold for the plant family: all plants that are "
-        "consistent with the recordings.",
+        "consistent with the recordings. Syp is the response of the displacement to a disturbance "
+        "of it, Syb to the noise of the sensor, both with feedback.",
         parts=tuple(parts),
     )
+
+
+def recommendation(page: Page, axis: AxisDesign) -> list[Part]:
+    """Return why the recommended loop ships although another has a smaller guaranteed error."""
+    model, first = page.model.axes.get(axis.axis), axis.recommended
+    if model is None:
+        return []
+    bound_m, error_m = useful_bound_m(first.certificate, model), spiral_error_m(page, first.method)
+    bounds_m = {loop.method: useful_bound_m(loop.certificate, model) for loop in axis.loops[1:]}
+    useful_m = {method: limit_m for method, limit_m in bounds_m.items() if limit_m is not None}
+    method = min(useful_m, key=lambda name: useful_m[name], default="")
+    alternative_m = spiral_error_m(page, method)
+    if error_m is None or alternative_m is None or (bound_m or np.inf) <= useful_m[method]:
+        return []
+    limit = "no useful bound"
+    if bound_m is not None:
+        limit = f"a guaranteed error of {number(bound_m, 'm')}"
+    text = (
+        f"{METHOD_NAMES[first.method].capitalize()} is recommended wherever it can be designed: "
+        "the inverse removes most of the hysteresis before the feedback acts. Its simulated error "
+        f"on a {SPIRAL_Hz:g} Hz spiral is {number(error_m, 'm')}, that of {METHOD_NAMES[method]} "
+        f"{number(alternative_m, 'm')}. It has {limit}; {METHOD_NAMES[method]} guarantees "
+        f"{number(useful_m[method], 'm')}."
+    )
+    return [Prose(text=text)]
 
 
 def loops_table(page: Page) -> Table:
@@ -100,10 +131,10 @@ def loops_table(page: Page) -> Table:
                 )
             )
     return Table(
-        caption="The first loop of an axis is recommended and exported. Bandwidth: of the "
-        "feedback, which rejects disturbances; the feedforward follows references faster. Modulus "
-        f"margin: smallest distance of the Nyquist curve from {MINUS}1. Delay margin: tolerated "
-        "additional delay.",
+        caption="The first loop of an axis is recommended and exported. Bandwidth: specified for "
+        "the feedback, which attenuates disturbances by at least 3 dB up to this frequency; the "
+        "feedforward follows references faster. Modulus margin: smallest distance of the Nyquist "
+        f"curve from {MINUS}1. Delay margin: tolerated additional delay.",
         columns=(
             *("axis", "loop", "bandwidth", "modulus margin", "delay margin"),
             "guaranteed error",
@@ -150,14 +181,25 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
         canvas.band("model-band", "plant family", decades, low_dB, high_dB),
         canvas.line("model", "nominal", decades, family_dB[0]),
     ]
-    layers += [canvas.line("limit", name, decades, limit) for name, limit in limits]
-    name, guide = FUNCTIONS[function]
+    layers += [
+        canvas.line("zero" if "margin" in name else "limit", name, decades, limit)
+        for name, limit in limits
+    ]
     worst_dB = level_dB.max(axis=0)
+    crossing = ""
+    above = np.flatnonzero(worst_dB > MINUS_3_dB)
+    if function == "Syp" and len(above) and above[0] > 0:
+        crossing_Hz = number(float(frequency_Hz[above[0] - 1]), "Hz")
+        crossing = (
+            f" All plants attenuate disturbances by 3 dB or more up to {crossing_Hz}; the "
+            f"specified bandwidth is {number(loop.bandwidth_Hz, 'Hz')}."
+        )
+    name, guide = FUNCTIONS[function]
     largest_dB = f"{round(float(worst_dB.max()), 2) + 0.0:.2f} dB".replace("-", MINUS)
     return Figure(
         title=f"Axis {axis.axis}: {name} |{function}|",
         caption=f"Largest value of {count_of(len(loop.members), 'plant')}: {largest_dB} at "
-        f"{number(float(frequency_Hz[worst_dB.argmax()]), 'Hz')}.",
+        f"{number(float(frequency_Hz[worst_dB.argmax()]), 'Hz')}.{crossing}",
         guide=guide,
         canvas=canvas,
         layers=tuple(layers),

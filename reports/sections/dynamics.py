@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.formatting import UNKNOWN
+from piezoid.formatting import UNKNOWN, interval_digits
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.identification.dynamics.behind_hysteresis import (
     excites_dynamics,
@@ -25,6 +25,7 @@ from piezoid_reports.parts import Figure, Heading, Part, Prose, Section, Table, 
 from piezoid_reports.quantities import MINUS, number, percent, significant
 
 MAX_INTERVAL_RATIO = 100.0  # a wider interval is shown as unknown
+OVERESTIMATED = 0.5  # squared residual over that of the noise: less is no agreement with the noise
 N_GAINS = 3  # frequencies at which the change of the gain is reported
 KINDS = {  # label of the axis, height of the figure in pixels, guide
     "gain": (
@@ -35,7 +36,8 @@ KINDS = {  # label of the axis, height of the figure in pixels, guide
     "phase": (
         "phase [degrees]",
         260,
-        "Good: both fall together. Bad: they part at high frequency (a delay is missing).",
+        "Good: both fall together. Bad: they part at high frequency, by more than the scatter of "
+        "the measured lines (a delay is missing).",
     ),
 }
 
@@ -54,7 +56,7 @@ def render(page: Page) -> Section | None:
             text = (
                 "Poles and delay above are from one fit of hysteresis and dynamics together, with "
                 "plays as small as the drive that excites the modes. Their intervals include the "
-                "change without those plays."
+                "change without those plays, but no fault of the recordings, such as a jump."
             )
             joint = axis.joint
             pieces = zip(joint.recordings, joint.separate_rms_m, joint.joint_rms_m, strict=True)
@@ -105,7 +107,8 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
             f"Axis {axis.axis}: gain from the output of the hysteresis to the displacement",
             f"Fitted to coherent lines from {number(low_Hz, 'Hz')} to {number(high_Hz, 'Hz')}; "
             f"the squared residual is {significant(dynamics.cost_ratio)} times that of noise "
-            "alone (good: near 1 or below). Band: 95 % interval of the measurement.",
+            f"alone{_judgement(dynamics.cost_ratio)}. Band: 95 % interval of the measurement."
+            f"{_content(axis, dynamics)}",
             decades,
             (mid_dB, decibel(np.abs(modelled))),
             band=(low_dB, high_dB),
@@ -113,7 +116,8 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
         response_figure(
             "phase",
             f"Axis {axis.axis}: phase",
-            "Incoherent lines are left out.",
+            f"Incoherent lines are left out; lines above {number(high_Hz, 'Hz')} are drawn, but "
+            f"not fitted.{_content(axis, dynamics)}",
             decades,
             (
                 _degrees(response, axis.polarity, is_used),
@@ -129,6 +133,24 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
             measured.least_coherence,
         ),
     ]
+
+
+def _judgement(cost_ratio: float) -> str:
+    """Return what the squared residual, relative to that of the noise, says about the fit."""
+    if cost_ratio < OVERESTIMATED:
+        return " (the noise of the lines is overestimated: a misfit may hide in it)"
+    return " (good: near 1)"
+
+
+def _content(axis: AxisModel, dynamics: LinearDynamics) -> str:
+    """Return which declared poles the curve of the model contains."""
+    names = [declared.name for declared in dynamics.declared]
+    if not names:
+        return ""
+    poles = "poles" if len(names) > 1 else "pole"
+    text = f" The curve of the model contains the declared {poles} of {' and '.join(names)}"
+    has_text = axis.bandwidth is not None and axis.bandwidth.fallen_Hz is not None
+    return f"{text}; the frequency of {MINUS}3 dB below does not." if has_text else f"{text}."
 
 
 def _degrees(response: ComplexArray, polarity: int, is_kept: NDArray[np.bool_]) -> Array:
@@ -250,7 +272,7 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
     rows = [
         (
             "mode" if is_resolved else "mode that represents dynamics outside the band",
-            *_with_interval(frequency_Hz, interval_Hz, "Hz"),
+            *_with_interval(frequency_Hz, interval_Hz, "Hz", 4),
             *_with_interval(damping, between, ""),
         )
         for frequency_Hz, interval_Hz, damping, between, is_resolved in modes
@@ -265,17 +287,21 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
     ]
     return Table(
         caption=f"Axis {axis.axis}: poles of the linear response, with 95 % intervals for this "
-        "number of poles.",
+        "number of poles. Controllers use these modes and this delay; a lag far below the modes "
+        "represents hysteresis and is left out.",
         columns=("type", "value", "from, to", "damping", "from, to"),
         rows=tuple(rows),
     )
 
 
-def _with_interval(value: float, interval: Array, unit: str) -> tuple[str, str]:
+def _with_interval(
+    value: float, interval: Array, unit: str, min_digits: int = 3
+) -> tuple[str, str]:
     if 0.0 < interval[0] < interval[1] / MAX_INTERVAL_RATIO:
         return number(float(value), unit), UNKNOWN
-    low, high = (number(float(end), unit) for end in interval)
-    return number(float(value), unit), f"{low}, {high}"
+    digits = max(min_digits, interval_digits(float(interval[0]), float(interval[1])))
+    low, high = (number(float(end), unit, digits) for end in interval)
+    return number(float(value), unit, digits), f"{low}, {high}"
 
 
 def coupling_parts(page: Page, coupled: CoupledStage) -> list[Part]:

@@ -11,6 +11,7 @@ from piezoid_reports.quantities import number
 
 NOISE = "noise"
 LABELS = {NOISE: "sensor noise", "extrapolation": "excess on held-out data"}
+OF_EVERY_FIT = ("lag", "loop_shape")  # parts that the model removes without a finding
 NEGLIGIBLE = 1e-3  # of the power of the final error: no bar
 
 
@@ -22,6 +23,8 @@ def render(page: Page) -> Section | None:
             continue
         parts, total_m = visible_parts(diagnosis), diagnosis.baseline.rms_m
         total = number(total_m, "m")
+        axis = page.model.axes.get(diagnosis.axis)
+        at_most = "" if axis is None else axis.quality.noise_bound
         bars = [Bar(name="base model", start_m=0.0, end_m=total_m, value=total, role="total")]
         remaining_m2 = total_m**2
         for part in parts:
@@ -32,19 +35,24 @@ def render(page: Page) -> Section | None:
                     name=label_of(part.part),
                     start_m=0.0 if is_noise else sqrt(remaining_m2),
                     end_m=part.rms_m if is_noise else end_m,
-                    value=number(part.rms_m, "m"),
+                    value=f"{at_most if is_noise else ''}{number(part.rms_m, 'm')}",
                     role="noise" if is_noise else "modelled" if part.is_explained else "open",
                 )
             )
         modelled = [label_of(part.part) for part in parts if part.is_explained]
         removed = f"{', '.join(modelled)} (red)" if modelled else "none"
+        of_fit = fitted_parts(diagnosis)
+        verb = "belongs to every fit and is no finding"
+        if len(of_fit) > 1:
+            verb = "belong to every fit and are no findings"
+        belongs = f" {' and '.join(of_fit).capitalize()} {verb}." if of_fit else ""
         outside = [label_of(p.part) for p in diagnosis.budget if p.is_explained and p.rms_m == 0.0]
         note = f" Found, but not part of this error: {', '.join(outside)}." if outside else ""
         waterfalls.append(
             Waterfall(
                 title=f"Axis {diagnosis.axis}: error budget",
                 caption=f"Removed by the model: {removed}; held-out error of the model: "
-                f"{number(diagnosis.final.rms_m, 'm')}.{note}",
+                f"{number(diagnosis.final.rms_m, 'm')}.{belongs}{note}",
                 axis=axis_from_zero("error, rms", total_m, "m"),
                 bars=tuple(bars),
             )
@@ -55,8 +63,8 @@ def render(page: Page) -> Section | None:
         anchor="error-budget",
         title="Error budget",
         lead="Held-out error of the base model (hysteresis without a lag or another effect), "
-        "split into its causes. Each number is the rms of one part; the squares of the parts add "
-        "up. A bar shows how much its part raises the total, which is less than its number.",
+        "split into its causes. Each number is the rms of one part. Their squares add up, so the "
+        "bars between the first and the last are shorter than their numbers.",
         parts=tuple(waterfalls),
     )
 
@@ -65,6 +73,15 @@ def visible_parts(diagnosis: Diagnosis) -> tuple[BudgetPart, ...]:
     """Return the parts of the error that are not negligible, the noise last."""
     threshold_m2 = NEGLIGIBLE * diagnosis.final.rms_m**2
     return tuple(p for p in diagnosis.budget if p.rms_m**2 > threshold_m2 or p.part == NOISE)
+
+
+def fitted_parts(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Return the parts that the model removes although they are no findings, in words."""
+    return tuple(
+        label_of(part.part)
+        for part in visible_parts(diagnosis)
+        if part.part in OF_EVERY_FIT and part.is_explained and part.part not in diagnosis.names
+    )
 
 
 def label_of(part: str) -> str:

@@ -10,7 +10,7 @@ from piezoid.identification.fit_statements import has_usable_intervals
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.robust import student_quantile
 from piezoid_reports.chart import Canvas, axis_over
-from piezoid_reports.page import Page, SPIRAL_Hz, guarantee, tracking_error
+from piezoid_reports.page import Page, SPIRAL_Hz, guarantee, moving_axes, tracking_error
 from piezoid_reports.parts import (
     Figure,
     Heading,
@@ -125,7 +125,7 @@ def _loop_width(axis: AxisModel) -> str:
 
 def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Table]:
     """Return the errors of each axis, from the expected errors to the guaranteed limit."""
-    columns = []
+    columns, spiral_axes = [], moving_axes(page.verification)
     for budget in budgets:
         axis, expected = page.model.axes[budget.axis], budget.budget
         held_out = number(axis.quality.held_out_rms_m, "m") if axis.quality.is_tested else ""
@@ -140,7 +140,7 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Table]:
             bound += " at the speed of the recordings" if axis.quality.is_lag_ambiguous else ""
         column = {
             "held-out error, rms": held_out,
-            f"{SPIRAL_Hz:g} Hz spiral with feedback, simulated, rms": tracked,
+            f"{SPIRAL_Hz:g} Hz spiral with feedback, simulated, rms, {spiral_axes}": tracked,
             "predicted position at the end of the range, 95 %": positions,
             f"largest error of {expected.positions} predicted positions": largest,
             "bound of the hysteresis model alone, 95 %": bound,

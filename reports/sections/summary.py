@@ -3,11 +3,17 @@
 from dataclasses import replace
 
 from piezoid.formatting import count_of, words
-from piezoid.identification.fit_statements import Grade, grade_of
+from piezoid.identification.fit_statements import (
+    GOOD_PERCENT,
+    GOOD_SCORE,
+    NEAR_NOISE,
+    Grade,
+    grade_of,
+)
 from piezoid.identification.model import AxisModel
 from piezoid.runtime.schema import METHOD_NAMES
 from piezoid.statement import Level
-from piezoid_reports.page import Page, SPIRAL_Hz, guarantee, tracking_error
+from piezoid_reports.page import Page, SPIRAL_Hz, guarantee, moving_axes, tracking_error
 from piezoid_reports.parts import Card, Figure, Overview, Section, worst_tone
 from piezoid_reports.quantities import number, percent, significant, with_interval
 from piezoid_reports.sections import loops, residuals, tunnelling
@@ -30,6 +36,7 @@ def render(page: Page) -> Section:
 def sentences(page: Page) -> tuple[tuple[str, str], ...]:
     """Return the sentences at the top with their labels."""
     labels = {Level.ACTION: "Next", Level.WARNING: "Limits"}
+    lacks = {axis.axis: _lacks(axis) for axis in page.axes}
     word, accuracy = "Tip", []
     verdict = "No axis with drive and displacement was recorded, only a tunnelling junction"
     if page.model.coupled is not None:
@@ -43,9 +50,7 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
         else:
             verdict = f"The hysteresis model applies to {_names(fitted)}"
         grade = max((grade_of(axis) for axis in page.axes), key=list(Grade).index)
-        word = {Grade.REJECTED: "Rejected", Grade.LIMITED: "Usable"}.get(
-            grade, words(grade).capitalize()
-        )
+        word = {Grade.REJECTED: "Rejected"}.get(grade, words(grade).capitalize())
         if has_failed_controller(page) and grade is not Grade.REJECTED:
             word, verdict = "Fails", f"{verdict} (model {grade})"
         worst = max(page.axes, key=lambda axis: axis.quality.held_out_rms_percent)
@@ -65,13 +70,43 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
         elif not verification.passed:
             result = "; the controllers compiled again did not give the same bits"
         else:
-            result = f"; its controllers passed all {checks}"
+            axes = list(verification.methods)
+            whose = f"the controllers of {_names(axes)}" if len(axes) > 1 else "its controllers"
+            result = f"; {whose} passed all {checks}"
     missing = "".join(f"; axis {name} has no controller" for name in page.unshipped)
     return (
         (word, f"{verdict}{result}{missing}."),
         *accuracy,
-        *((labels[fact.level], page.text_of(fact)) for fact in reversed(page.headline)),
+        *(("Reason", text) for text in _large_errors(page)),
+        *(
+            (
+                "Reason" if fact.quantity in lacks.get(fact.axis, ()) else labels[fact.level],
+                page.text_of(fact),
+            )
+            for fact in reversed(page.headline)
+        ),
     )
+
+
+def _lacks(axis: AxisModel) -> tuple[str, ...]:
+    """Return the quantities of the statements that lower the grade of an axis."""
+    return tuple(limit.lack for limit in axis.quality.limits if limit.most < GOOD_SCORE)
+
+
+def _large_errors(page: Page) -> list[str]:
+    """Return as sentences which axes are not good because of their error."""
+    texts = []
+    for axis in page.axes:
+        grade, quality = grade_of(axis), axis.quality
+        is_near_noise = quality.held_out_rms_m <= NEAR_NOISE * quality.noise_rms_m
+        is_large = quality.held_out_rms_percent > GOOD_PERCENT and not is_near_noise
+        if grade in (Grade.LIMITED, Grade.POOR) and is_large:
+            texts.append(
+                f"Axis {axis.axis} is {grade.value}: its error exceeds "
+                f"{number(GOOD_PERCENT, '%')} of the range and {NEAR_NOISE:g} times the sensor "
+                "noise."
+            )
+    return texts
 
 
 def has_failed_controller(page: Page) -> bool:
@@ -109,9 +144,12 @@ def _card(page: Page, axis: AxisModel) -> Card:
     speed = ("Bandwidth", "none")
     if design is not None:
         bandwidth, error = number(design.bandwidth_Hz, "Hz"), tracking_error(page, axis.axis)
-        speed = ("Bandwidth of the feedback", bandwidth)
+        speed = ("Bandwidth of the feedback, at least", bandwidth)
         if error:
-            label = f"Bandwidth of the feedback; simulated error at {SPIRAL_Hz:g} Hz"
+            label = (
+                f"Bandwidth of the feedback, at least; simulated error on a {SPIRAL_Hz:g} Hz "
+                f"spiral, {moving_axes(page.verification)}"
+            )
             speed = (label, f"{bandwidth}; {error} rms")
     return Card(
         title=f"Axis {axis.axis}",

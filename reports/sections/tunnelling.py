@@ -88,7 +88,9 @@ def render(page: Page) -> Section | None:
         anchor="tunnelling",
         title="Tunnelling",
         lead="The current decays exponentially with the height of the tip. The decay gives the "
-        "apparent barrier, and the gain of the height loop is proportional to its square root.",
+        "apparent barrier, and the gain of the height loop is proportional to its square root. "
+        "Confidence: high if every criterion is met, medium or low otherwise; Limits names the "
+        "criteria.",
         parts=tuple(parts),
     )
 
@@ -229,8 +231,9 @@ def loop_parts(page: Page, junction: TunnellingModel, loop: LoopPlant) -> list[P
         rows.append((record.recording, barrier, naive, dither, gap, drift))
     parts += with_rows(
         Table(
-            caption="Results of each recording, 95 % intervals. Drift is positive if the gap "
-            "opens.",
+            caption="Results of each recording, 95 % intervals. Naive barrier: from the ratio of "
+            "current to drive without the dither as reference, wrong in closed loop and shown for "
+            "comparison. Drift is positive if the gap opens.",
             columns=(
                 "recording",
                 "barrier",
@@ -270,8 +273,8 @@ def loop_sentence(loop: LoopPlant) -> str:
     barrier = with_interval(loop.barrier_eV, loop.barrier_interval_eV, "eV")
     gain = with_interval(loop.plant.gain_nepers_per_V, loop.gain_interval, "")
     return (
-        f"Closed loop: apparent barrier {barrier}, gain {gain} nepers per volt, "
-        f"{loop.confidence.value} confidence."
+        f"Closed loop: apparent barrier {barrier}, gain {gain} nepers per volt (change of the "
+        f"logarithm of the current), {loop.confidence.value} confidence."
     )
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.diagnosis import NotDetected, Size
+from piezoid.diagnosis.diagnosis import BudgetPart, NotDetected, Size
 from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
@@ -193,3 +193,31 @@ def test_the_bound_of_drift_mentions_the_drift_in_the_fit():
     cells = [e.text.replace("\u202f", " ") for e in Anatomy(render(page)).all("td")]
     assert "1.00 nm" in cells
     assert "2.00 nm, in addition to the drift in the fit" in cells
+
+
+def test_a_page_without_findings_states_what_every_fit_contains():
+    lag = BudgetPart(part="lag", rms_m=5e-9, is_explained=True, text="Lag, modelled.")
+    diagnosis = replace(diagnosed(), budget=(lag, *diagnosed().budget))
+    page = Anatomy(render_diagnosis(stage_model(axis_model()), [recording()], diagnosis))
+    text = "No effect was found. The error budget contains lag, which every fit contains."
+    assert text in [e.text for e in page.all("p", "prose")]
+    assert any("Lag belongs to every fit" in e.text for e in page.all("p", "caption"))
+
+
+def test_a_finding_that_does_not_reduce_the_error_says_so():
+    creep = finding("creep")
+    larger = replace(creep, held_out_rms_before_m=144.7e-9, held_out_rms_after_m=152.7e-9)
+    texts = [e.text.replace("\u202f", " ") for e in page_of(larger).all("p", "prose")]
+    assert any("no better with it (152.7 nm) than without it (144.7 nm)" in t for t in texts)
+    assert not any("no better with it" in e.text for e in page_of(creep).all("p", "prose"))
+
+
+def test_an_interval_that_includes_zero_is_stated():
+    size = Size(value=153.0, unit="nm, rms", ci95=(0.0, 258.0))
+    page = page_of(replace(finding("loop_shape"), size=size))
+    assert any("the effect may be absent" in e.text for e in page.all("p", "prose"))
+
+
+def test_a_confounded_finding_is_marked_in_the_table():
+    page = page_of(finding("delay", rivals=("lag",)))
+    assert "delay (not separable from lag)" in [e.text for e in page.all("td")]

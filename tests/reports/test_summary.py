@@ -68,12 +68,16 @@ def test_an_inapplicable_model_class_is_rejected_in_word_and_colour(page_of_wron
     assert [e.text for e in anatomy.all("span", "word")] == ["model does not apply"]
 
 
-@pytest.mark.parametrize(("score", "word"), [(20, "Poor"), (50, "Usable"), (85, "Usable")])
+@pytest.mark.parametrize(
+    ("score", "word"), [(20, "Poor"), (50, "Usable with care"), (85, "Usable with care")]
+)
 def test_open_loops_in_the_recordings_lower_the_grade(score, word):
     axis = axis_model()
     limit = Limit(lack="branch", reason="only one branch was recorded", most=score)
     axis = replace(axis, quality=replace(axis.quality, limits=(limit,)))
-    assert next(iter(sentences(page_of(axis)))) == word
+    top = sentences(page_of(axis))
+    assert next(iter(top)) == word
+    assert top["Reason"].startswith("Only one branch was recorded.")
 
 
 @pytest.mark.parametrize(("value", "expected"), [(0.2, "good"), (0.9, "bad")])

@@ -1,4 +1,4 @@
-"""Creep: the stage goes on moving for minutes after the drive has stopped.
+"""Creep: the stage goes on moving after the drive has stopped, ever more slowly.
 
 What you see
     During a hold the displacement goes on in the direction of the last step, by about the same

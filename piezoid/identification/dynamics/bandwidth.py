@@ -133,8 +133,9 @@ def decide_bandwidth(
     if fallen_Hz is not None and interval is not None:
         advice = f" {ADVICE}" if kind == "undecided" else ""
         text += (
-            f"; the gain has fallen by 3 dB at {with_unit(fallen_Hz, 'Hz')}, with a phase between "
-            f"{interval[0]:.0f}° and {interval[1]:.0f}°.{advice}"
+            f"; without declared poles, the gain has fallen by 3 dB at "
+            f"{with_unit(fallen_Hz, 'Hz')}, with a phase between {interval[0]:.0f}° and "
+            f"{interval[1]:.0f}°.{advice}"
         )
     elif is_peak:
         text += "."

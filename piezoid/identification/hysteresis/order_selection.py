@@ -110,8 +110,9 @@ def choose_shape(
 
     def fit(shape: Shape) -> Trial:
         progress(
-            f"{shape.plays} plays, {shape.below + shape.above} dead zones, {2 * shape.bends} "
-            f"bends, {shape.lag.replace('_', ' ')}"
+            f"{shape.plays} plays (width of loops), {shape.below + shape.above} dead zones "
+            f"(curve of the displacement), {2 * shape.bends} bends (curve of the drive), lag: "
+            f"{shape.lag.replace('_', ' ')}"
         )
         return fit_trial(pieces, shape, settings)
 
