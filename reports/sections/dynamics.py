@@ -37,7 +37,7 @@ KINDS = {  # label of the axis, height of the figure in pixels, guide
         "phase [degrees]",
         260,
         "Good: both fall together. Bad: they part at high frequency, by more than the scatter of "
-        "the measured lines (a delay is missing).",
+        "the measured lines (a delay or a declared pole is wrong).",
     ),
 }
 
@@ -97,6 +97,16 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
     is_used = ~measured.is_rejected
     modelled = dynamics.response_as_measured(measured.frequency_Hz)
     level, half = np.abs(response), NORMAL_95 * np.sqrt(measured.variance / 2.0)
+    is_fitted = is_used & (measured.frequency_Hz >= low_Hz) & (measured.frequency_Hz <= high_Hz)
+    difference = ""
+    if is_fitted.any():
+        angles_deg = np.degrees(np.abs(np.angle(response[is_fitted] / modelled[is_fitted])))
+        worst = int(angles_deg.argmax())
+        worst_Hz = float(measured.frequency_Hz[is_fitted][worst])
+        difference = (
+            f" Largest difference of the fitted lines: {significant(angles_deg[worst], 2)}° at "
+            f"{number(worst_Hz, 'Hz')}."
+        )
     floor = 1e-3 * float(level[is_used].max())
     low_dB, high_dB, mid_dB = (
         decibel(np.maximum(values, floor)) for values in (level - half, level + half, level)
@@ -116,8 +126,7 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
         response_figure(
             "phase",
             f"Axis {axis.axis}: phase",
-            f"Incoherent lines are left out; lines above {number(high_Hz, 'Hz')} are drawn, but "
-            f"not fitted.{_content(axis, dynamics)}",
+            f"Incoherent lines are left out.{difference}{_content(axis, dynamics)}",
             decades,
             (
                 _degrees(response, axis.polarity, is_used),

@@ -12,7 +12,7 @@ from piezoid.verification.tracking import SPIRAL_POINTS, SpiralTrace
 from piezoid.verification.verification import ErrorBound, Verification, verification_from_json
 from piezoid.verification.verify import verify
 from piezoid_reports.page import Page
-from piezoid_reports.parts import Section
+from piezoid_reports.parts import Section, Table
 from piezoid_reports.quantities import number
 from piezoid_reports.sections import verification
 from piezoid_reports.sections.verification import (
@@ -148,3 +148,23 @@ def test_a_point_has_the_colour_of_its_share_of_the_limit(result):
     assert [layer.role for layer in figure.layers] == [f"error-{shade}" for shade in SHADES]
     exact = replace(trace, shape_error_m=(0.0, 0.0, 0.0, 0.0))
     assert [layer.role for layer in spiral(exact, result).layers] == ["error-measured"]
+
+
+def test_a_method_with_a_smaller_error_than_the_shipped_one_is_named(result):
+    shipped, *comparison = result.comparison
+    worse = replace(result, comparison=(replace(shipped, aligned_rms_m=1.0), *comparison))
+    captions = [
+        " ".join(e.text.replace("\u202f", " ") for e in chapter(r)[1].all("figcaption"))
+        for r in (result, worse)
+    ]
+    assert "The curves cross" not in captions[0]
+    assert "The curves cross: at 10.0 Hz" in captions[1]
+
+
+def test_the_error_of_a_spiral_names_its_axes(result):
+    def caption(methods: dict[str, str]) -> str:
+        section, _ = chapter(replace(result, methods=methods))
+        return next(part.caption for part in section.parts if isinstance(part, Table))
+
+    assert "axes x and y together" in caption({"x": "mpi_dob", "y": "mpi_dob", "z": "rst"})
+    assert "axis x with an ideal second axis" in caption({"x": "mpi_dob"})
