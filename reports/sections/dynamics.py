@@ -11,6 +11,7 @@ from piezoid.identification.dynamics.behind_hysteresis import (
     voltage_behind_hysteresis,
 )
 from piezoid.identification.dynamics.fit_dynamics import resolved_modes
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics, ResponseFit
 from piezoid.identification.dynamics.response_fit import measured_response
 from piezoid.identification.fit_statements import DYNAMICS
@@ -97,16 +98,6 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
     is_used = ~measured.is_rejected
     modelled = dynamics.response_as_measured(measured.frequency_Hz)
     level, half = np.abs(response), NORMAL_95 * np.sqrt(measured.variance / 2.0)
-    is_fitted = is_used & (measured.frequency_Hz >= low_Hz) & (measured.frequency_Hz <= high_Hz)
-    difference = ""
-    if is_fitted.any():
-        angles_deg = np.degrees(np.abs(np.angle(response[is_fitted] / modelled[is_fitted])))
-        worst = int(angles_deg.argmax())
-        worst_Hz = float(measured.frequency_Hz[is_fitted][worst])
-        difference = (
-            f" Largest difference of the fitted lines: {significant(angles_deg[worst], 2)}° at "
-            f"{number(worst_Hz, 'Hz')}."
-        )
     floor = 1e-3 * float(level[is_used].max())
     low_dB, high_dB, mid_dB = (
         decibel(np.maximum(values, floor)) for values in (level - half, level + half, level)
@@ -126,7 +117,8 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
         response_figure(
             "phase",
             f"Axis {axis.axis}: phase",
-            f"Incoherent lines are left out.{difference}{_content(axis, dynamics)}",
+            f"Incoherent lines are left out.{_largest_difference(dynamics, measured)}"
+            f"{_content(axis, dynamics)}",
             decades,
             (
                 _degrees(response, axis.polarity, is_used),
@@ -142,6 +134,22 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
             measured.least_coherence,
         ),
     ]
+
+
+def _largest_difference(dynamics: LinearDynamics, measured: FrequencyResponse) -> str:
+    """Return the largest difference in phase between measurement and model, as a sentence."""
+    low_Hz, high_Hz = dynamics.band_Hz
+    f = measured.frequency_Hz
+    lines = np.flatnonzero(~measured.is_rejected & (f >= low_Hz) & (f <= high_Hz))
+    if not len(lines):
+        return ""
+    ratio = measured.response[lines] / dynamics.response_as_measured(f[lines])
+    angles_deg = np.degrees(np.abs(np.angle(ratio)))
+    worst = int(angles_deg.argmax())
+    return (
+        f" Largest difference of the fitted lines: {significant(angles_deg[worst], 2)}° at "
+        f"{number(float(f[lines][worst]), 'Hz')}."
+    )
 
 
 def _judgement(cost_ratio: float) -> str:
