@@ -145,9 +145,12 @@ def _show(diagnosis: "Diagnosis", recordings: "Sequence[Recording]") -> None:
         title = f"axis {diagnosis.axis}: {count_of(len(diagnosis.findings), 'effect')} found"
         display(report_table(findings, title))
     baseline, final = (with_unit(e.rms_m, "m") for e in (diagnosis.baseline, diagnosis.final))
+    is_tested = diagnosis.model is None or diagnosis.model.quality.is_tested
+    name = "simulation" if diagnosis.model is None else "base model"
     line = (
-        f"axis {diagnosis.axis}: held-out error {baseline} of the base model, {final} of "
-        f"the final model; sensor noise {with_unit(diagnosis.noise_floor_rms_m, 'm')}"
+        f"axis {diagnosis.axis}: {'held-out error' if is_tested else 'error in sample'} "
+        f"{baseline} of the {name}, {final} of the final model; sensor noise "
+        f"{with_unit(diagnosis.noise_floor_rms_m, 'm')}"
     )
     for text in (in_counts(line, counted), *budget_lines([diagnosis])):
         display(text)

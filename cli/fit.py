@@ -21,8 +21,8 @@ WRITTEN = (
 )
 LEGEND = (
     "(table: error on held-out data; closure: error / noise, 1 if only noise remains; bandwidth "
-    "of the feedback; guaranteed: proven limit of the tracking error, which adds up worst cases; "
-    "ships: verified, in bundle/)"
+    "of the feedback; guaranteed: proven limit of the tracking error{speeds}, the worst of all "
+    "uncertainties together; ships: verified, in bundle/)"
 )
 UNDIAGNOSED = (
     "not diagnosed, because the recordings were read in chunks; for a diagnosis, fit a part that "
@@ -53,10 +53,14 @@ def fit(
     without dynamics that limit the speed of the stage, no controller is designed, and the report
     states what is missing.
 
-    Exit status 1 means that a verdict failed, that the model class does not apply, or that the
-    controller of an axis does not ship; the other axes still ship, and the report states the
-    reason. The status is 0 if no controller could be designed because information is missing;
-    --json then gives the reason as "undesigned".
+    The progress counts elements of the hysteresis model: plays set the width of a loop, dead zones
+    and bends its curvature.
+
+    Exit status 1 means that a check of the verification failed, that the model class does not
+    apply, or that the controller of an axis does not ship; the other axes still ship, and the
+    report states the reason. The status is 0 for a poor grade of the model, and if no controller
+    could be designed because information is missing; --json then gives the reason as
+    "undesigned".
 
     [bold]Examples[/bold]
 
@@ -141,7 +145,7 @@ def show(calibration: "Calibration") -> None:
 
     model, controllers = calibration.model, calibration.controllers
     display(_table(calibration))
-    lines = [*budget_lines(calibration.diagnoses), LEGEND]
+    lines = [*budget_lines(calibration.diagnoses), _legend(calibration)]
     if (tip := model.tunnelling) is not None:
         of_tip = [] if tip.gap_law is None else [barrier_sentence(tip.gap_law)]
         of_tip += [] if tip.loop_plant is None else [loop_sentence(tip.loop_plant)]
@@ -183,6 +187,21 @@ def show(calibration: "Calibration") -> None:
     show_statements(statements)
 
 
+def _legend(calibration: "Calibration") -> str:
+    """Return the legend of the table, with the speeds up to which errors are guaranteed."""
+    from piezoid.design.certificate import useful_bound_m
+    from piezoid.formatting import with_unit
+
+    design, axes, speeds = calibration.controllers.design, calibration.model.axes, []
+    for axis in () if design is None else design.axes:
+        certificate = axis.recommended.certificate
+        has_bound = axis.axis in axes and useful_bound_m(certificate, axes[axis.axis]) is not None
+        if certificate is not None and has_bound:
+            speed = with_unit(certificate.reference_slew_m_per_s, "m/s")
+            speeds.append(f"{axis.axis} up to {speed}")
+    return LEGEND.format(speeds=f" ({', '.join(speeds)})" if speeds else "")
+
+
 def _table(calibration: "Calibration") -> "Table":
     from piezoid.design.certificate import guaranteed_error_m
     from piezoid.formatting import significant, with_unit
@@ -215,7 +234,9 @@ def _table(calibration: "Calibration") -> "Table":
             verdict = "ships" if ships else "does not ship"
         rows.append((name, error, noise, closure, bandwidth, bound, f"{grade}{verdict}"))
     headings = ("axis", "error", "noise", "closure", "bandwidth", "guaranteed", "verdict")
-    return table(f"stage {model.stage}", headings, rows)
+    is_named_after_file = any(name.partition(".")[0] == model.stage for name in model.sources)
+    origin = " (named after a recording; [rig] name in lab.toml)" if is_named_after_file else ""
+    return table(f"stage {model.stage}{origin}", headings, rows)
 
 
 def calibrate_streamed(

@@ -53,8 +53,9 @@ def init(
     if json:
         print_record("drafted", file=str(out), incomplete=list(draft.incomplete))
     elif not quiet:
-        say(f"written: {out}; complete it, then pass it with --lab {out}")
+        title = "written, but incomplete" if draft.incomplete else "written"
+        say(f"{title}: {out}; complete it, then pass it with --lab {out}")
     if draft.incomplete:
         names = ", ".join(draft.incomplete)
-        say(f"to complete in {out} before it can be used: {names}", err=True)
+        say(f"to complete in {out} before it can be used: the entries of {names}", err=True)
         raise typer.Exit(3)

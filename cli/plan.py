@@ -1,5 +1,6 @@
 """`piezoid plan`: compute the drive of the next experiment for an open question."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,8 +11,10 @@ from piezoid_cli.tables import table
 from piezoid_cli.terminal import display, print_raw, rich_text, show_progress
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from piezoid.diagnosis.experiment import Plan
-    from piezoid.identification.model import AxisModel
+    from piezoid_cli.stage_files import StageFolder
 
 
 def plan(
@@ -81,13 +84,13 @@ def plan(
             axes = ", ".join(d.axis for d in diagnoses)
             raise typer.BadParameter(f"--axis {axis}: {path} contains {axes}")
         model, declared = folder.model, folder.lab
-        recordings = collect(files, declared).recordings if files else ()
+        collected = collect(files or (), declared)
         progress("simulating candidate drives")
         planned = choose(
             model,
             diagnosis,
             lab=declared,
-            recordings=recordings,
+            recordings=collected.recordings,
             effect=effect,
             clock_Hz=rate,
             seed=seed,
@@ -102,20 +105,40 @@ def plan(
     if json:
         print_raw(written["plan.json"])
     elif not quiet:
-        _show(planned, model[planned.axis], (out or stage) / "drive.csv")
+        missing = model.missing_recordings(collected.files, axis=planned.axis) if files else ""
+        _show(planned, (_controller_limit(folder, planned.axis), missing))
+        display(f"drive: {(out or stage) / 'drive.csv'}")
 
 
-def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
+def _controller_limit(folder: "StageFolder", axis: str) -> str:
+    """Return what limits the controller of an axis and calls for a chirp; empty if nothing does.
+
+    A plan answers the questions of the diagnosis, and a chirp for the dynamics is not one of them.
+    """
+    from piezoid.design.design_statements import design_statements
+    from piezoid.errors import ParameterFileError
+
+    purpose = "The plan below does not concern this limit: it is for the effects of the diagnosis."
+    limits: list[str] = []
+    if (folder.folder / "design.json").exists():
+        with suppress(ParameterFileError):  # a design of an earlier fit
+            statements = design_statements(folder.design, folder.model)
+            limits = [s.text for s in statements if s.axis == axis and s.quantity == "bandwidth"]
+    if not limits and not folder.model[axis].has_dynamics:
+        limits = [
+            f"No resonance or pole of axis {axis} was fitted: for a fast controller record a "
+            "small chirp first, sampled at three times the resonance or faster."
+        ]
+    return f"{limits[0]} {purpose}" if limits else ""
+
+
+def _show(planned: "Plan", preface: "Sequence[str]") -> None:
+    """Print the plan after the sentences of a preface, which may be empty."""
     from piezoid.diagnosis.planning.plan_file import sentences
-    from piezoid.formatting import with_unit
+    from piezoid.formatting import percent, significant, with_unit
 
-    if not axis.has_dynamics:
-        display(
-            f"No resonance or pole of axis {axis.axis} was fitted: for a fast controller record a "
-            "small chirp first, sampled at three times the resonance or faster. The plan concerns "
-            "the effects of the diagnosis.",
-            "bold",
-        )
+    for sentence in filter(None, preface):
+        display(sentence, "bold")
     for sentence in sentences(planned):
         display(sentence)
     # Separability is only defined if two effects compete.
@@ -128,14 +151,12 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
             rows.append((name, *[""] * (len(headings) - 1), candidate.refusal))
             continue
         error = estimate.errors[0] if is_single else estimate.worst
-        share = estimate.separability
-        separability = f"{100.0 * share:.2g} %" if share >= 1e-4 else "below 0.01 %"
         rows.append(
             (
                 rich_text(name, style="bold" if name == planned.drive.name else ""),
                 f"{candidate.duration_s:.0f} s",
-                *(() if is_single else (separability,)),
-                f"{100 * error:.2g} %" if error < 10.0 else "not shown",
+                *(() if is_single else (percent(estimate.separability),)),
+                f"{significant(100 * error, 2)} %" if error < 10.0 else "not shown",
             )
         )
     question = planned.question
@@ -149,4 +170,3 @@ def _show(planned: "Plan", axis: "AxisModel", drive: Path) -> None:
     why = "the best drive" if is_best else "the shortest drive of at least 90 % of the best score"
     remark = "" if planned.answers else ", which does not answer the question"
     display(f"Chosen: {planned.drive.name}, {why}{remark}.")
-    display(f"drive: {drive}")

@@ -51,10 +51,7 @@ def report(
         stale = out_of_date(folder, contents)
         model = folder.model
         recorded = collect(files or (), folder.lab)
-        names_and_digests = [(r.name, r.digest) for r in recorded.recordings]
-        names_and_digests += [(r.name, r.digest) for r in recorded.sweeps]
-        names_and_digests += [(r.name, r.digest) for r in recorded.responses]
-        for name, digest in names_and_digests:
+        for name, digest in ((file.name, file.digest) for file in recorded.files):
             if model.sources.get(name) != digest:
                 difference = "is not one of the recordings of this model"
                 if name in model.sources:
@@ -75,6 +72,8 @@ def report(
             say(f"left out because it is out of date: {name} ({reason})")
         if model.sources and not files:
             say("without loops and residuals: name the recordings of the fit to plot them")
+        elif missing := model.missing_recordings(recorded.files):
+            say(f"{missing} The figures and tables of the report do not contain them.")
         say(f"report: {stage / 'report.html'}")
 
 

@@ -8,7 +8,7 @@ from piezoid_cli.terminal import VERBOSE, display, rich_text
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from rich.console import RenderableType
+    from rich.console import JustifyMethod, RenderableType
     from rich.table import Table
 
     from piezoid.diagnosis.diagnosis import Diagnosis
@@ -34,7 +34,8 @@ def table(
 
     cells = Table(title=rich_text(title))
     for k, heading in enumerate(headings):
-        cells.add_column(heading, justify="left" if k < n_words else "right")
+        justify: JustifyMethod = "left" if k < n_words else "right"
+        cells.add_column(heading, justify=justify, overflow="fold")  # no cell is cut off
     for row in rows:
         cells.add_row(*(rich_text(cell) if isinstance(cell, str) else cell for cell in row))
     return cells
@@ -83,11 +84,14 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]") -> list[str]:
         )
         total = with_unit(diagnosis.baseline.rms_m, "m")
         name = "simulation" if diagnosis.model is None else "base model"
-        line = f"error budget {diagnosis.axis}: {name} {total}, from {terms}"
+        is_tested = diagnosis.model is None or diagnosis.model.quality.is_tested
+        sample = "" if is_tested else " in sample"
+        line = f"error budget {diagnosis.axis}: {name} {total}{sample}, from {terms}"
         lines.append(in_counts(line, diagnosis.counted))
     if any("*" in line for line in lines):
         lines.append(
-            "(budget: held-out rms; squares add up; base model: hysteresis alone; the final model "
-            "removes the parts with *, the others make up its error)"
+            "(budget: rms on held-out data unless in sample; squares add up; base model: "
+            "hysteresis alone; the final model removes the parts with *, the others make up its "
+            "error)"
         )
     return lines

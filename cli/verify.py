@@ -151,30 +151,16 @@ def _design(folder: "StageFolder") -> "Design":
 
 def show(page: "Page", verification: "Verification") -> None:
     """Print the comparison, the proofs, and the verdicts that failed."""
-    from piezoid.formatting import with_unit
     from piezoid.verification.criteria import describe_failure
     from piezoid_reports.parts import with_rows
-    from piezoid_reports.sections.verification import comparison_table, proof_tables
+    from piezoid_reports.sections.verification import bounds_table, comparison_table, proof_tables
 
     comparison = comparison_table(page, verification)
-    for table in with_rows(comparison, *proof_tables(verification)):
+    bounds, proofs = bounds_table(verification), proof_tables(verification)
+    for table in with_rows(comparison, *proofs, bounds):
         display(report_table(table))
-    if verification.bounds:
-        display(
-            "Largest tracking error within half a second, by the speed of the reference, on "
-            "stages that are consistent with the recordings:"
-        )
-    for row in verification.bounds:
-        bounded = "no useful bound" if row.bound_m is None else with_unit(row.bound_m, "m")
-        if row.is_exceeded:
-            bounded += " (exceeded on stages that are farther from the model class)"
-        probable_m, share = with_unit(row.probable_m, "m"), 100.0 * row.probability
-        display(
-            f"axis {row.axis}, up to {with_unit(row.slew_m_per_s, 'm/s')}, guaranteed: {bounded}; "
-            f"with {share:g} % probability: below {probable_m}; worst found by a search: "
-            f"{with_unit(row.worst_found_m, 'm')}; median on the identified stage: "
-            f"{with_unit(row.simulated_m, 'm')}"
-        )
+        if table.details and table not in proofs:
+            display(f"({table.details})")
     failed = [verdict for verdict in verification.verdicts if not verdict.passed]
     for verdict in failed[:MAX_SHOWN]:
         display(f"failed: {describe_failure(verdict)}", "bold red")

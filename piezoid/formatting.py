@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 PREFIXES = ((1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"), (1e6, "M"))
 UNKNOWN = "unknown"
+MIN_SHARE = 1e-4  # smaller distances from 0 and 100 % are shown as a bound
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +65,20 @@ def significant(value: float, digits: int = 3) -> str:
     if not -5 <= exponent < 9:
         return f"{rounded:.{digits - 1}e}"
     return f"{rounded:.{max(digits - 1 - exponent, 0)}f}"
+
+
+def percent(share: float) -> str:
+    """Return a share of one in percent, with two digits of its distance from 0 and from 100 %.
+
+    >>> percent(0.9998), percent(0.986), percent(0.43)
+    ('99.98 %', '98.6 %', '43 %')
+    """
+    distance = min(share, 1.0 - share)
+    if distance < MIN_SHARE:
+        return "below 0.01 %" if share < 0.5 else "above 99.99 %"
+    decimals = max(-math.floor(math.log10(100.0 * distance)) + 1, 0)
+    number = f"{100.0 * share:.{decimals}f}"
+    return f"{number.rstrip('0').rstrip('.') if decimals else number} %"
 
 
 def interval_digits(low: float, high: float) -> int:

@@ -153,7 +153,7 @@ def write_file(
                 raise OutputFolderError(
                     f"{path} already exists",
                     needed="the name of a new file",
-                    remedy=f"Name another file; {remedy}.",
+                    remedy=f"Name another file with --out; {remedy}.",
                 )
         if only_check:
             return

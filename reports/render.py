@@ -11,7 +11,7 @@ from piezoid.diagnosis.compare import ModelComparison
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.digests import digest_in
-from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel, SourceFile
 from piezoid.identification.coupled.from_recordings import as_single_axes
 from piezoid.identification.store import write_model
 from piezoid.records.collection import Collection
@@ -32,12 +32,20 @@ NO_RECORDINGS = (
     "Name the files of the fit to plot loops and residuals.",
 )
 
+INCOMPLETE = (
+    "Loops, residuals and their numbers are of the others alone; the model and its errors are of "
+    "all."
+)
+
 
 def render(page: Page) -> str:
     """Return report.html; recordings outside the fit are listed but not plotted."""
+    single = as_single_axes(page.recordings, None, page.model.coupled)
+    available: tuple[SourceFile, ...] = (*page.recordings, *single, *page.sweeps, *page.responses)
+    missing = page.model.missing_recordings(available) if available else ""
     page = replace(
         page,
-        recordings=as_single_axes(page.recordings, None, page.model.coupled),
+        recordings=single,
         # The digest in the folder's model.json, whichever version wrote it.
         model_digest=digest_in(page.files.get("model.json") or write_model(page.model)),
     )
@@ -52,7 +60,7 @@ def render(page: Page) -> str:
         verification=page.verification,
     )
     page = replace(page, statements=select(statements))
-    return _page_html(page, SECTIONS, alarm=_alarm(page))
+    return _page_html(page, SECTIONS, alarm=_alarm(page, missing))
 
 
 def render_design(model: ActuatorModel, design: Design) -> str:
@@ -93,10 +101,17 @@ def render_diagnosis(
     return _page_html(page, DIAGNOSIS_SECTIONS, alarm=_alarm(page))
 
 
-def _alarm(page: Page) -> tuple[str, str] | None:
+def _alarm(page: Page, missing: str = "") -> tuple[str, str] | None:
+    """Return the warning above the sections and its explanation, or None.
+
+    missing  recordings of the fit that the page was made without, as a sentence
+    """
     if not page.model.applies:
-        return ALARM
-    return None if page.recordings or not page.model.axes else NO_RECORDINGS
+        title, explanation = ALARM
+        return title, f"{explanation} {missing}".strip()
+    if page.model.axes and not page.recordings:
+        return NO_RECORDINGS
+    return (missing, INCOMPLETE) if missing else None
 
 
 def _page_html(page: Page, renderers: Sequence[Renderer], *, alarm: tuple[str, str] | None) -> str:

@@ -42,7 +42,8 @@ class ModelComparison:
 
     digest             of the file of the model
     rejection          why the model class did not apply at the fit; empty if it applied
-    fitted_error_m     of the model on the recordings of the fit
+    fitted_error_m     of the model on the recordings of the fit, without loop shape
+    shaped_error_m     of the whole model, as the fit reports it; None without loop shape
     motion_m           of the new recordings about their means
     unchanged_error_m  with the model unchanged; only initial states and zeros are fitted
     rescaled_error_m   with another sensitivity as well
@@ -57,6 +58,7 @@ class ModelComparison:
     digest: str
     rejection: str = ""
     fitted_error_m: float
+    shaped_error_m: float | None = None
     motion_m: float
     unchanged_error_m: float
     rescaled_error_m: float
@@ -69,7 +71,7 @@ class ModelComparison:
     @property
     def holds(self) -> bool:
         """Whether the model applies to its own recordings and its error has hardly grown."""
-        return not self.rejection and self._is_small(self.unchanged_error_m)
+        return not self.rejection and self.unchanged_error_m <= self.limit_m
 
     @property
     def sensitivity_changed(self) -> bool:
@@ -89,7 +91,7 @@ class ModelComparison:
         if not self.sensitivity_changed or self.rescaled_error_m > MAX_SHARE * self.motion_m:
             return False
         as_good = self.refitted_error_m > (1.0 - MIN_GAIN) * self.rescaled_error_m
-        return as_good or self._is_small(self.rescaled_error_m)
+        return as_good or self.rescaled_error_m <= self.limit_m
 
     @property
     def statement(self) -> Statement:
@@ -130,24 +132,33 @@ class ModelComparison:
             )
         as_good = self.refitted_error_m > (1.0 - MIN_GAIN) * self.unchanged_error_m
         if self.holds and (as_good or self.unchanged_error_m <= self.fitted_error_m):
+            limit = with_unit(self.limit_m, "m")
             return (
-                f"the model still holds; error without loop shape {error}, {fitted} at the "
-                f"fit{noise}"
+                f"the model still holds; error {error}, {fitted} at the fit, limit {limit}"
+                f"{self._reference}{noise}"
             )
         verdict = "holds less well" if self.holds else "does not hold"
         rescaled = with_unit(self.rescaled_error_m, "m")
         return (
             f"the model {verdict}: more than the sensitivity changed. Error {error}, {fitted} at "
             f"the fit; {rescaled} with another sensitivity{f' ({change})' if change else ''}, "
-            f"{refitted} refitted{noise}"
+            f"{refitted} refitted{self._reference}{noise}"
         )
 
-    def _is_small(self, error_m: float) -> bool:
-        """Tell whether an error, without the added noise of the sensor, has hardly grown."""
+    @property
+    def _reference(self) -> str:
+        """What the errors leave out, if the fit reports another error; else empty."""
+        if self.shaped_error_m is None:
+            return ""
+        shaped = with_unit(self.shaped_error_m, "m")
+        return f"; all of plays with dead zones alone, the whole model had {shaped} at the fit"
+
+    @property
+    def limit_m(self) -> float:
+        """Largest error with which the model holds; it grows with the noise of the sensor."""
         added_noise_m2 = max(self.noise_m**2 - self.fitted_noise_m**2, 0.0)
-        model_error_m = sqrt(max(error_m**2 - added_noise_m2, 0.0))
-        has_grown = model_error_m > MAX_GROWTH * self.fitted_error_m
-        return not has_grown and error_m <= MAX_SHARE * self.motion_m
+        grown_m = sqrt((MAX_GROWTH * self.fitted_error_m) ** 2 + added_noise_m2)
+        return min(grown_m, MAX_SHARE * self.motion_m)
 
     def _share(self, error_m: float) -> str:
         share = 100.0 * error_m / self.motion_m
@@ -196,7 +207,7 @@ def compare(
             remedy="Write scale = { ... } into lab.toml as at the fit.",
         )
     progress("simulating the earlier model")
-    model = model.without_loop_shape()  # plays with dead zones are refitted
+    shaped, model = model, model.without_loop_shape()  # plays with dead zones are refitted
     stage_effects = tuple(e for e in model.extensions if not e.is_of_recordings)
     start = replace(model, extensions=stage_effects, starts=())
     unchanged = fit_extended(start, recordings, stage_effects, structure=FIXED_OPERATOR)
@@ -223,6 +234,7 @@ def compare(
         counted=model.counted,
         rejection="" if model.verdict.applies else model.verdict.reason,
         fitted_error_m=model.quality.held_out_rms_m,
+        shaped_error_m=None if shaped is model else shaped.quality.held_out_rms_m,
         motion_m=float(np.sqrt(np.mean(centred_m**2))),
         unchanged_error_m=unchanged.held_out_rms_m,
         rescaled_error_m=rescaled.held_out_rms_m,

@@ -1,6 +1,6 @@
 """ActuatorModel: the identified model of a whole stage, axis by axis."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.errors import IdentificationError
-from piezoid.formatting import significant, with_unit, words
+from piezoid.formatting import count_of, significant, with_unit, words
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.fit_statements import GOOD_SCORE, grade_of
@@ -26,11 +26,25 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from scipy.signal import StateSpace
 
+MAX_NAMES = 5  # of missing recordings that a sentence lists
+
 # Units at the end of names, longest first: ``m_per_V`` is not ``V``.
 _ENDINGS = (
     ("_m_per_V", "m/V"), ("_V_per_s", "V/s"), ("_m_per_s", "m/s"), ("_per_V", "1/V"),
     ("_Hz", "Hz"), ("_V", "V"), ("_m", "m"), ("_s", "s"), ("_K", "K"),
 )  # fmt: skip
+
+
+class SourceFile(Protocol):
+    """Recording, table or frequency response, as read from a file."""
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+
+    @property
+    def digest(self) -> str:
+        """Digest of its content."""
 
 
 class DiagnosedAxis(Protocol):
@@ -83,6 +97,30 @@ class ActuatorModel(Summarised):
                 remedy="Fit a recording of that axis, or name another axis.",
             )
         return self.axes[axis]
+
+    def missing_recordings(self, files: Iterable[SourceFile], *, axis: str = "") -> str:
+        """Return a sentence that names recordings of the fit outside ``files``, or empty.
+
+        files  available recordings, compared by name and digest
+        axis   ignore recordings that only other axes were fitted to; empty: ignore none
+
+        >>> model.missing_recordings(recordings)
+        ''
+        """
+        fitted = {name: {start.recording for start in a.starts} for name, a in self.axes.items()}
+        irrelevant = set[str]()
+        if axis:
+            irrelevant = set().union(*fitted.values()) - fitted[axis]
+        digests = {name: d for name, d in self.sources.items() if name not in irrelevant}
+        available = {(file.name, file.digest) for file in files}
+        missing = [name for name, digest in digests.items() if (name, digest) not in available]
+        if not missing:
+            return ""
+        further = len(missing) - MAX_NAMES
+        names = ", ".join(missing[:MAX_NAMES]) + (f" and {further} more" if further > 0 else "")
+        verb = "is" if len(missing) == 1 else "are"
+        share = f"{len(missing)} of {count_of(len(digests), 'recording')}"
+        return f"{share} of the fit {verb} missing: {names}."
 
     def summary(self) -> Summary:
         """Return a table with one row per axis: error, noise, drive range, order and grade.

@@ -30,6 +30,11 @@ class Collection(Summarised):
     sweeps: tuple[RawTable, ...] = ()
     responses: tuple[FrequencyResponseRecord, ...] = ()
 
+    @property
+    def files(self) -> tuple[Recording | RawTable | FrequencyResponseRecord, ...]:
+        """Recordings, sweeps and frequency responses."""
+        return (*self.recordings, *self.sweeps, *self.responses)
+
     def __iter__(self) -> Iterator[Recording]:
         return iter(self.recordings)
 

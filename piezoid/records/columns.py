@@ -11,6 +11,14 @@ import numpy as np
 
 from piezoid.errors import LabFileError, UnitError
 from piezoid.numerics.arrays import Array
+from piezoid.records.column_refusals import (
+    ambiguous_columns,
+    clocks_of,
+    missing_column,
+    name_of,
+    refuse_missing_units,
+    stated_unit,
+)
 from piezoid.records.column_roles import DIMENSION_OF, Meaning, meaning_of
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.lab_tables import entry_text
@@ -18,7 +26,6 @@ from piezoid.records.recording import Quantity
 from piezoid.records.table import Column, RawTable
 from piezoid.records.units import Dimension, Unit, unit_of
 from piezoid.statement import Statement, finding
-from piezoid.toml_files import toml_string
 
 QUANTITIES = {quantity.name.lower(): quantity for quantity in Quantity}
 _LOOP_QUANTITIES = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
@@ -98,10 +105,12 @@ def assign_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignme
         raise ambiguous_columns(table, f"{locations} are both a time")
     if not channels:
         raise ambiguous_columns(table, "no column is a drive voltage or a displacement")
+    columns = [*((column, None, "") for column in clocks), *channels]
+    refuse_missing_units(table, lab, entry, columns)
     statements: list[Statement] = []
     converted = [
         _convert_column(table, lab, entry, column, quantity, axis, statements)
-        for column, quantity, axis in [*((c, None, "") for c in clocks), *channels]
+        for column, quantity, axis in columns
     ]
     time = _unwrap_counter(table, converted[0], statements) if clocks else None
     return Assignment(
@@ -186,25 +195,6 @@ def _declared_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> Meani
     return list(meanings.values())
 
 
-def clocks_of(table: RawTable) -> list[Column]:
-    """Return the columns whose headings name a time."""
-    return [c for c in table.columns if meaning_of(c.heading).is_time]
-
-
-def missing_column(table: RawTable, lab: Lab, key: str, name_or_number: str | int) -> LabFileError:
-    """Return the error for a column that lab.toml names and the file does not have."""
-    columns = ", ".join(f"{c.number} {c.label!r}" for c in table.columns[:20])
-    remedy = f"Correct 'columns' of the entry for {table.name}."
-    if isinstance(name_or_number, str) and name_or_number.isdigit():
-        remedy = f"Write column numbers without quotes: {key} = {name_or_number}."
-    return LabFileError(
-        f"{lab.place}: {table.name} has no column {name_or_number!r} of its own for {key!r}, only "
-        f"{columns}",
-        needed="one column of the file, by heading or by number from 1, for each name",
-        remedy=remedy,
-    )
-
-
 def check_entry_names(lab: Lab, entry: RecordingEntry) -> None:
     """Refuse names and units of a ``[[recording]]`` that no recording over time has."""
     for key in (*entry.columns, *entry.units, *entry.scale, *entry.offset):
@@ -275,18 +265,13 @@ def _convert_column(
     Appends assumptions to ``statements``. Raises ``UnitError`` for a column without unit, in a
     unit of another quantity, or in volts of a sensor of unknown gain.
     """
-    name = "time" if quantity is None else quantity.name.lower()
-    # An entry declares a column by its name with or without the axis.
-    symbol = entry.units.get(f"{name}_{axis}", entry.units.get(name))
-    unit = column.heading.unit if symbol is None else unit_of(symbol)
-    if quantity is Quantity.REFERENCE:
-        unit = unit or Unit(symbol="", dimension=Dimension.OTHER)  # only its shape is used
-    elif unit is None and quantity is Quantity.VOLTAGE and entry.columns:
+    name, unit = name_of(quantity), stated_unit(entry, column, quantity, axis)
+    if unit is None and quantity is Quantity.VOLTAGE:
         unit = Unit(symbol="V", dimension=Dimension.VOLTAGE)
         text = f"{column.place} has no unit; the voltage that lab.toml names is read as volts."
         statements.append(finding("unit_assumed", text, place=column.place))
-    if unit is None:
-        raise ambiguous_columns(table, f"{column.place} is a {name} without a unit")
+    # Only the shape of a reference is used.
+    unit = unit or Unit(symbol="", dimension=Dimension.OTHER)
     values = column.values * unit.factor + unit.offset
     expected = Dimension.TIME if quantity is None else DIMENSION_OF.get(quantity)
     is_displacement_of_drive = (
@@ -368,54 +353,3 @@ def _counts_statement(
         f"count, into its [[recording]] of lab.toml{source}."
     )
     return finding("counts", text, place=column.place)
-
-
-def ambiguous_columns(
-    table: RawTable,
-    problem: str,
-    *,
-    needed: str = "one meaning, one axis and one unit for every column that is read",
-    template: str = "",
-) -> UnitError:
-    """Return an error with the columns and the lines of lab.toml that resolve the ambiguity.
-
-    template  the ``[[recording]]`` entry to complete; default: that of a recording over time
-    """
-    columns = [
-        f"{c.place}: {', '.join(f'{value:.6g}' for value in c.values[:_MAX_VALUES])}, ..."
-        for c in table.columns[:_MAX_COLUMNS]
-    ]
-    remaining = len(table.columns) - _MAX_COLUMNS
-    columns += [f"and {remaining} more columns"] if remaining > 0 else []
-    return UnitError(
-        f"{table.name}: {problem} (seen: {'; '.join(columns)})",
-        needed=needed,
-        remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
-        f"columns:\n\n{template or entry_template(table)}\n",
-        columns=tuple(column.label for column in table.columns),
-    )
-
-
-def entry_template(table: RawTable) -> str:
-    """Return the ``[[recording]]`` entry to complete for this file, as TOML."""
-    columns, units = [], []
-    clocks = clocks_of(table)
-    if clocks:
-        columns.append(f"time = {toml_string(clocks[0].label)}")
-        units += [] if clocks[0].heading.unit else ['time = "..."']
-    columns += ['voltage = "..."', 'displacement = "..."']
-    is_counted = any(
-        c.heading.unit is not None and c.heading.unit.is_counted for c in table.columns
-    )
-    unit = "counts" if is_counted else "..."
-    units += [f'voltage = "{unit}"', f'displacement = "{unit}"']
-    lines = [
-        'axis = "x"',
-        f"columns = {{ {', '.join(columns)} }}",
-        f"units = {{ {', '.join(units)} }}",
-    ]
-    if is_counted:
-        lines.append("scale = { voltage = ..., displacement = ... }  # V and m of one count")
-    if not clocks and table.sampling_rate_Hz is None:
-        lines.append('sampling_rate_Hz = ...  # unless time = "..." is among the columns')
-    return entry_text(table.name, *lines)

@@ -24,12 +24,11 @@ from piezoid.records.clock import (
     refuse_newest_first,
     stated_clock,
 )
+from piezoid.records.column_refusals import clocks_of, entry_template
 from piezoid.records.columns import (
     AssignedColumn,
     Assignment,
     assign_columns,
-    clocks_of,
-    entry_template,
 )
 from piezoid.records.invalid_samples import (
     find_invalid_readings,

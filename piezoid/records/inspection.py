@@ -198,9 +198,16 @@ def _inspect_table(
         recording = with_checks(ingest_table(table, lab, entry), lab)
         assignment = assign_columns(table, lab, entry)
     except PiezoidError as error:
+        declared = {c.number: k for k, v in entry.columns.items() if (c := table.find(v))}
+        summaries = [_summarise_column(column, None) for column in table.columns]
         refused = replace(
             _table_summary(table),
-            columns=tuple(_summarise_column(column, None) for column in table.columns),
+            columns=tuple(
+                replace(s, meaning=f"{declared[s.number]}, named in lab.toml")
+                if s.number in declared
+                else s
+                for s in summaries
+            ),
             statements=(*table.statements, *check_columns(table, {})),
             refusal=str(error),
         )

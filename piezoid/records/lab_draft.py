@@ -16,7 +16,8 @@ import numpy as np
 from piezoid.errors import PiezoidError
 from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.records.collection import is_over_height
-from piezoid.records.columns import assign_columns, entry_template
+from piezoid.records.column_refusals import entry_template
+from piezoid.records.columns import assign_columns
 from piezoid.records.ingest import ingest_parts
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table
@@ -95,7 +96,12 @@ def draft_lab(paths: Sequence[Path], folder: Path) -> LabDraft:
         parts.append(text)
         if not is_usable:
             incomplete.append(path.name)
-    return LabDraft(text="\n".join(parts), incomplete=tuple(incomplete))
+    text = "\n".join(parts)
+    # An entry to complete proposes the axis of the other files if they all have the same.
+    axes = set(re.findall(r"^axis = (.*)$", text, flags=re.M))
+    if len(axes) == 1:
+        text = text.replace('\n# axis = "x"\n# columns', f"\n# axis = {axes.pop()}\n# columns")
+    return LabDraft(text=text, incomplete=tuple(incomplete))
 
 
 def _describe_file(path: Path, name: str) -> tuple[str, bool]:

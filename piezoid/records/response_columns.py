@@ -12,8 +12,8 @@ from json import dumps
 import numpy as np
 
 from piezoid.errors import LabFileError, RecordingError, UnitError
+from piezoid.records.column_refusals import ambiguous_columns, clocks_of, missing_column
 from piezoid.records.column_roles import meaning_of
-from piezoid.records.columns import ambiguous_columns, clocks_of, missing_column
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.lab_tables import entry_text
 from piezoid.records.recording import Quantity

@@ -20,6 +20,9 @@ def render(page: Page) -> Section | None:
         (name, number(error_m, "m"), percent(error_m / comparison.motion_m))
         for name, error_m in errors.items()
     ]
+    fitted = [("at the fit", number(comparison.fitted_error_m, "m"), "")]
+    if comparison.shaped_error_m is not None:
+        fitted.append(("at the fit, with loop shape", number(comparison.shaped_error_m, "m"), ""))
     return Section(
         anchor="model-comparison",
         title="Comparison with the earlier model",
@@ -29,7 +32,7 @@ def render(page: Page) -> Section | None:
             Table(
                 caption="The earlier model, unchanged and refitted.",
                 columns=("model", "error, rms", "of the motion"),
-                rows=(("at the fit", number(comparison.fitted_error_m, "m"), ""), *rows),
+                rows=(*fitted, *rows),
             ),
         ),
     )

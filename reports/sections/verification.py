@@ -23,6 +23,7 @@ GUIDE_ERROR = "Good: the error falls to the noise after each turn or step. Bad: 
 
 SQUARE = 440  # pixels
 NANO = 1e-9
+NOT_COVERED = "not covered"
 STEPS = "steps"  # scenario with an error plotted against time
 MIN_ERROR_m = 1e-12  # smallest error on a logarithmic axis
 SHADES = {"measured": 0.1, "good": 1.0 / 3.0, "middling": 1.0, "bad": np.inf}  # of the limit
@@ -66,7 +67,7 @@ def render(page: Page) -> Section | None:
         parts=(
             *figures,
             *with_rows(
-                _bounds(verification),
+                bounds_table(verification),
                 currents,
                 _verdicts(verification.verdicts),
                 *proof_tables(verification),
@@ -118,7 +119,7 @@ def comparison_table(page: Page, verification: Verification) -> Table:
     """Return the error of each method at each rate, and the guaranteed error if it ships."""
     comparison = {(row.method, row.frequency_Hz): row for row in verification.comparison}
     rates_Hz = sorted({rate_Hz for _, rate_Hz in comparison})
-    rows = []
+    rows, notes = [], ""
     for method in dict.fromkeys(method for method, _ in comparison):
         errors = [comparison.get((method, rate_Hz)) for rate_Hz in rates_Hz]
         rows.append(
@@ -126,18 +127,23 @@ def comparison_table(page: Page, verification: Verification) -> Table:
         )
         bounds = ["" if e is None else _guaranteed(page, verification, e) for e in errors]
         if any(bounds) and method in verification.methods.values():
-            rows.append((f"guaranteed: {METHOD_NAMES[method]}", *bounds))
+            reason, *further = dict.fromkeys(filter(None, bounds))
+            if further or reason[0].isdigit():
+                rows.append((f"guaranteed: {METHOD_NAMES[method]}", *bounds))
+            else:  # the same at every speed
+                notes += f" Guaranteed error of {METHOD_NAMES[method]}: {reason}."
+    if any(NOT_COVERED in row for row in rows):
+        notes += " Not covered: the spiral is faster than the guarantee allows."
     return Table(
         caption="Simulated tracking error on a spiral of radius "
         f"{number(verification.radius_m, 'm')}, rms, delay included, by turns per second; "
-        f"distance in the plane, {moving_axes(verification)}. Not covered: the guarantee holds "
-        "only for slower spirals. No useful bound: the proven limit exceeds a tenth of the range.",
+        f"distance in the plane, {moving_axes(verification)}.{notes}",
         columns=("method", *(number(rate_Hz, "Hz") for rate_Hz in rates_Hz)),
         rows=tuple(rows),
     )
 
 
-def _bounds(verification: Verification) -> Table:
+def bounds_table(verification: Verification) -> Table:
     """Return bounded, probable and simulated largest errors, if bounds were requested."""
     rows = []
     for row in verification.bounds:
@@ -155,9 +161,10 @@ def _bounds(verification: Verification) -> Table:
     share = max((1.0 - row.probability for row in verification.bounds), default=0.0)
     return Table(
         caption="Largest error within half a second, by the speed of the reference. Guaranteed: "
-        f"proven under its conditions. Probable: exceeded with a probability below "
-        f"{100.0 * share:.2g} % on stages that are consistent with the recordings. Worst found: "
-        "by a search on such stages. Simulated: median on the identified stage.",
+        "proven under its conditions, with sensor noise. Probable: exceeded with a probability "
+        f"below {100.0 * share:.2g} % on stages that are consistent with the recordings. Worst "
+        "found: the worst of all such stages that a search found, also beyond the probable error. "
+        "Simulated: median on the identified stage.",
         columns=("axis", "speed up to", "guaranteed", "probable", "worst found", "simulated"),
         rows=tuple(rows),
     )
@@ -183,7 +190,7 @@ def _guaranteed(page: Page, verification: Verification, row: ComparisonRow) -> s
             return str(bound_m)
         bounds_m.append(certificate.guaranteed_at(speed_m_per_s))
     together_m = float(np.hypot.reduce(bounds_m))
-    return number(together_m, "m") if np.isfinite(together_m) else "not covered"
+    return number(together_m, "m") if np.isfinite(together_m) else NOT_COVERED
 
 
 def _verdicts(verdicts: Sequence[Verdict]) -> Table:

@@ -2,13 +2,19 @@
 
 import ast
 import io
+from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from rich.console import Console
 
 import piezoid_cli
+from piezoid.identification.quality import IN_SAMPLE
+from piezoid_cli.tables import budget_lines, table
 from piezoid_cli.terminal import print_raw, rich_text, say, show_progress
 from tests.cli.calls import invoke, run_module
+from tests.reports.known_diagnosis import diagnosed
+from tests.reports.known_stage import axis_model
 
 CONTROL_CODES = "a\x1b[2J\x1b]0;title\x07\x9b31m\u202eb\x7f"
 ESCAPED = r"a\x1b[2J\x1b]0;title\x07\x9b31m\u202eb\x7f"
@@ -69,6 +75,22 @@ def test_inspect_and_init_escape_headings_and_file_names(tmp_path, monkeypatch):
         output = invoke(*words).output
         assert r"\x1b" in output
         assert not set(output) & set("\x1b\x07\x9b\x7f\u202e")
+
+
+@pytest.mark.parametrize("is_tested", [True, False])
+def test_an_error_in_sample_is_not_called_held_out(is_tested):
+    model = axis_model()
+    if not is_tested:
+        model = replace(model, quality=replace(model.quality, held_out_kind=IN_SAMPLE))
+    line, *_ = budget_lines([replace(diagnosed(), model=model)])
+    assert ("in sample" in line) is not is_tested
+
+
+def test_no_cell_of_a_narrow_table_is_cut_off():
+    output = io.StringIO()
+    narrow = Console(file=output, width=16)
+    narrow.print(table("t", ("method", "error"), [("guaranteed:", "281 nm")] * 2, n_words=1))
+    assert "…" not in output.getvalue()
 
 
 def test_errors_escape_the_codes_of_a_name(tmp_path):

@@ -14,10 +14,15 @@ from piezoid.design.design_statements import (
     useful_bound_m,
 )
 from piezoid.design.lateral_task import lateral_task
+from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
+from piezoid.digests import digest_in
 from piezoid.identification.dynamics.bandwidth import unmeasured
 from piezoid.identification.model import AxisModel
+from piezoid.identification.store import write_model
 from piezoid.statement import Level
+from tests.cli.calls import invoke
 from tests.design.designed import known_design
+from tests.reports.known_diagnosis import diagnosed, finding
 from tests.verification.known_fit import fitted
 from tests.verification.rig import RATE_Hz
 
@@ -63,6 +68,22 @@ def test_the_bandwidth_limit_states_the_knowledge_of_the_resonance():
         facts = design_statements(fast_design(), model_of(axis))
         (text,) = (fact.text for fact in facts if fact.quantity == "bandwidth")
         assert words in text
+
+
+def test_a_plan_states_the_chirp_that_it_does_not_write(tmp_path):
+    model = model_of(replace(fitted()["x"], bandwidth=UNKNOWN))
+    content = write_model(model)
+    design = replace(fast_design(), model_digest=digest_in(content))
+    creep = diagnosed(finding("creep", rivals=("thermal_drift",)))
+    (tmp_path / "model.json").write_bytes(content)
+    (tmp_path / "design.json").write_bytes(design.to_json())
+    (tmp_path / "diagnosis.json").write_bytes(write_diagnosis(creep))
+    result = invoke("plan", tmp_path, "--rate", RATE_Hz)
+    assert result.exit_code == 0, result.output
+    output = " ".join(result.output.split())
+    (limit,) = (f.text for f in design_statements(design, model) if f.quantity == "bandwidth")
+    assert "Record a small chirp" in limit
+    assert output.startswith(f"{limit} The plan below does not concern this limit")
 
 
 def test_a_resonance_above_the_nyquist_frequency_is_no_limit():

@@ -7,6 +7,7 @@ import pytest
 
 from piezoid.diagnosis.compare import compare
 from piezoid.diagnosis.signals import with_displacement
+from piezoid.formatting import with_unit
 from piezoid.identification.extensions import FirstOrderLag, GainChange, ThermalDrift
 from piezoid.identification.quality import Verdict
 from tests.identification.extended_stage import NOISE_m, known_model, recordings_of
@@ -20,6 +21,22 @@ def test_an_unchanged_stage_confirms_the_model():
     value, low, high = comparison.gain_ratio
     assert low <= 1.0 <= high
     assert value == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_confirmation_states_the_error_of_the_fit_and_the_limit():
+    model = known_model()
+    comparison = compare(model, recordings_of())
+    fitted_m = model.quality.held_out_rms_m
+    assert comparison.limit_m == pytest.approx(3.0 * fitted_m, rel=0.05)
+    text = comparison.statement.text
+    assert f"{with_unit(fitted_m, 'm')} at the fit" in text
+    assert f"limit {with_unit(comparison.limit_m, 'm')}" in text
+    assert "plays with dead zones alone" not in text
+    shaped = replace(comparison, shaped_error_m=0.1 * fitted_m)
+    assert f"the whole model had {with_unit(0.1 * fitted_m, 'm')}" in shaped.statement.text
+    just_above = replace(comparison, unchanged_error_m=1.01 * comparison.limit_m)
+    assert comparison.holds
+    assert not just_above.holds
 
 
 @pytest.mark.parametrize(("ratio", "phrase"), [(1.03, "more than"), (0.88, "less than")])

@@ -140,6 +140,29 @@ def test_an_effect_with_a_low_detection_limit_needs_no_recording():
     assert "no recording is needed" in sentences(delay_plan)[0]
 
 
+@pytest.mark.parametrize(
+    ("share", "text"), [(0.9998, "99.98 %"), (0.986, "98.6 %"), (0.43, "43 %"), (0.005, "0.5 %")]
+)
+def test_a_separability_near_one_keeps_the_digits_of_its_distance(share, text):
+    diagnosis = diagnosed(finding("creep", rivals=("thermal_drift",)))
+    creep_plan = _plan_of(diagnosis, effect="creep")
+    estimate = SeparationEstimate(separability=share, errors=(0.1, 0.1))
+    best = replace(creep_plan.best, estimate=estimate)
+    changed = replace(creep_plan, best=best, recorded=estimate)
+    assert f"separability of the two: {text} (now {text})" in " ".join(sentences(changed))
+
+
+@pytest.mark.parametrize("is_declared", [True, False])
+def test_the_origin_of_the_speed_limit_is_stated(is_declared):
+    diagnosis = _diagnosis_with_limits(thermal_drift=1e-8)
+    if is_declared:
+        drive = sentences(_plan_of(diagnosis, 8.0))[1]
+        assert "at most 8.00 V/s (as fast as lab.toml allows" in drive
+    else:
+        drive = sentences(_plan_of(diagnosis))[1]
+        assert "(the fastest drive of the recordings, because lab.toml declares no slew" in drive
+
+
 def test_a_diagnosis_without_open_questions_has_no_plan():
     with pytest.raises(ExcitationError, match="no open question"):
         _plan_of(_diagnosis_with_limits())

@@ -78,15 +78,21 @@ def test_an_ambiguous_file_becomes_an_entry_to_complete(tmp_path):
     assert "recording" not in tomllib.loads(text)
     block = text[text.index("# [[recording]]") :]
     (tmp_path / "lab.toml").write_text(
-        re.sub("^# ", "", block, flags=re.MULTILINE)
-        .replace('voltage = "..."', 'voltage = "voltage [V]"', 1)
-        .replace('displacement = "..."', 'displacement = "pos"', 1)
-        .replace('voltage = "..."', 'voltage = "V"', 1)
-        .replace('displacement = "..."', 'displacement = "um"', 1)
+        re.sub("^# ", "", block, flags=re.MULTILINE).replace(
+            'displacement = "..."', 'displacement = "um"', 1
+        )
     )
     assert (
         float(np.ptp(collect([path], read_lab(tmp_path / "lab.toml"))[0].displacement_m())) < 3e-6
     )
+
+
+def test_an_entry_to_complete_proposes_the_axis_of_the_other_files(tmp_path):
+    known, unclear = sweep(tmp_path / "a.csv", "pos_z [um]"), sweep(tmp_path / "b.csv", "pos")
+    text = draft_lab([known, unclear], tmp_path).text
+    block = text[text.index("# [[recording]]") :]
+    assert 'axis = "z"' in block
+    assert 'displacement = "pos"' in block
 
 
 def test_an_existing_lab_file_is_kept_unless_forced(tmp_path):

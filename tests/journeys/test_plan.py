@@ -2,16 +2,18 @@
 
 import json
 from dataclasses import replace
+from math import sin
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
+from piezoid.digests import digest_of_file
 from piezoid.identification.store import write_model
 from piezoid_cli.main import app
 from tests.reports.known_diagnosis import diagnosed, finding
-from tests.reports.known_stage import axis_model, stage_model
+from tests.reports.known_stage import axis_model, stage_model, starts
 
 RATE = ("--rate", "1000")
 
@@ -48,6 +50,30 @@ def test_an_axis_without_diagnosis_is_a_usage_error_and_nothing_is_written(stage
     result = CliRunner().invoke(app, ["plan", str(stage), *RATE, "--axis", "w"])
     assert result.exit_code == 2
     assert not (stage / "plan.json").exists()
+
+
+def test_recordings_of_the_fit_that_are_missing_are_named(stage, tmp_path):
+    sweep = tmp_path / "sweep.csv"
+    rows = [f"{k / 1000:.3f},{5 + 5 * sin(k / 300):.4f},{sin(k / 300):.4f}" for k in range(4000)]
+    sweep.write_text("\n".join(("time [s],voltage [V],position [um]", *rows)) + "\n")
+    of_axis_y = replace(axis_model("y"), starts=starts("other.csv"))
+    model = replace(
+        stage_model(axis_model("x"), of_axis_y),
+        sources={
+            "sweep.csv": digest_of_file(sweep),
+            "chirp.csv": "sha256:1",
+            "other.csv": "sha256:2",
+        },
+    )
+    (stage / "model.json").write_bytes(write_model(model))
+    result = CliRunner().invoke(app, ["plan", str(stage), str(sweep), *RATE])
+    assert result.exit_code == 0, result.output
+    output = " ".join(result.output.split())
+    assert "1 of 2 recordings of the fit is missing: chirp.csv" in output
+    sweep.write_text(sweep.read_text().replace("0.0000", "0.0001", 1))
+    result = CliRunner().invoke(app, ["plan", str(stage), str(sweep), *RATE, "--force"])
+    output = " ".join(result.output.split())
+    assert "2 of 2 recordings of the fit are missing: sweep.csv, chirp.csv" in output
 
 
 def test_gaps_of_a_plan_are_stated(stage):

@@ -1,5 +1,6 @@
 """`piezoid report`: a page from sealed files, with or without the recordings of the fit."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from piezoid.digests import digest_of_file
 from piezoid.identification.store import write_model
+from piezoid.sealed_files import read_model
 from tests.journeys.command import piezoid
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
@@ -58,6 +60,20 @@ def test_loops_are_plotted_with_the_recordings_of_the_fit(stage, sweep):
     assert result.exit_code == 0, (result.output, result.exception)
     assert {"loops", "residuals"} <= sections(stage)
     assert "made without the recordings" not in (stage / "report.html").read_text()
+
+
+def test_missing_recordings_of_the_fit_are_named(stage, sweep):
+    model = read_model((stage / "model.json").read_bytes(), "model.json")
+    sources = {sweep.name: digest_of_file(sweep), "chirp.csv": "sha256:1", "run.txt": "sha256:2"}
+    (stage / "model.json").write_bytes(write_model(replace(model, sources=sources)))
+    result = piezoid("report", stage, sweep)
+    assert result.exit_code == 0, (result.output, result.exception)
+    fact = "2 of 3 recordings of the fit are missing: chirp.csv, run.txt"
+    assert fact in result.output
+    assert fact in (stage / "report.html").read_text(encoding="utf-8")
+    (stage / "model.json").write_bytes(write_model(model))
+    assert "of the fit is missing" not in piezoid("report", stage, sweep).output
+    assert "of the fit is missing" not in (stage / "report.html").read_text(encoding="utf-8")
 
 
 def test_a_changed_recording_is_refused_and_the_old_page_stays(stage, sweep):

@@ -9,6 +9,7 @@ import pytest
 
 from piezoid.errors import LabFileError, UnitError
 from piezoid.records.collection import collect
+from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Acquisition, Lab, RecordingEntry, Sensor, read_lab
 from piezoid.records.recording import Quantity
 from tests.records.tables import RESPONSE, VOLTAGE_V, RATE_Hz, TIME_s, lab_with, table
@@ -82,6 +83,12 @@ def test_drives_of_other_axes_are_read_with_declared_columns(tmp_path, heading, 
         ("time [s],voltage,displacement [um]", "voltage without a unit"),
         ("time [s],voltage [V],displacement", "displacement without a unit"),
         ("time,voltage [V],displacement [um]", "time without a unit"),
+        (
+            "t,drive,pos",
+            r"a time, column 2 'drive' a voltage, column 3 'pos' a displacement, each",
+        ),
+        ("X_Value,DAC,Sensor", r"displacement without a unit; no column is a drive"),
+        ("t,drive,pos", r'voltage = "drive", displacement = "pos" }'),
         ("time [s],CH 1 (V),CH 2 (V)", "in volts may be a drive or a sensor's output"),
         ("time [s],pos A [um],pos B [um]", "both claim to be the displacement of x"),
         ("time [s],voltage [A],displacement [um]", "voltage by name but in A"),
@@ -95,6 +102,27 @@ def test_an_ambiguous_heading_is_refused_with_the_lines_to_write(headings, reaso
     headings = headings.replace("time2", "elapsed")
     with pytest.raises(UnitError, match=reason):
         collect([table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE)])[0]
+
+
+def test_an_incomplete_entry_is_named_with_what_it_lacks(tmp_path):
+    path = table(tmp_path, "X_Value,DAC,Sensor", TIME_s, VOLTAGE_V, RESPONSE)
+    columns = {"time": "X_Value", "voltage": "DAC", "displacement_z": "Sensor"}
+    lab = lab_with(axis="z", columns=columns, units={"time": "s"})
+    with pytest.raises(UnitError, match="states no unit of displacement_z") as refusal:
+        collect([path], lab)
+    assert 'displacement_z = "..."' in refusal.value.remedy
+    assert "[[recording]]" not in refusal.value.remedy
+    (inspection,) = inspect_files([path], lab)
+    assert all("lab.toml" in column.meaning for column in inspection.columns)
+    complete = lab_with(axis="z", columns=columns, units={"time": "s", "displacement_z": "um"})
+    recording = collect([path], complete)[0]
+    np.testing.assert_allclose(recording.displacement_m("z"), RESPONSE * 1e-6, rtol=1e-8)
+
+
+def test_a_refusal_proposes_the_axis_of_the_other_recordings(tmp_path):
+    path = table(tmp_path, "t,drive,pos", TIME_s, VOLTAGE_V, RESPONSE)
+    with pytest.raises(UnitError, match='axis = "z"'):
+        collect([path], Lab(recordings=(RecordingEntry(file=str(path.parent), axis="z"),)))
 
 
 def test_columns_and_units_of_lab_toml_replace_the_headings(tmp_path):
@@ -143,7 +171,9 @@ def test_the_entry_of_a_refusal_is_valid_once_completed(tmp_path, headings, comp
         collect([path], Lab())
     entry = refusal.value.remedy[refusal.value.remedy.index("[[recording]]") :]
     assert all(len(line) < 80 for line in entry.splitlines())  # a terminal does not break it
-    values = iter((*headings.split(",")[-2:], *completed))
+    # Columns that the headings identify are filled in.
+    blanks = entry.partition("#")[0].count('"..."')
+    values = iter((*headings.split(",")[-2:], *completed)[-blanks:])
     entry = re.sub('"\\.\\.\\."', lambda _: json.dumps(next(values)), entry.partition("#")[0])
     (tmp_path / "lab.toml").write_text(entry.replace("...", "1000"))
     (recording,) = collect([path], read_lab(tmp_path / "lab.toml"))

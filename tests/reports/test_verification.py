@@ -22,6 +22,7 @@ from piezoid_reports.sections.verification import (
     motions,
     spiral,
 )
+from tests.design.designed import known_design
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_page import page_of
 from tests.reports.known_stage import axis_model, stage_model
@@ -83,6 +84,17 @@ def test_requested_bounds_of_errors_have_rows(result):
     assert any("300 nm, exceeded on some sampled stages" in row for row in texts(exceeded))
     read = verification_from_json(with_bounds.to_json())
     assert read.bounds == with_bounds.bounds
+
+
+def test_one_reason_for_a_missing_guarantee_is_stated_once(result):
+    method = result.methods["x"]
+    design = known_design()
+    loop = design.axis("x").loop(method)
+    unbounded = replace(design.axis("x"), loops=(replace(loop, certificate=None),))
+    page = Page(model=stage_model(axis_model()), design=replace(design, axes=(unbounded,)))
+    table = verification.comparison_table(page, result)
+    assert not any(row[0].startswith("guaranteed") for row in table.rows)
+    assert table.caption.count(f"Guaranteed error of {METHOD_NAMES[method]}") == 1
 
 
 def test_failed_verdicts_are_first(result):

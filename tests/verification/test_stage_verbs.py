@@ -130,7 +130,8 @@ def test_targets_of_boxes_are_written_with_their_expected_error(folder):
     result = succeed("export", folder, *targets, "--box", folder / "box.toml")
     output = " ".join(result.output.split())
     assert "and no notch, a spiral of 10 Hz errs by" in output
-    assert "axis x: the expected error of the waveform is" in output
+    assert "axis x: triangle of 10.0 Hz" in output
+    assert "expected on the stage" in output
     assert names_in(folder / "pid") == {"README.md", "sections.csv", "settings.csv"}
     assert names_in(folder / "waveform") == {"README.md", "x.csv", "x_int16.bin"}
 
@@ -155,7 +156,7 @@ def test_an_unknown_target_is_refused_before_anything_is_written(folder):
 def test_a_designed_folder_is_exported_and_verified(exported):
     assert {"piezo_params.h", "piezoid_runtime.c", "golden.csv"} <= names_in(exported / "bundle")
     output = succeed("verify", exported, "--rebuild", "--bounds").output
-    assert "with 95 % probability" in " ".join(output.split())
+    assert "a probability below 5 %" in " ".join(output.split())
     record = verification_from_json((exported / "verification.json").read_bytes())
     assert record.passed
     file = from_json((exported / "params.json").read_bytes(), "params.json")

@@ -14,7 +14,7 @@ from piezoid.diagnosis.planning.open_questions import (
 )
 from piezoid.diagnosis.planning.separation import SeparationEstimate
 from piezoid.digests import digest_of_bytes, seal
-from piezoid.formatting import significant, with_unit, words
+from piezoid.formatting import percent, significant, with_unit, words
 
 SCHEMA = "piezoid.plan/1"
 ALONE = (
@@ -107,8 +107,11 @@ def sentences(plan: Plan) -> tuple[str, ...]:
     question, drive, limits = plan.question, plan.drive, plan.limits
     drive_text = (
         f"{drive.name}, {drive.duration_s:.0f} s, {drive.sampling_rate_Hz:g} samples/s "
-        f"between {limits.voltage_min_V:.4g} and {limits.voltage_max_V:.4g} V"
+        f"between {limits.voltage_min_V:.4g} and {limits.voltage_max_V:.4g} V, at most "
+        f"{with_unit(limits.slew_V_per_s, 'V/s')}"
     )
+    if plan.bench.speed_from not in plan.forbids:
+        drive_text += f" ({plan.bench.speed_from})"
     if question.kind == "detect" and not is_open(question):
         return (
             f"These recordings show {words(question.effects[0])} from "
@@ -160,9 +163,9 @@ def _reason(question: Question) -> str:
 def _expectation(plan: Plan) -> str:
     question, recorded, planned = plan.question, plan.recorded, plan.planned
     if question.kind == "separate":
-        text = f"Expected separability of the two: {planned.separability:.2g} of 1"
+        text = f"Expected separability of the two: {percent(planned.separability)}"
         if recorded is not None:
-            text += f" (now {recorded.separability:.2g})"
+            text += f" (now {percent(recorded.separability)})"
             shrinks = planned.worst / recorded.worst if isfinite(recorded.worst) else 1.0
             if shrinks < 1.0:
                 text += f"; the wider interval shrinks to {100 * shrinks:.0f} % of its width"
