@@ -135,7 +135,7 @@ def _controller_limit(folder: "StageFolder", axis: str) -> str:
 def _show(planned: "Plan", preface: "Sequence[str]") -> None:
     """Print the plan after the sentences of a preface, which may be empty."""
     from piezoid.diagnosis.planning.plan_file import sentences
-    from piezoid.formatting import percent, significant, with_unit
+    from piezoid.formatting import resolved_percent, significant, with_unit
 
     for sentence in filter(None, preface):
         display(sentence, "bold")
@@ -155,7 +155,7 @@ def _show(planned: "Plan", preface: "Sequence[str]") -> None:
             (
                 rich_text(name, style="bold" if name == planned.drive.name else ""),
                 f"{candidate.duration_s:.0f} s",
-                *(() if is_single else (percent(estimate.separability),)),
+                *(() if is_single else (resolved_percent(estimate.separability),)),
                 f"{significant(100 * error, 2)} %" if error < 10.0 else "not shown",
             )
         )

@@ -67,10 +67,10 @@ def significant(value: float, digits: int = 3) -> str:
     return f"{rounded:.{max(digits - 1 - exponent, 0)}f}"
 
 
-def percent(share: float) -> str:
+def resolved_percent(share: float) -> str:
     """Return a share of one in percent, with two digits of its distance from 0 and from 100 %.
 
-    >>> percent(0.9998), percent(0.986), percent(0.43)
+    >>> resolved_percent(0.9998), resolved_percent(0.986), resolved_percent(0.43)
     ('99.98 %', '98.6 %', '43 %')
     """
     distance = min(share, 1.0 - share)

@@ -358,8 +358,8 @@ def _with_slips(state: SelectionState) -> SelectionState | None:
     """Search for clock slips again, beside the selected effects.
 
     The selected effects may have hidden slips in the first search. If the speed rises along a
-    recording, a slip resembles a delay of all of it: slips are also tried instead of each filter,
-    with the length of slips that were detected, or else that of the delay.
+    recording, a slip resembles a delay of all of it: slips of that length are also tried instead
+    of a delay, and if other slips were detected, slips of their length instead of each filter.
     """
     if not state.selected or state.view.rms < MIN_NOISE_RATIO * state.view.noise:
         return None
@@ -378,7 +378,7 @@ def _with_slips(state: SelectionState) -> SelectionState | None:
         def refit(tracks: Sequence[Track], selected: Sequence[SelectedEffect] = selected) -> View:
             return with_effects(_with_readings(state.clean, tracks), selected)
 
-        fault = find_slips(view, refit)
+        fault = find_slips(view, refit) if replaced is None or slip is not None else None
         if fault is None and round(length):
             fault = find_equal_slips(view, refit, round(length))
         if fault is None:

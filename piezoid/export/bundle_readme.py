@@ -9,6 +9,7 @@ from importlib.metadata import version
 from importlib.resources import files
 from itertools import product
 from textwrap import fill, indent
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from piezoid.formatting import with_unit
 from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.runtime.controller import Controller
 from piezoid.runtime.library import library
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 _WIDTH = 98
 _METHODS = {
@@ -65,17 +69,6 @@ def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> st
     digest   of params.json
     source   digest of the runtime's source
     """
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    template = environment.from_string(
-        files("piezoid.export").joinpath("README.md.j2").read_text()
-    )
     lateral = [axis for axis in file.axes if not axis.is_tip]
     has_tip, has_lateral = len(lateral) < len(file.axes), bool(lateral)
     shipped = {axis.method for axis in file.axes}
@@ -95,7 +88,7 @@ def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> st
     rows = [_cells(index, axis) for index, axis in enumerate(file.axes)]
     first = (lateral or file.axes)[0].axis
     bounds = {axis.axis: _error_bound(axis) for axis in lateral}
-    return template.render(
+    return _template().render(
         name=plain_ascii(file.name),
         samples=samples,
         axes=_table(_AXIS, rows),
@@ -138,6 +131,19 @@ def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> st
     )
 
 
+def _template() -> "Template":
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    source = files("piezoid.export").joinpath("README.md.j2").read_text()
+    return environment.from_string(source)
+
+
 def _cells(index: int, axis: AxisParameters) -> dict[str, str]:
     """Return the cells of an axis in all tables, by heading."""
     values = _scalars(axis)
@@ -147,7 +153,7 @@ def _cells(index: int, axis: AxisParameters) -> dict[str, str]:
         first_code, last_code = np.ceil(low_V / step_V), np.floor(high_V / step_V)
         codes = f"{first_code:.0f} to {last_code:.0f}"
         low_V, high_V = first_code * step_V, last_code * step_V
-    margin, safe_delay, transient = _robustness_cells(axis.robustness)
+    margin, _, _ = _robustness_cells(axis.robustness)
     cells = {
         "axis": axis.axis,
         "index": str(index),
@@ -161,16 +167,26 @@ def _cells(index: int, axis: AxisParameters) -> dict[str, str]:
         "`stuck_samples`": f"{values['stuck_samples']:.0f}",
         "`stuck_voltage_V`": f"{values['stuck_voltage_V']:.4g}",
     }
-    if axis.is_tip:
-        low_A, high_A = values["current_floor_A"], values["current_ceiling_A"]
-        set_point_A = values["current_reference_A"]
-        return cells | {
-            "working range": f"{low_A:.7g} to {high_A:.7g} A, set point {set_point_A:.4g}",
-            "`bad_samples`": f"{values['bad_samples']:.0f}",
-            "`stuck_current_A`": f"{values['stuck_current_A']:.4g}",
-            "`trip_limit`": f"{values['trip_limit']:.0f}",
-            "`retract_voltage_V`": f"{values['retract_voltage_V']:.4g}",
-        }
+    return cells | (_tip_cells(axis) if axis.is_tip else _position_cells(axis))
+
+
+def _tip_cells(axis: AxisParameters) -> dict[str, str]:
+    values = _scalars(axis)
+    low_A, high_A = values["current_floor_A"], values["current_ceiling_A"]
+    return {
+        "working range": f"{low_A:.7g} to {high_A:.7g} A, set point "
+        f"{values['current_reference_A']:.4g}",
+        "`bad_samples`": f"{values['bad_samples']:.0f}",
+        "`stuck_current_A`": f"{values['stuck_current_A']:.4g}",
+        "`trip_limit`": f"{values['trip_limit']:.0f}",
+        "`retract_voltage_V`": f"{values['retract_voltage_V']:.4g}",
+    }
+
+
+def _position_cells(axis: AxisParameters) -> dict[str, str]:
+    values = _scalars(axis)
+    _, safe_delay, transient = _robustness_cells(axis.robustness)
+    _, at_lowest, at_highest, centre = _READING
     low_m, high_m, min_m, max_m = (
         values[f"{quantity}_{end}_m"]
         for quantity in ("reference", "displacement")
@@ -179,19 +195,16 @@ def _cells(index: int, axis: AxisParameters) -> dict[str, str]:
     blind_s = values["blind_samples"] / values["sampling_rate_Hz"]
     start, jump = _start_cells(axis)
     ends_m = (low_m, high_m) if values["polarity"] > 0 else (high_m, low_m)
-    return cells | {
+    return {
         "plays": f"{values['play_count']:.0f}",
         "knots": f"{values['knot_count'] + values['envelope_count']:.0f}",
         "creep elements": f"{values['relaxation_count']:.0f}",
         "observer order": f"{values['observer_order']:.0f}",
         "instructions": _instructions(axis),
         "working range": f"{low_m:.7g} to {high_m:.7g} m",
-        **{
-            heading: f"{end_m:.4g} m" for heading, end_m in zip(_READING[1:3], ends_m, strict=True)
-        },
-        _READING[
-            3
-        ]: f"{values['displacement_offset_m']:.4g} m at {values['voltage_offset_V']:.4g} V",
+        at_lowest: f"{ends_m[0]:.4g} m",
+        at_highest: f"{ends_m[1]:.4g} m",
+        centre: f"{values['displacement_offset_m']:.4g} m at {values['voltage_offset_V']:.4g} V",
         "safe delay": safe_delay,
         "lag": _lag(axis),
         "guaranteed error": _error_bound(axis),

@@ -177,6 +177,22 @@ def judge_trials(runner: ScenarioRunner, trials: Sequence[TipTrial]) -> None:
             runner.verdicts.extend(criteria.worst_by_name(verdicts))
 
 
+def _surface_and_fault(
+    trial: TipTrial, step_m: float, range_m: float, samples: int, rate_Hz: float
+) -> tuple[Array, Array]:
+    """Return the height of the surface and the fault of the sensor, (samples,) each."""
+    time_s = np.arange(samples) / rate_Hz
+    height_m = trial.drift_m_per_s * time_s
+    height_m[round(_EVENT_s / (time_s[1] - time_s[0])) :] += step_m
+    if trial.away_m:
+        height_m -= min(trial.away_m, _MAX_APPROACH * range_m)
+    fault = np.zeros(samples)
+    start = round((_EVENT_s + (_FAULT_DELAY_s if any(trial.steps_m) else 0.0)) * rate_Hz)
+    duration = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
+    fault[start : start + duration] = trial.fault
+    return height_m, fault
+
+
 def _trial_verdicts(
     runner: ScenarioRunner, name: str, trial: TipTrial, step_m: float
 ) -> list[Verdict]:
@@ -197,18 +213,9 @@ def _trial_verdicts(
     recovers_from_s = ends_s if reset_s is None else reset_s
     duration_s = recovers_from_s + (1.5 * _LATCHED_AFTER_s if trial.cause else 1.1 * allowed_s)
     samples = round(duration_s * rate_Hz)
-    # Height of the surface, and fault of the sensor.
-    time_s = np.arange(samples) / rate_Hz
-    height_m = trial.drift_m_per_s * time_s
-    height_m[round(_EVENT_s / (time_s[1] - time_s[0])) :] += step_m
-    if trial.away_m:
-        low_V, high_V = axis.voltage_range_V
-        range_m = (high_V - low_V) * junction.gain_nepers_per_V / junction.decay_per_m
-        height_m -= min(trial.away_m, _MAX_APPROACH * range_m)
-    fault = np.zeros(samples)
-    start = round((_EVENT_s + (_FAULT_DELAY_s if any(trial.steps_m) else 0.0)) * rate_Hz)
-    duration = samples if math.isinf(trial.fault_s) else round(trial.fault_s * rate_Hz)
-    fault[start : start + duration] = trial.fault
+    low_V, high_V = axis.voltage_range_V
+    range_m = (high_V - low_V) * junction.gain_nepers_per_V / junction.decay_per_m
+    height_m, fault = _surface_and_fault(trial, step_m, range_m, samples, rate_Hz)
     run = partial(
         run_axis,
         plant,

@@ -42,9 +42,9 @@ def render(page: Page) -> Section | None:
         modelled = [label_of(part.part) for part in parts if part.is_explained]
         removed = f"{', '.join(modelled)} (red)" if modelled else "none"
         of_fit = fitted_parts(diagnosis)
-        verb = "belongs to every fit and is no finding"
+        verb = "comes from the fit and is no finding"
         if len(of_fit) > 1:
-            verb = "belong to every fit and are no findings"
+            verb = "come from the fit and are no findings"
         belongs = f" {' and '.join(of_fit).capitalize()} {verb}." if of_fit else ""
         outside = [label_of(p.part) for p in diagnosis.budget if p.is_explained and p.rms_m == 0.0]
         note = f" Found, but not part of this error: {', '.join(outside)}." if outside else ""

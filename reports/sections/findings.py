@@ -151,11 +151,7 @@ def findings_table(diagnoses: Sequence[Diagnosis]) -> Table | Prose:
     )
     if not rows:
         parts = dict.fromkeys(part for d in diagnoses for part in fitted_parts(d))
-        of_fit = (
-            f" The error budget contains {' and '.join(parts)}, which every fit contains."
-            if parts
-            else ""
-        )
+        of_fit = f" The error budget contains {' and '.join(parts)} of the fit." if parts else ""
         return Prose(text=f"No effect was found.{of_fit}")
     return Table(
         caption="Size with 95 % interval; held-out error of the model refitted without and with "

@@ -83,6 +83,22 @@ def test_every_member_of_the_lateral_family_holds_both_margins(lateral):
             assert spectral_radius(delayed_loop) < 1.0
 
 
+def test_three_tenths_of_the_delay_margin_leave_most_of_the_modulus_margin(lateral):
+    """The README of a bundle recommends at most this additional delay."""
+    turn = np.linspace(1e-4, np.pi, 40_001)
+    for loop in lateral.loops:
+        worst = {0.0: np.inf, 0.3: np.inf}
+        delay_s = min(margins(m, loop.R, loop.S).delay_margin_s for m in loop.members)
+        for plant in loop.members:
+            z = np.exp(1j * turn)
+            curve = np.polyval(product(plant.B, loop.R)[::-1], 1 / z)
+            curve /= np.polyval(product(plant.A, loop.S)[::-1], 1 / z)
+            for share in worst:
+                delayed_curve = curve * np.exp(-1j * turn * share * delay_s * RATE_Hz)
+                worst[share] = min(worst[share], float(np.abs(1.0 + delayed_curve).min()))
+        assert worst[0.3] > 0.6 * worst[0.0]
+
+
 def test_both_forms_are_designed_and_the_inverse_is_recommended(lateral):
     assert [loop.method for loop in lateral.loops] == ["mpi_dob", "dob"]
     assert lateral.recommended.method == "mpi_dob"

@@ -199,9 +199,9 @@ def test_a_page_without_findings_states_what_every_fit_contains():
     lag = BudgetPart(part="lag", rms_m=5e-9, is_explained=True, text="Lag, modelled.")
     diagnosis = replace(diagnosed(), budget=(lag, *diagnosed().budget))
     page = Anatomy(render_diagnosis(stage_model(axis_model()), [recording()], diagnosis))
-    text = "No effect was found. The error budget contains lag, which every fit contains."
+    text = "No effect was found. The error budget contains lag of the fit."
     assert text in [e.text for e in page.all("p", "prose")]
-    assert any("Lag belongs to every fit" in e.text for e in page.all("p", "caption"))
+    assert any("Lag comes from the fit" in e.text for e in page.all("p", "caption"))
 
 
 def test_a_finding_that_does_not_reduce_the_error_says_so():

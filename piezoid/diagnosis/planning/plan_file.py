@@ -14,7 +14,7 @@ from piezoid.diagnosis.planning.open_questions import (
 )
 from piezoid.diagnosis.planning.separation import SeparationEstimate
 from piezoid.digests import digest_of_bytes, seal
-from piezoid.formatting import percent, significant, with_unit, words
+from piezoid.formatting import resolved_percent, significant, with_unit, words
 
 SCHEMA = "piezoid.plan/1"
 ALONE = (
@@ -163,9 +163,9 @@ def _reason(question: Question) -> str:
 def _expectation(plan: Plan) -> str:
     question, recorded, planned = plan.question, plan.recorded, plan.planned
     if question.kind == "separate":
-        text = f"Expected separability of the two: {percent(planned.separability)}"
+        text = f"Expected separability of the two: {resolved_percent(planned.separability)}"
         if recorded is not None:
-            text += f" (now {percent(recorded.separability)})"
+            text += f" (now {resolved_percent(recorded.separability)})"
             shrinks = planned.worst / recorded.worst if isfinite(recorded.worst) else 1.0
             if shrinks < 1.0:
                 text += f"; the wider interval shrinks to {100 * shrinks:.0f} % of its width"

@@ -21,11 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.ndimage import uniform_filter1d
 
 from piezoid.errors import ExcitationError, IdentificationError
-from piezoid.identification.coupled.coupled_stage import (
-    CoupledStage,
-    ModalShape,
-    level_coordinate,
-)
+from piezoid.identification.coupled.coupled_stage import CoupledStage, ModalShape, level_coordinate
 from piezoid.identification.dynamics.frequency_response import PeriodicData
 from piezoid.identification.dynamics.vector_fitting import start_poles, vector_fit
 from piezoid.numerics.arrays import Array, ComplexArray
