@@ -26,6 +26,7 @@ from piezoid.identification.tunnelling.loop_files import is_loop
 from piezoid.records.checks import check_set, refuse_unusable
 from piezoid.records.checks.command_range import MAY_BE_HIGH_VOLTAGE
 from piezoid.records.checks.consistency import MIN_RANGE, copies
+from piezoid.records.checks.joined_recordings import JOINED
 from piezoid.records.checks.plausibility import is_held_throughout
 from piezoid.records.clock import CONTROLLER_RATE
 from piezoid.records.frequency_response import FrequencyResponseRecord
@@ -174,6 +175,7 @@ def unfitted_stage(
             # A loop of a tip is recorded at every tick of its controller.
             *remarks_about([r for r in recordings if not is_loop(r)], CONTROLLER_RATE),
             *remarks_about(recordings, MAY_BE_HIGH_VOLTAGE),
+            *remarks_about(recordings, JOINED),
             *(() if lab.coupled.axes else remarks_about(recordings, "coupled_drives")[:1]),
         ),
         controller_rate_Hz=lab.acquisition.sampling_rate_Hz,

@@ -1,10 +1,10 @@
-"""Shape of a drive: its turning points, whether it is constant, whether a response follows it."""
+"""Shape of a drive: turning points, isolated steps, whether it is constant or has a response."""
 
 from math import sqrt
 
 import numpy as np
 
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, Samples
 from piezoid.numerics.robust import white_noise_rms
 
 NOISE_BAND = 6.0  # standard deviations; the reading of a constant drive stays within it
@@ -43,6 +43,23 @@ def reversals_of(voltage_V: Array, noise_V: float) -> tuple[int, ...]:
                 turns.append(low)
             direction, low, high = 1, k, k
     return tuple(turns)
+
+
+MIN_STEP = 0.03  # half ranges in one sample
+ISOLATION = 4.0  # step over its neighbours
+
+
+def isolated_steps(level: Array) -> Samples:
+    """Return the samples before isolated steps of a drive, in order.
+
+    A step is isolated if it exceeds ``ISOLATION`` times the steps three samples before and after.
+
+    level  (samples,)  drive, scaled to -1 .. 1
+    """
+    step = np.abs(np.diff(level))
+    padded = np.pad(step, 3)
+    neighbour = np.maximum(padded[:-6], padded[6:])
+    return np.flatnonzero((step > MIN_STEP) & (step > ISOLATION * neighbour))
 
 
 NOISE_RANGE = 10.0  # standard deviations: a range that Gaussian noise does not reach

@@ -19,15 +19,14 @@ from piezoid.identification.extensions.extension import (
 from piezoid.numerics.arrays import Array, Samples
 from piezoid.numerics.robust import NORMAL_95
 from piezoid.operators.linear import ContinuousSystem, recursive_filter
+from piezoid.records.drive_signal import isolated_steps
 
 MIN_QUALITY, MAX_QUALITY = 0.5, 1e4
 MAX_PARTICIPATION = 3.0
 DEFAULT_HALF, DEFAULT_FACTOR = 0.05, 2.0  # of a mode without standard errors
 MIN_HALF, MIN_FACTOR = 0.01, 1.2  # a mode changes with load, temperature and amplitude
 MAX_HALF, MAX_FACTOR = 0.5, 3.0
-# Isolated steps of the drive, whose instants between samples are unknown.
-MIN_STEP = 0.03  # half ranges in one sample
-ISOLATION = 4.0  # step over its neighbours
+# Behind isolated steps of the drive, whose instants between samples are unknown.
 RESOLVED = 0.1  # of the sampling rate: within a sample the phase of the ringing turns 36 degrees
 ROWS_AFTER_STEP = 2  # to which loop shape is not fitted
 DECAY_TIMES = 8.0  # time constants of the ringing, after which 3e-4 remain
@@ -150,14 +149,10 @@ def rows_after_steps(
     min_rows  minimum number of rows after every step
     returned  (rows,)     in order
     """
-    step = np.abs(np.diff(level))
-    padded = np.pad(step, 3)
-    neighbour = np.maximum(padded[:-6], padded[6:])
-    steps = np.flatnonzero((step > MIN_STEP) & (step > ISOLATION * neighbour))
     count = min_rows
     for mode in extensions:
         if isinstance(mode, LinearMode) and mode.frequency_Hz > RESOLVED * rate_Hz:
             decay_s = DECAY_TIMES * mode.quality / (pi * mode.frequency_Hz)
             count = max(count, ceil(decay_s * rate_Hz))
-    rows = np.unique(steps[:, None] + 1 + np.arange(count))
+    rows = np.unique(isolated_steps(level)[:, None] + 1 + np.arange(count))
     return np.asarray(rows[rows < len(level)], dtype=np.intp)

@@ -24,6 +24,7 @@ from piezoid.records.checks.consistency import (
     refuse_inconsistent,
 )
 from piezoid.records.checks.coupled_drives import check_coupled_drives
+from piezoid.records.checks.joined_recordings import check_joined_recordings
 from piezoid.records.checks.plausibility import (
     check_commanded_displacement,
     check_feedback,
@@ -48,6 +49,7 @@ AXIS_CHECKS: tuple[Callable[[Recording, str], list[Statement]], ...] = (
     check_feedback,
     check_saturation,
     check_commanded_displacement,
+    check_joined_recordings,
 )
 # Quantities of statements about a displacement that is not fitted.
 UNUSABLE = frozenset({"not_measured", "wrapped"})
