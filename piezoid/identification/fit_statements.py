@@ -8,6 +8,7 @@ from enum import StrEnum
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.hysteresis.pieces import drifting_zeros
 from piezoid.identification.model import AxisModel
+from piezoid.records import drive_scope
 from piezoid.statement import Kind, Level, Statement
 
 # Uncompensated hysteresis of 10 to 15 % of the range is an error of about 3 % rms.
@@ -24,8 +25,7 @@ MAX_EXCLUDED = 0.1  # of a piece of a recording: a larger part that was excluded
 ZERO_DRIFT = "baseline_drift"  # quantity of the notes on fitted drift of the zero
 DYNAMICS = "dynamics"  # quantity of the notes on poles, resonances and delay
 REMEDIES = {
-    "branch": "Record whole cycles of the drive, up and down, several times.",
-    "loop": "Record at least two cycles, and some of smaller size.",
+    **drive_scope.REMEDIES,
     "speed": "Repeat the same drive ten times slower: hysteresis keeps its width, a lag does not.",
     "amplitude": "Record reversals of decreasing size over the whole range.",
     "recording": "Record a second, different drive over this range: reversals of many sizes at "

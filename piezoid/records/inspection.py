@@ -13,6 +13,7 @@ from piezoid.records.checks import check_set
 from piezoid.records.checks.columns import check_columns
 from piezoid.records.column_roles import meaning_of
 from piezoid.records.columns import Assignment, assign_columns
+from piezoid.records.drive_scope import scope_statements
 from piezoid.records.drive_signal import noise_of, reversals_of
 from piezoid.records.frequency_response import ResponseSummary, summary_of
 from piezoid.records.ingest import Part, ingest_table, parts_of, with_checks
@@ -134,7 +135,8 @@ def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspec
             with contextlib.suppress(PiezoidError):  # _inspect_table reports the same error
                 parts = parts_of(table, lab, entry)
             inspected += [_inspect_table(part, lab, part_entry) for part, part_entry in parts]
-    statements = check_set([recording for _, recording in inspected if recording is not None])
+    recordings = [recording for _, recording in inspected if recording is not None]
+    statements = [*check_set(recordings), *scope_statements(recordings)]
     inspections = []
     for inspection, recording in inspected:
         name = None if recording is None else recording.name

@@ -24,7 +24,7 @@ from piezoid.identification.hysteresis.order_selection import (
     without_bends,
 )
 from piezoid.identification.hysteresis.pieces import Piece, Scales, response_range, widest_swing
-from piezoid.identification.hysteresis.scope import scope_of
+from piezoid.identification.hysteresis.scope import limits_of, scope_of
 from piezoid.identification.quality import Limit
 from piezoid.numerics.arrays import Array, Samples, freeze
 from piezoid.numerics.robust import white_noise_rms
@@ -371,7 +371,7 @@ def limits_of_lag(
     """
     scope, height, widest = scope_of(pieces), response_range(pieces), widest_opening(pieces)
     if widest <= WIDE * height:
-        return scope.limits(), ""
+        return limits_of(scope), ""
     progress("a lag alone, without hysteresis")
     thinned = _thinned(pieces)
     lag = fit_lag(thinned, longest_lag_s)
@@ -391,7 +391,7 @@ def limits_of_lag(
         f"the loop ({100 * widest / height:.1f} % wide) is phase lag, not hysteresis: {comparison}"
         f" ({lag.description})"
     )
-    return scope.limits(f": {comparison}"), reason if is_explained else ""
+    return limits_of(scope, f": {comparison}"), reason if is_explained else ""
 
 
 def reason_of_error(pieces: Sequence[Piece], choice: Choice) -> str:
