@@ -4,7 +4,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from piezoid.errors import RecordingError
+from piezoid.errors import RecordingError, UnitError
+from piezoid.records.column_refusals import with_axis
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.ingest import ingest_parts
 from piezoid.records.lab import Lab, RecordingEntry
@@ -112,10 +113,19 @@ def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:
                 if is_response(table, entry):
                     responses.append(ingest_response(table, declared, entry))
                 else:
-                    recordings += ingest_parts(table, declared, entry)
+                    try:
+                        recordings += ingest_parts(table, declared, entry)
+                    except UnitError as error:
+                        raise _proposing_axis(error, recordings) from None
     return Collection(
         recordings=tuple(recordings), sweeps=tuple(sweeps), responses=tuple(responses)
     )
+
+
+def _proposing_axis(error: UnitError, recordings: Iterable[Recording]) -> UnitError:
+    """Return a refusal of columns that proposes the axis of the recordings read before."""
+    remedy = with_axis(error.remedy, [recording.axis for recording in recordings])
+    return UnitError(error.found, needed=error.needed, remedy=remedy, **error.numbers)
 
 
 def is_over_height(table: RawTable) -> bool:

@@ -1,6 +1,7 @@
 """Refusals of files with ambiguous columns, with the lines of lab.toml that resolve them."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 
 from piezoid.errors import LabFileError, UnitError
@@ -158,6 +159,22 @@ def entry_template(
     if not clocks and table.sampling_rate_Hz is None:
         lines.append('sampling_rate_Hz = ...  # unless time = "..." is among the columns')
     return entry_text(table.name, *lines)
+
+
+def with_axis(text: str, axes: Collection[str]) -> str:
+    """Return a message whose entries to complete propose the axis of the other recordings.
+
+    axes  of the other recordings; unless they have the same, the axis stays x
+    """
+    if len(set(axes)) != 1:
+        return text
+    axis = f"axis = {toml_string(min(axes))}"
+    return re.sub(
+        r'^(# )?axis = "x"(?=\n(# )?columns)',
+        lambda match: f"{match[1] or ''}{axis}",
+        text,
+        flags=re.MULTILINE,
+    )
 
 
 def _reference_to(column: Column, table: RawTable) -> str:

@@ -11,6 +11,7 @@ from piezoid.errors import PiezoidError
 from piezoid.numerics.arrays import Array
 from piezoid.records.checks import check_set
 from piezoid.records.checks.columns import check_columns
+from piezoid.records.column_refusals import with_axis
 from piezoid.records.column_roles import meaning_of
 from piezoid.records.columns import Assignment, assign_columns
 from piezoid.records.drive_scope import scope_statements
@@ -137,11 +138,14 @@ def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspec
             inspected += [_inspect_table(part, lab, part_entry) for part, part_entry in parts]
     recordings = [recording for _, recording in inspected if recording is not None]
     statements = [*check_set(recordings), *scope_statements(recordings)]
-    inspections = []
+    inspections, axes = [], [recording.axis for recording in recordings]
     for inspection, recording in inspected:
         name = None if recording is None else recording.name
         further = (s for s in statements if s.recording == name)
-        inspections.append(replace(inspection, statements=(*inspection.statements, *further)))
+        refusal = inspection.refusal and with_axis(inspection.refusal, axes)
+        inspections.append(
+            replace(inspection, statements=(*inspection.statements, *further), refusal=refusal)
+        )
     return tuple(inspections)
 
 

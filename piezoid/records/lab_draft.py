@@ -16,7 +16,7 @@ import numpy as np
 from piezoid.errors import PiezoidError
 from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.records.collection import is_over_height
-from piezoid.records.column_refusals import entry_template
+from piezoid.records.column_refusals import entry_template, with_axis
 from piezoid.records.columns import assign_columns
 from piezoid.records.ingest import ingest_parts
 from piezoid.records.lab import Lab, RecordingEntry
@@ -97,11 +97,8 @@ def draft_lab(paths: Sequence[Path], folder: Path) -> LabDraft:
         if not is_usable:
             incomplete.append(path.name)
     text = "\n".join(parts)
-    # An entry to complete proposes the axis of the other files if they all have the same.
-    axes = set(re.findall(r"^axis = (.*)$", text, flags=re.M))
-    if len(axes) == 1:
-        text = text.replace('\n# axis = "x"\n# columns', f"\n# axis = {axes.pop()}\n# columns")
-    return LabDraft(text=text, incomplete=tuple(incomplete))
+    axes = re.findall(r'^axis = "(.*)"$', text, flags=re.MULTILINE)
+    return LabDraft(text=with_axis(text, axes), incomplete=tuple(incomplete))
 
 
 def _describe_file(path: Path, name: str) -> tuple[str, bool]:
