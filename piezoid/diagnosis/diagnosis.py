@@ -7,6 +7,7 @@ from piezoid.formatting import interval_digits, p_value, significant, with_unit,
 from piezoid.identification.model import AxisModel
 from piezoid.summary import Summarised, Summary
 
+NO_RECORDING = "No recording is needed"  # begins a ``next_experiment`` that is answered
 SOMETHING_ELSE = "something_else"  # finding of a residual that no effect of the catalogue explains
 NOT_EXCITED = "the drive rests, and nothing in these recordings excites it"
 NOISE_RATIO = 1.3  # final error over noise above which the largest remaining part is named

@@ -7,6 +7,7 @@ more than a size.
 from math import pi
 
 from piezoid.diagnosis.diagnosis import (
+    NO_RECORDING,
     NOISE_RATIO,
     NOT_EXCITED,
     SOMETHING_ELSE,
@@ -82,7 +83,9 @@ def _confounded(diagnosis: Diagnosis, finding: Finding) -> Statement:
         text += f"; a loop below {with_unit(equal_Hz, 'Hz', 2)} is the same with either"
     text = f"{text}. {finding.next_experiment}"
     quantity = f"{finding.effect}_confounded"
-    return _statement(diagnosis, Kind.LIMIT, Level.ACTION, quantity, text)
+    is_answered = finding.next_experiment.startswith(NO_RECORDING)
+    level = Level.WARNING if is_answered else Level.ACTION
+    return _statement(diagnosis, Kind.LIMIT, level, quantity, text)
 
 
 def _nothing_found(diagnosis: Diagnosis) -> Statement:

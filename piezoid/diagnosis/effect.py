@@ -224,6 +224,8 @@ class Tangent:
                      of the effect depends on its size; else 0. A lag has a scale below 1, and the
                      time at which it has its size replaces it
     scale_parameter  name of the parameter of a finding that is this scale, or empty
+    advised          names of the planned drives that carry out the ``experiment`` of the effect
+    visible          when the effect is visible besides, as a clause for a plan with another drive
     """
 
     columns: Callable[[DriveResponse, float], Array]
@@ -231,6 +233,8 @@ class Tangent:
     lags: bool = False
     scale: float = 0.0
     scale_parameter: str = ""
+    advised: tuple[str, ...] = ()
+    visible: str = ""
 
 
 def delay_tangent(response_filter: Filter, name: str) -> Tangent:
@@ -240,7 +244,7 @@ def delay_tangent(response_filter: Filter, name: str) -> Tangent:
         read_m = response_filter(drive.static_m, drive.rate_Hz, {name: time_s})
         return np.asarray((read_m - drive.static_m)[:, None] / time_s)
 
-    return Tangent(columns=columns, lags=True, scale=1e-4)
+    return Tangent(columns=columns, lags=True, scale=1e-4, advised=("small_multisine",))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

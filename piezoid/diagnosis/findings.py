@@ -166,8 +166,9 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
             *(s.name for s in structural if s.name not in confounded),
         ),
         explanation=" ".join(sentences),
+        # The size of one of two confounded effects settles the other.
         next_experiment=" ".join(
-            [effect.experiment, *(f"For {words(e.name)}: {e.experiment}" for e in structural)]
+            [effect.experiment, *(f"Or, for {words(e.name)}: {e.experiment}" for e in structural)]
         ),
         parameters=dict(parameters),
     )

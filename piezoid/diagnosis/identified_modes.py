@@ -12,8 +12,15 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size, held_out_gain, with_finding
-from piezoid.diagnosis.effects import effect_named, every_effect
+from piezoid.diagnosis.diagnosis import (
+    NO_RECORDING,
+    Diagnosis,
+    Finding,
+    Size,
+    held_out_gain,
+    with_finding,
+)
+from piezoid.diagnosis.effects import delay, effect_named, every_effect, lag
 from piezoid.diagnosis.residual_view import View
 from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.axis_dynamics import quasi_static
@@ -28,6 +35,7 @@ from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
 NAME = "resonance"
+LAGS = (delay.EFFECT.name, lag.EFFECT.name)
 TREND = 3  # degree of the slow motion that no dynamics explain
 MIN_P_VALUE = 1e-12
 MIN_RATIO = 0.8  # of the gain ratio: its uncertainty by damping and static gain
@@ -105,7 +113,31 @@ def with_modes(
             "quality": float(0.5 / dynamics.mode_damping[largest]),
         },
     )
-    return with_finding(diagnosis, finding)
+    return with_finding(_with_known_delay(diagnosis, dynamics, names), finding)
+
+
+def _with_known_delay(diagnosis: Diagnosis, dynamics: LinearDynamics, names: str) -> Diagnosis:
+    """State that the recordings of the modes determine the delay which the others do not.
+
+    names  of the recordings that the mode shapes
+    """
+    low, high = (with_unit(end_s, "s") for end_s in dynamics.delay_interval_s())
+    if not dynamics.delay_s > 0.0:
+        return diagnosis
+    answer = (
+        f"{NO_RECORDING}: {names}, which this finding leaves out, determines a delay of "
+        f"{with_unit(dynamics.delay_s, 's')} ({low} to {high}) beside the mode. The controllers "
+        "use that delay."
+    )
+    return replace(
+        diagnosis,
+        findings=tuple(
+            replace(finding, next_experiment=answer)
+            if finding.effect in LAGS and NAME in finding.not_separable_from
+            else finding
+            for finding in diagnosis.findings
+        ),
+    )
 
 
 def _with_rising_gain(

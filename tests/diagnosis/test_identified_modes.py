@@ -1,18 +1,22 @@
 """A mode identified by the fit is named from the recordings that it affects."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from piezoid import ActuatorModel, Recording, diagnose, fit
+from piezoid.diagnosis.diagnosis import NO_RECORDING
+from piezoid.diagnosis.identified_modes import with_modes
 from piezoid.diagnosis.refit import refit_model
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.operators.linear import resonance, sample
 from piezoid.records.lab import Lab
+from tests.reports.known_diagnosis import diagnosed, finding
 
-from .bench import causes
+from .bench import causes, view_of_recordings
 from .play_recordings import RINGING_NOISE as NOISE
 from .play_recordings import HALF_STROKE_m, cycled, memory_after, play_response, ringing
 
@@ -89,3 +93,16 @@ def test_a_mode_is_named_once_with_its_parameters_and_the_error_that_it_causes()
     assert finding.held_out_rms_after_m < 0.1 * added_m
     added_percent = 100.0 * added_m * finding.held_out_gain / diagnosis.stroke_m
     assert finding.rms_percent == pytest.approx(added_percent, rel=0.05)
+
+
+def test_the_recording_of_the_mode_answers_which_delay_the_others_leave_open():
+    recordings, model = fitted_stage()
+    dynamics = replace(model["x"].dynamics, delay_s=4e-5)
+    axis = replace(model["x"], dynamics=dynamics)
+    view = view_of_recordings(recordings[:2])
+    pairs = (finding("delay", rivals=("resonance", "lag")), finding("creep", rivals=("lag",)))
+    delay, creep = with_modes(diagnosed(*pairs), axis, recordings[2:], view).findings[-2:]
+    assert delay.next_experiment.startswith(NO_RECORDING)
+    assert "multisine" in delay.next_experiment
+    assert "40.0 µs" in delay.next_experiment
+    assert creep == pairs[1]

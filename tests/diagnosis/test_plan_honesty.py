@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.candidate import MINIMUM_SHARE
-from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.diagnosis import NO_RECORDING, Diagnosis
+from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.experiment import (
@@ -24,10 +25,11 @@ from piezoid.diagnosis.planning.open_questions import (
     expected_limit_m,
     questions_of,
 )
-from piezoid.diagnosis.planning.plan_file import sentences
+from piezoid.diagnosis.planning.plan_file import sentences, standard_error
 from piezoid.diagnosis.planning.separation import SeparationEstimate
 from piezoid.errors import ExcitationError
 from piezoid.records.lab import Amplifier, Lab
+from piezoid.statement import Level
 from tests.reports.known_diagnosis import diagnosed, finding
 from tests.reports.known_stage import axis_model, stage_model
 
@@ -150,6 +152,35 @@ def test_a_separability_near_one_keeps_the_digits_of_its_distance(share, text):
     best = replace(creep_plan.best, estimate=estimate)
     changed = replace(creep_plan, best=best, recorded=estimate)
     assert f"separability of the two: {text} (now {text})" in " ".join(sentences(changed))
+
+
+def test_every_advised_drive_is_a_candidate():
+    tangents = [e.tangent for e in EFFECTS if isinstance(e.tangent, Tangent)]
+    names = {experiment.name for experiment in EXPERIMENTS}
+    assert {name for tangent in tangents for name in tangent.advised} <= names
+
+
+def test_a_plan_with_another_drive_than_the_report_states_both():
+    creep_plan = _plan_of(diagnosed(finding("creep", rivals=("thermal_drift",))), effect="creep")
+    (advised,) = (a for a in creep_plan.alternatives if a.name == "held_levels_mirrored")
+    (curves,) = (a for a in creep_plan.alternatives if a.name == "reversal_curves")
+    question = creep_plan.question
+    for chosen, is_compared in ((curves, True), (advised, False)):
+        comparison = [s for s in sentences(replace(creep_plan, best=chosen)) if "report" in s]
+        assert bool(comparison) is is_compared
+        for alternative in (curves, advised) if is_compared else ():
+            assert f"{alternative.duration_s:.0f} s" in comparison[0]
+            assert standard_error(question, alternative.estimate) in comparison[0]
+
+
+def test_confounded_effects_that_a_recording_separates_are_no_question():
+    open_pair = diagnosed(finding("delay", rivals=("resonance",)))
+    answer = f"{NO_RECORDING}: a chirp separates them."
+    answered = diagnosed(finding("delay", rivals=("resonance",), experiment=answer))
+    assert "separate" in {question.kind for question in questions_of(open_pair, "delay")}
+    assert "separate" not in {question.kind for question in questions_of(answered, "delay")}
+    levels = {fact.quantity: fact.level for fact in diagnosis_statements(answered)}
+    assert levels["delay_confounded"] is Level.WARNING
 
 
 @pytest.mark.parametrize("is_declared", [True, False])

@@ -79,7 +79,7 @@ def test_a_doubtful_cause_is_not_separable_from_structure():
     assert doubtful.size.ci95[1] > doubtful.size.value
     assert "Not separable from initial state" in (doubtful.explanation)
     assert doubtful.next_experiment == (
-        f"{creep.EFFECT.experiment} For initial state: {initial_state.EFFECT.experiment}"
+        f"{creep.EFFECT.experiment} Or, for initial state: {initial_state.EFFECT.experiment}"
     )
 
 

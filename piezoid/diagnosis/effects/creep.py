@@ -123,8 +123,9 @@ EFFECT = Effect(
     unit="% of a step per decade of time",
     # on 25 stages of thirteen laws: 14 % rms
     model_error=0.15,
-    experiment="Record a staircase of random levels, up and down, each held for ten seconds or "
-    "more, and the same staircase mirrored: creep changes sign with the steps, drift does not.",
+    experiment="Record a staircase of random levels, up and down, each held for eight seconds or "
+    "more, and the same staircase mirrored. Creep goes on in every hold and changes sign with the "
+    "steps; drift keeps its sign, and an initial state ends with the first full cycle.",
     control="With feedforward alone the position drifts after every step. Integral action removes "
     "the drift within its bandwidth; a creep ladder in the feedforward removes it from the start.",
     shows=Appearance(
@@ -136,7 +137,11 @@ EFFECT = Effect(
         reading="Multiplied by the direction of the last step. Creep: the same change in "
         "every decade.",
     ),
-    tangent=Tangent(columns=_tangent),
+    tangent=Tangent(
+        columns=_tangent,
+        advised=("held_levels_mirrored", "held_levels"),
+        visible="creep follows every move, not only holds",
+    ),
     confounded=("thermal_drift",),
     may_be_loop_shape=True,
     untestable=lambda view: (

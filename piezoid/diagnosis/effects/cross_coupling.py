@@ -114,10 +114,11 @@ EFFECT = Effect(
         reading="Coupling: a line or a loop over the drive of the other axis.",
     ),
     tangent=Tangent(
+        advised=("other_axis",),
         columns=lambda drive, _: (
             1e-6
             * np.column_stack([*drive.other_drives.values()] or [np.zeros(len(drive.voltage_V))])
-        )
+        ),
     ),
     untestable=lambda view: (
         ""

@@ -60,8 +60,8 @@ EFFECT = Effect(
     explanation=__doc__ or "",
     unit="µs, in the fastest recording",
     model_error=0.004,
-    experiment="Record a small multisine or chirp up to a third of the resonance: a delay turns "
-    "the phase in proportion to frequency and leaves the gain flat, a lag attenuates.",
+    experiment="Record a small multisine or chirp to a third of the resonance or beyond: a delay "
+    "turns the phase in proportion to frequency and leaves the gain flat, a lag attenuates.",
     control="A delay costs phase in proportion to frequency and limits the bandwidth; the "
     "reference can be advanced by a constant delay.",
     shows=OVER_SPEED,

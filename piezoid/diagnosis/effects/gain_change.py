@@ -189,6 +189,7 @@ WITHIN = Effect(
         "slope from end to end.",
     ),
     tangent=Tangent(
+        advised=("equal_cycles",),
         columns=lambda drive, _: np.asarray(
             (drive.static_m * (drive.time_s > 0.5 * drive.time_s[-1]))[:, None]
         ),

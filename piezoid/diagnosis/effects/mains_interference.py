@@ -208,7 +208,7 @@ EFFECT = Effect(
     control="A controller with gain at this frequency makes the stage follow the hum. Repair "
     "the wiring before you raise the bandwidth.",
     shows=IN_SPECTRUM,
-    tangent=Tangent(columns=_tangent, per_drive=True),
+    tangent=Tangent(columns=_tangent, per_drive=True, advised=("idle",)),
     untestable=lambda view: (
         ""
         if view.fastest_Hz > ROWS_PER_PERIOD * min(GRIDS_Hz)

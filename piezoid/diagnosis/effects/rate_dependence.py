@@ -119,7 +119,8 @@ EFFECT = Effect(
     "use, or leave the rest to the observer.",
     shows=OVER_SPEED,
     tangent=Tangent(
-        columns=lambda drive, _: -(np.gradient(drive.irreversible_m) * drive.rate_Hz)[:, None]
+        advised=("sine_grid",),
+        columns=lambda drive, _: -(np.gradient(drive.irreversible_m) * drive.rate_Hz)[:, None],
     ),
     confounded=("delay", "lag", "resonance", "slew_limit"),
     trials=lambda view: [

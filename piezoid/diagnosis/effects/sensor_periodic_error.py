@@ -192,7 +192,7 @@ EFFECT = Effect(
         along=_near_middle,
         reading="A wave that repeats with displacement, whatever the speed.",
     ),
-    tangent=Tangent(columns=_tangent),
+    tangent=Tangent(columns=_tangent, advised=("slow_ramp",)),
     trials=_trials,
     columns=lambda view, parameters: _columns(view, parameters["periods"]),
     size=_size,

@@ -80,7 +80,7 @@ EFFECT = Effect(
     "amplifier: its slope stops rising at the limit.",
     control="Fast large ramps arrive late with any controller: limit the speed of the reference.",
     shows=OVER_SPEED,
-    tangent=Tangent(columns=_tangent),
+    tangent=Tangent(columns=_tangent, advised=("fast_ramps",)),
     confounded=("delay", "lag", "rate_dependence"),
     trials=_trials,
     drive_filter=_slew_limited,

@@ -61,6 +61,7 @@ EFFECT = Effect(
     "wait, and re-zero before long scans.",
     shows=OVER_TIME,
     tangent=Tangent(
+        advised=("long_hold", "held_levels_mirrored"),
         columns=lambda drive, _: (
             1e-6 * np.column_stack([(unit := drive.time_s / PLANNED_s), unit**2])
         ),

@@ -17,6 +17,7 @@ from piezoid.digests import digest_of_bytes, seal
 from piezoid.formatting import resolved_percent, significant, with_unit, words
 
 SCHEMA = "piezoid.plan/1"
+MAX_ERROR = 10.0  # relative: a larger error is no size
 ALONE = (
     "The recordings of the diagnosis were not given: the estimate is for the new drive alone, and "
     "too optimistic."
@@ -125,6 +126,7 @@ def sentences(plan: Plan) -> tuple[str, ...]:
         _reason(question),
         f"{'Play' if plan.answers else verdict} {drive_text}. {drive.why}",
         _expectation(plan),
+        _advice(plan),
         ALONE if plan.recorded is None else "",
         plan.forbids,
         f"More important, but answered by no drive within these limits: {unanswered}."
@@ -158,6 +160,29 @@ def _reason(question: Question) -> str:
         reason = f": {question.absent.reason}" if question.absent is not None else ""
         return f"These recordings cannot show {first}{reason}."
     return f"These recordings show {first} only from {with_unit(question.limit_m, 'm')} rms."
+
+
+def _advice(plan: Plan) -> str:
+    """Compare the drive with the experiment that the diagnosis recommends, if it is another."""
+    suspect, drive = plan.question.suspects[0], plan.drive
+    tangent = suspect.tangent
+    of_report = (a for a in plan.alternatives if a.name in tangent.advised)
+    advised = next(of_report, None)
+    if advised is None or advised.estimate is None or drive.name in tangent.advised:
+        return ""
+    because = f": {tangent.visible}" if tangent.visible else ""
+    return (
+        f"The report recommends {advised.name} for {words(suspect.name)}, "
+        f"{advised.duration_s:.0f} s with an expected standard error of "
+        f"{standard_error(plan.question, advised.estimate)}; {drive.name} takes "
+        f"{drive.duration_s:.0f} s for {standard_error(plan.question, plan.planned)}{because}."
+    )
+
+
+def standard_error(question: Question, estimate: SeparationEstimate) -> str:
+    """Return the expected relative standard error of the size in question, as text."""
+    error = estimate.worst if question.kind == "separate" else estimate.errors[0]
+    return f"{significant(100 * error, 2)} %" if error < MAX_ERROR else "not shown"
 
 
 def _expectation(plan: Plan) -> str:
