@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from piezoid_cli.stage_files import StageFolder
 
 
+CHIRP_TO_RESONANCE = 2.0  # end of a chirp over the resonance that it shows
+
+
 def plan(
     stage: Annotated[Path, typer.Argument(help="Folder with model.json and diagnosis.json.")],
     files: Annotated[
@@ -106,36 +109,49 @@ def plan(
         print_raw(written["plan.json"])
     elif not quiet:
         missing = model.missing_recordings(collected.files, axis=planned.axis) if files else ""
-        _show(planned, (_controller_limit(folder, planned.axis), missing))
+        _show(planned, (_controller_limit(folder, planned), missing))
         display(f"drive: {(out or stage) / 'drive.csv'}")
 
 
-def _controller_limit(folder: "StageFolder", axis: str) -> str:
+def _controller_limit(folder: "StageFolder", planned: "Plan") -> str:
     """Return what limits the controller of an axis and calls for a chirp; empty if nothing does.
 
     A plan answers the questions of the diagnosis, and a chirp for the dynamics is not one of them.
     """
     from piezoid.design.design_statements import design_statements
+    from piezoid.diagnosis.planning.candidate_drives import MULTISINE_BAND
     from piezoid.errors import ParameterFileError
+    from piezoid.formatting import with_unit
 
-    purpose = "The plan below does not concern this limit: it is for the effects of the diagnosis."
-    limits: list[str] = []
+    axis, limits = folder.model[planned.axis], []
     if (folder.folder / "design.json").exists():
         with suppress(ParameterFileError):  # a design of an earlier fit
             statements = design_statements(folder.design, folder.model)
-            limits = [s.text for s in statements if s.axis == axis and s.quantity == "bandwidth"]
-    if not limits and not folder.model[axis].has_dynamics:
-        limits = [
-            f"No resonance or pole of axis {axis} was fitted: for a fast controller record a "
+            limits = [
+                s.text for s in statements if s.axis == axis.axis and s.quantity == "bandwidth"
+            ]
+    if axis.bandwidth is not None and axis.unfitted_resonance_Hz is not None:
+        limits.append(axis.bandwidth.text)
+    if not limits and not axis.has_dynamics:
+        limits.append(
+            f"No resonance or pole of axis {axis.axis} was fitted: for a fast controller record a "
             "small chirp first, sampled at three times the resonance or faster."
-        ]
-    return f"{limits[0]} {purpose}" if limits else ""
+        )
+    if not limits:
+        return ""
+    highest_Hz = MULTISINE_BAND * planned.bench.clock_Hz
+    highest = with_unit(highest_Hz, "Hz", 2)
+    resonance_Hz = axis.unfitted_resonance_Hz
+    scope = f"No drive below is this chirp: they end at {highest}, a tenth of the sampling rate."
+    if resonance_Hz is not None and CHIRP_TO_RESONANCE * resonance_Hz <= highest_Hz:
+        scope = f"Of the drives below, small_multisine excites this band, up to {highest}."
+    return f"{' '.join(limits)} {scope} The plan answers a question of the diagnosis."
 
 
 def _show(planned: "Plan", preface: "Sequence[str]") -> None:
     """Print the plan after the sentences of a preface, which may be empty."""
-    from piezoid.diagnosis.planning.plan_file import sentences
-    from piezoid.formatting import resolved_percent, significant, with_unit
+    from piezoid.diagnosis.planning.plan_file import sentences, standard_error
+    from piezoid.formatting import resolved_percent, with_unit
 
     for sentence in filter(None, preface):
         display(sentence, "bold")
@@ -150,13 +166,12 @@ def _show(planned: "Plan", preface: "Sequence[str]") -> None:
         if estimate is None:
             rows.append((name, *[""] * (len(headings) - 1), candidate.refusal))
             continue
-        error = estimate.errors[0] if is_single else estimate.worst
         rows.append(
             (
                 rich_text(name, style="bold" if name == planned.drive.name else ""),
                 f"{candidate.duration_s:.0f} s",
                 *(() if is_single else (resolved_percent(estimate.separability),)),
-                f"{significant(100 * error, 2)} %" if error < 10.0 else "not shown",
+                standard_error(planned.question, estimate),
             )
         )
     question = planned.question

@@ -5,10 +5,9 @@ from piezoid.design.design import AxisDesign, Design
 from piezoid.design.lateral_task import BEYOND, FIRST_MODE, unseen
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.dynamics.bandwidth import CHIRP_AMPLITUDE, CHIRP_SAMPLES
 from piezoid.identification.model import AxisModel
 from piezoid.statement import Kind, Level, Statement
-
-_MAX_CHIRP_SHARE = 0.4  # of the sampling rate: below the Nyquist frequency with some margin
 
 
 def design_statements(design: Design, model: ActuatorModel) -> tuple[Statement, ...]:
@@ -37,13 +36,17 @@ def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
         return []
     bandwidth_Hz = design.recommended.bandwidth_Hz
     rate_Hz = design.sampling_rate_Hz
-    chirp_Hz = _MAX_CHIRP_SHARE * rate_Hz
-    record = f"Record a small chirp up to {with_unit(chirp_Hz, 'Hz', 2)}"
+    chirp_Hz, (low_V, high_V) = rate_Hz / CHIRP_SAMPLES, axis.voltage_V
+    record = (
+        f"Record a small chirp up to {with_unit(chirp_Hz, 'Hz', 2)}, with an amplitude of about "
+        f"{with_unit(CHIRP_AMPLITUDE * (high_V - low_V), 'V', 2)}, sampled at "
+        f"{with_unit(rate_Hz, 'Hz', 2)} or faster"
+    )
     unseen_modes, resonance_Hz = unseen(axis), axis.unfitted_resonance_Hz
     stated_Hz = None if axis.bandwidth is None else axis.bandwidth.stated_Hz
     if unseen_modes.peak < FIRST_MODE:
         seen_Hz = with_unit(unseen_modes.from_Hz, "Hz")
-        reason = f"the recorded response exceeds the noise only up to {seen_Hz}. {record}."
+        reason = f"above {seen_Hz} no recorded response is coherent with its drive. {record}."
     elif resonance_Hz is not None:
         reason = f"the resonance near {with_unit(resonance_Hz, 'Hz', 3)} could not be fitted."
     elif stated_Hz is None:
@@ -52,8 +55,10 @@ def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     else:
         advice = f"{record}."
         if stated_Hz > chirp_Hz:
-            rate = with_unit(rate_Hz, "Hz", 3)
-            advice = f"It cannot be seen at {rate}: use a faster recorder."
+            advice = (
+                f"Its chirp cannot be sampled at {with_unit(rate_Hz, 'Hz', 3)}: use a faster "
+                f"recorder, at {with_unit(CHIRP_SAMPLES * stated_Hz, 'Hz', 3)} or more."
+            )
         reason = f"the stated {with_unit(stated_Hz, 'Hz', 3)} was not recorded. {advice}"
     text = f"Bandwidth limited to {with_unit(bandwidth_Hz, 'Hz')}: {reason}"
     return [_statement(design.axis, Level.ACTION, "bandwidth", text, bandwidth_Hz, "Hz")]

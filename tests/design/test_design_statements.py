@@ -14,8 +14,10 @@ from piezoid.design.design_statements import (
     useful_bound_m,
 )
 from piezoid.design.lateral_task import lateral_task
+from piezoid.diagnosis.planning.candidate_drives import MULTISINE_BAND
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.digests import digest_in
+from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.bandwidth import unmeasured
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import write_model
@@ -83,7 +85,32 @@ def test_a_plan_states_the_chirp_that_it_does_not_write(tmp_path):
     output = " ".join(result.output.split())
     (limit,) = (f.text for f in design_statements(design, model) if f.quantity == "bandwidth")
     assert "Record a small chirp" in limit
-    assert output.startswith(f"{limit} The plan below does not concern this limit")
+    assert output.startswith(limit)
+    highest = with_unit(MULTISINE_BAND * RATE_Hz, "Hz", 2)
+    assert f"they end at {highest}" in output.removeprefix(limit)
+
+
+def test_the_chirp_is_stated_with_band_amplitude_and_a_rate_that_resolves_it():
+    axis = replace(fitted()["x"], bandwidth=UNKNOWN)
+    facts = design_statements(fast_design(), model_of(axis))
+    (text,) = (fact.text for fact in facts if fact.quantity == "bandwidth")
+    amplitude_V = 0.02 * (axis.voltage_V[1] - axis.voltage_V[0])
+    for number in (
+        f"up to {with_unit(RATE_Hz / 3.0, 'Hz', 2)}",
+        f"about {with_unit(amplitude_V, 'V', 2)}",
+        f"sampled at {with_unit(RATE_Hz, 'Hz', 2)}",
+    ):
+        assert number in text
+
+
+def test_a_plan_repeats_the_chirp_through_a_resonance_that_could_not_be_fitted(tmp_path):
+    verdict = replace(UNKNOWN, kind="resonance", peak_ratio=12.0, peak_Hz=300.0, text="A chirp.")
+    model = model_of(replace(fitted()["x"], bandwidth=verdict))
+    (tmp_path / "model.json").write_bytes(write_model(model))
+    creep = diagnosed(finding("creep", rivals=("thermal_drift",)))
+    (tmp_path / "diagnosis.json").write_bytes(write_diagnosis(creep))
+    result = invoke("plan", tmp_path, "--rate", RATE_Hz)
+    assert result.output.startswith("A chirp.")
 
 
 def test_a_resonance_above_the_nyquist_frequency_is_no_limit():

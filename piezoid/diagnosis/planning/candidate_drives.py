@@ -25,6 +25,7 @@ SINE_s, MIN_CYCLES = 0.5, 3  # of one sine of the grid
 ROWS = 20.0  # of the fastest sine
 RAMP_ROWS = 1000.0  # of the fastest triangle
 RAMP_SHARES = np.geomspace(0.1, 1.0, 8)  # speeds of the triangles, of the slew limit
+MULTISINE_BAND = 0.1  # of the sampling rate; no other drive has faster sines
 MULTISINE_RMS = 0.02  # of half the range, before the slew limit
 MULTISINE_PERIODS = 10
 CREST_TRIALS = 20  # draws of phases; the one with the lowest peak is taken
@@ -193,7 +194,7 @@ def small_multisine(playback: Playback) -> Array:
     Raises ``ExcitationError`` if it exceeds the slew limit.
     """
     limits, rate_Hz, rng = playback.limits, playback.rate_Hz, playback.rng
-    lines = odd_lines(5.0, rate_Hz / 10.0, 1.0, left_out_of=4, rng=rng)
+    lines = odd_lines(5.0, MULTISINE_BAND * rate_Hz, 1.0, left_out_of=4, rng=rng)
     # the rms speed of equal lines, with room for a peak of four times as much
     rms_rad_per_s = 2 * np.pi * float(np.sqrt(np.mean(lines.astype(float) ** 2)))
     rms_V = min(MULTISINE_RMS * limits.reach_V, limits.slew_V_per_s / (5.0 * rms_rad_per_s))

@@ -8,12 +8,14 @@ import numpy as np
 from piezoid.errors import ExcitationError, IdentificationError
 from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.bandwidth import (
+    BAND_END,
     BandwidthVerdict,
     decide_bandwidth,
     unfitted,
     unmeasured,
 )
 from piezoid.identification.dynamics.behind_hysteresis import (
+    driven_Hz,
     measure_response,
     most_exciting,
     voltage_behind_hysteresis,
@@ -211,6 +213,12 @@ def _with_recorded_dynamics(
     text = (
         f"{recording.name}: linear dynamics were fitted behind the hysteresis from {low} to {high}"
     )
+    end_Hz = driven_Hz(recording.voltage_V(axis.axis), recording.sampling_rate_Hz)
+    if dynamics.band_Hz[1] < BAND_END * end_Hz:
+        text += (
+            f" (the drive reaches {with_unit(end_Hz, 'Hz', 2)}, but the coherence above {high} is "
+            f"below {measured.least_coherence:g}: more amplitude there extends the band)"
+        )
     joint = fit_jointly(axis, dynamics, recording, recordings)
     record = None
     if joint is not None:

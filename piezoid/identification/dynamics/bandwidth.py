@@ -26,6 +26,8 @@ CLEAR_PEAK = 1.2  # a first-order pole never rises; noise and distortion do a li
 PEAK_SIGMAS = 4.0  # standard deviations: the peak is the largest of many lines
 LOW_BAND = 2.0  # times the lowest line: up to there the median gain is the static gain
 UNKNOWN_DELAY_s = (0.0, np.inf)
+CHIRP_SAMPLES = 3.0  # in a period of its highest frequency
+CHIRP_AMPLITUDE = 0.02  # of the range of the drive
 
 UNDECIDED = "These recordings do not show whether a pole or a resonance limits the stage"
 MEANING = {

@@ -33,6 +33,7 @@ BROAD_DECADES = 1.25  # between harmonics of a triangle there are empty bands; c
 LEVEL_dB = -15.0  # within a band that is level
 LEVEL_DECADES = 0.45  # three bands: one sine may lie in two
 NARROW_SHARE = 0.5  # of the power: of a level band narrower than BROAD_DECADES
+DRIVEN_SHARE = 0.99  # the last hundredth may be leakage, or noise of a measured drive
 BROAD_SHARE = 1e-3  # white noise of a monitored drive would be 3 % of its rms
 
 
@@ -139,6 +140,19 @@ def most_exciting(recordings: Sequence[Recording], axis: str) -> Recording | Non
     """Return the recording with the highest excited frequency; None if none excites dynamics."""
     exciting = excites_dynamics(recordings, axis)
     return max(exciting, key=lambda pair: pair[1])[0] if exciting else None
+
+
+def driven_Hz(voltage_V: Array, sampling_rate_Hz: float) -> float:
+    """Return the frequency below which the drive has ``DRIVEN_SHARE`` of its weighted power.
+
+    The window is rectangular: any other hides the end of a chirp.
+
+        sum of f |U(f)|^2,   the same in every hertz of a logarithmic chirp
+    """
+    level = voltage_V - np.linspace(voltage_V[0], voltage_V[-1], len(voltage_V))
+    frequency_Hz = np.fft.rfftfreq(len(level), 1.0 / sampling_rate_Hz)
+    power = np.cumsum(frequency_Hz * np.abs(np.fft.rfft(level)) ** 2)
+    return float(frequency_Hz[np.searchsorted(power, DRIVEN_SHARE * power[-1])])
 
 
 def _highest_Hz(voltage_V: Array, sampling_rate_Hz: float) -> float:
