@@ -30,6 +30,18 @@ def test_exchanged_headings_are_reported_with_their_columns(truth, tmp_path):
     assert 'columns = { voltage = "displacement [um]"' in text
 
 
+def test_exchanged_headings_of_a_random_drive_are_reported(tmp_path):
+    """Its loops are small against the box of its range."""
+    noise = np.random.default_rng(9).standard_normal(6000)
+    smooth = np.convolve(noise, np.hanning(60), mode="valid")
+    field = smooth / np.abs(smooth).max()
+    displacement_um = 10.0 * LAWS["plays"](field)
+    right = write(tmp_path / "right.csv", field, displacement_um)
+    exchanged = write(tmp_path / "exchanged.csv", displacement_um / 5.0, 5.0 * field)
+    assert "leads" not in quantities_of(collect([right])[0])
+    assert "leads" in quantities_of(collect([exchanged])[0])
+
+
 def test_a_single_branch_has_no_sense_of_rotation(tmp_path):
     field = np.linspace(-1.0, 1.0, 400)
     for displacement in (field + 0.3 * field**2, field - 0.3 * field**2):
