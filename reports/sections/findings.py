@@ -25,8 +25,9 @@ MIN_GAIN = 1e-3  # of the held-out error: refitting alone changes it by as much
 NO_FIGURES = "No figures: they need a model of these recordings. Run piezoid fit."
 NO_FIGURE = "No figure: the model fits these recordings equally well without the effect."
 READING = (
-    "The error budget shows the part of each effect in a common sum, and the figures show the "
-    "residual without a new fit. These numbers differ from the errors in the table.",
+    "Four numbers in nm describe an effect, and differ. Table: held-out error without and with "
+    "it, refitted. Error budget: its part of a common sum. Figure: residual after its removal, "
+    "without a new fit. Text: the part that no hysteresis can imitate, the evidence for it.",
     "Only the row of loop shape, which is added last, ends at the error of the final model. A "
     "mode that was identified from a chirp has the errors on this chirp.",
     "p is a rank among 52 simulated stages, 0.019 at least. Data faults, modes, loop shape and "
