@@ -2,7 +2,8 @@
 
 from piezoid.design.certificate import error_parts_m, useful_bound_m
 from piezoid.design.design import AxisDesign, Design
-from piezoid.design.lateral_task import BEYOND, FIRST_MODE, unseen
+from piezoid.design.lateral_task import FIRST_MODE, unseen
+from piezoid.design.specification import BEYOND
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.dynamics.bandwidth import CHIRP_AMPLITUDE, CHIRP_SAMPLES

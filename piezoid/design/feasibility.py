@@ -17,7 +17,7 @@ from piezoid.design.sensitivity import (
     margins,
     sensitivities,
 )
-from piezoid.design.specification import Specification
+from piezoid.design.specification import BEYOND, CONTROL_EFFORT, Specification
 from piezoid.errors import TemplateError
 from piezoid.numerics.polynomial import decibel, grid_Hz, product
 
@@ -82,20 +82,30 @@ def refuse(
         "modulus margin": ("modulus_margin", specification.modulus_margin),
         "delay margin": ("delay_margin_s", specification.delay_margin_s),
     }
-    steps = []
+    steps, fixed = [], []
     for name, excess_dB in sorted(relaxation_dB.items(), key=lambda item: -item[1]):
         if name in margins_set:
             key, value = margins_set[name]
             steps.append(f"set {key} = {rounded_down(value / 10.0 ** (excess_dB / 20.0)):g}")
+        elif name in (CONTROL_EFFORT, BEYOND):
+            fixed.append(f"{name!r} (missed by {excess_dB:.2f} dB)")
         elif name != ATTENUATION:  # which follows from the bandwidth
             steps.append(f"relax '{name}' by {np.ceil(excess_dB * 100.0) / 100.0:.2f} dB")
-    relaxed = " and ".join(steps)
+    # Every violated limit must be relaxed, or none.
+    relaxed = "" if fixed else " and ".join(steps)
+    of_model = ""
+    if fixed:
+        of_model = f" {' and '.join(fixed)} follows from the model, not from design.toml."
+    if BEYOND in relaxation_dB:
+        of_model += " A response recorded to a higher frequency relaxes it."
     if nearest_Hz is None:
         relaxed = f"{relaxed}, or " if relaxed else ""
-        remedy = f"No bandwidth helps: {relaxed}describe the plant family more narrowly."
+        remedy = f"No bandwidth helps: {relaxed}describe the plant family more narrowly.{of_model}"
     else:
         relaxed = f", or {relaxed}" if relaxed else ""
-        remedy = f"Ask for bandwidth_Hz = {nearest_Hz:g}, which meets every limit{relaxed}."
+        remedy = (
+            f"Ask for bandwidth_Hz = {nearest_Hz:g}, which meets every limit{relaxed}.{of_model}"
+        )
     raise TemplateError(
         f"axis {axis}, bandwidth {specification.bandwidth_Hz:.6g} Hz: {worst.sentence}"
         f"{'. ' if because else ''}{because}",

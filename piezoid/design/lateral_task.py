@@ -24,7 +24,7 @@ from piezoid.design.hysteresis_bounds import (
 from piezoid.design.lateral import with_sector
 from piezoid.design.plant import Plant, PlantFamily, sampled_plant
 from piezoid.design.sensitivity import constant_limit
-from piezoid.design.specification import Specification, default_specification
+from piezoid.design.specification import BEYOND, Specification, default_specification
 from piezoid.errors import DesignError
 from piezoid.formatting import with_unit
 from piezoid.identification.extensions.linear_mode import LinearMode
@@ -51,9 +51,6 @@ _FAST_POLE = 1.0
 # twelve were unstable.
 _HIGHER_MODE, FIRST_MODE = 2.0, 60.0
 _UNDECLARED_Hz = 200.0  # lowest first mode of a stage without data sheet or recorded dynamics
-BEYOND = (
-    "control effort beyond what is known"  # name of the limit that guards against unseen modes
-)
 _MAX_INNER_MEMBERS = 7  # of the family, between the ends of a mode's interval
 
 

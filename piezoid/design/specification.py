@@ -19,6 +19,9 @@ _AT_BANDWIDTH_dB = -3.0
 MODE_SHARE = 0.15
 _DELAY_SHARE = 0.03
 _CONTROL_LIMIT_dB = 20.0
+# Names of the limits that follow from the model, which no key of design.toml relaxes.
+CONTROL_EFFORT = "control effort"
+BEYOND = "control effort beyond what is known"  # guards against unseen modes
 
 _SMALLEST, _LARGEST = 1e-30, 1e30  # magnitudes of a number in design.toml
 # The attenuation's template begins at a thousandth of the bandwidth. If that lies above the
@@ -118,7 +121,7 @@ def default_specification(
     min_gain = min(abs(member.gain) for member in family.members)
     limit_dB = _CONTROL_LIMIT_dB - float(decibel(min_gain))
     nyquist_Hz = 0.5 * plant.sampling_rate_Hz
-    control = constant_limit("control effort", "Sup", (1e-3, nyquist_Hz), limit_dB)
+    control = constant_limit(CONTROL_EFFORT, "Sup", (1e-3, nyquist_Hz), limit_dB)
     return Specification(
         bandwidth_Hz=bandwidth_Hz,
         delay_margin_s=1.0 / plant.sampling_rate_Hz,

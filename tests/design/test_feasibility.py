@@ -17,7 +17,7 @@ from piezoid.design.junction_task import design_vertical
 from piezoid.design.lateral import design_lateral
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import Template, Violation
-from piezoid.design.specification import Specification
+from piezoid.design.specification import BEYOND, CONTROL_EFFORT, Specification
 from piezoid.design.tuning import tune_observer
 from piezoid.errors import TemplateError
 from tests.design.placed import plant_from_fraction
@@ -186,6 +186,17 @@ def test_an_advised_margin_is_a_line_of_the_specification():
     with pytest.raises(TemplateError) as refusal:
         refuse("x", lateral_specification(), (violation,), lambda _: ())
     assert "set modulus_margin = 0.25" in str(refusal.value)  # half of 0.5
+
+
+@pytest.mark.parametrize("limit", [BEYOND, CONTROL_EFFORT])
+def test_no_relaxation_is_advised_beside_a_limit_without_a_key(limit):
+    margin, effort = violations_of(6.0, 2.0)
+    violations = (replace(margin, template="modulus margin"), replace(effort, template=limit))
+    with pytest.raises(TemplateError) as refusal:
+        refuse("x", lateral_specification(), violations, lambda _: ())
+    assert "modulus_margin" not in refusal.value.remedy
+    assert f"'{limit}' (missed by 2.00 dB)" in refusal.value.remedy
+    assert refusal.value.numbers["relaxation_dB"] == {"modulus margin": 6.0, limit: 2.0}
 
 
 def test_the_advised_relaxation_is_the_worst_violation_of_each_template():
