@@ -131,7 +131,7 @@ def _missing(path: Path) -> ParameterFileError:
             "record the effects that the model lacks, and fit again.",
         )
     is_fitted, is_designed = ((folder / name).exists() for name in ("model.json", "design.json"))
-    if path.name == "params.json" and is_fitted and not is_designed:
+    if path.name in ("params.json", "design.json") and is_fitted and not is_designed:
         return ParameterFileError(
             f"{folder} contains no controller: the fit designed none",
             needed="a design of the stage",

@@ -57,6 +57,13 @@ def test_a_missing_file_is_named_with_the_verb_that_writes_it(tmp_path, name, ve
     assert f"Run `{verb} {tmp_path}` first." in str(refusal.value)
 
 
+@pytest.mark.parametrize("name", ["design.json", "params.json"])
+def test_a_fit_without_controllers_has_neither_design_nor_parameters(tmp_path, name):
+    (tmp_path / "model.json").touch()
+    with pytest.raises(ParameterFileError, match=r"designed none.*which states what is missing"):
+        content_of(tmp_path / name)
+
+
 def test_missing_parameters_are_explained_by_the_other_files_of_the_stage(tmp_path):
     (tmp_path / "model.json").write_text("{}")
     with pytest.raises(ParameterFileError, match=f"Run `piezoid design {tmp_path}`"):
