@@ -42,8 +42,9 @@ def test_exchanged_headings_of_a_random_drive_are_reported(tmp_path):
     assert "leads" in quantities_of(collect([exchanged])[0])
 
 
-def test_a_single_branch_has_no_sense_of_rotation(tmp_path):
-    field = np.linspace(-1.0, 1.0, 400)
+@pytest.mark.parametrize("noise", [0.0, 0.02], ids=["", "with a noisy drive"])
+def test_a_single_branch_has_no_sense_of_rotation(noise, tmp_path):
+    field = np.linspace(-1.0, 1.0, 400) + noise * np.random.default_rng(3).standard_normal(400)
     for displacement in (field + 0.3 * field**2, field - 0.3 * field**2):
         assert "leads" not in quantities_of(
             collect([write(tmp_path / "one.csv", field, displacement)])[0]

@@ -5,8 +5,8 @@ displacement y, the path p of the drive and its spans v_i from turn to turn,
 
     A = sgn(r) * integral of v dy / (range y / range v * p / 2 * sum of v_i^2 / sum of v_i)
 
-It is positive for hysteresis and for any lag. Only narrow
-loops are tested, since above a resonance any phase is possible.
+It is positive for hysteresis and for any lag. Only narrow loops are tested, since above a
+resonance any phase is possible.
 
 At a corner of the drive no causal stage moves ahead of the turn, for any hysteresis and lag. With
 s_3, s_2, s_1 the mean slopes of the displacement over three spans of L samples before a turn and
@@ -50,6 +50,8 @@ def check_loop_direction(recording: Recording, axis: str) -> list[Statement]:
     if abs(correlation) < MIN_CORRELATION:
         return []
     turns = reversals_of(v, max(noise_of(v), MIN_BRANCH * float(np.ptp(v))))
+    if not turns:  # the noise of the drive crosses the middle
+        return []
     spans = np.abs(np.diff(v[[0, *turns, len(v) - 1]]))
     # Half the path for each mean span: turns of a multisine are not all resolved.
     squares = float(np.abs(np.diff(v)).sum() * (spans**2).sum() / spans.sum())

