@@ -49,6 +49,7 @@ class Estimate:
     residual_m  (rows,)
     use         (rows,)  False for outliers
     rows        number of rows of every piece
+    damping     of the change of histories and numbers by the last solve
     """
 
     model: AxisModel
@@ -63,6 +64,7 @@ class Estimate:
     residual_m: Array
     use: NDArray[np.bool_]
     rows: tuple[int, ...]
+    damping: float
 
 
 def first_estimate(axis: AxisModel, pieces: Sequence[PieceRows], columns: Columns) -> Estimate:
@@ -81,6 +83,7 @@ def first_estimate(axis: AxisModel, pieces: Sequence[PieceRows], columns: Column
         residual_m=np.zeros(rows),
         use=np.ones(rows, dtype=bool),
         rows=tuple(len(piece.rows) for piece in pieces),
+        damping=0.0,
     )
 
 
@@ -94,32 +97,6 @@ def residual_of(estimate: Estimate, pieces: Sequence[PieceRows], columns: Column
             piece.measured_m[piece.rows] - reading_of(estimate.model, piece, start, static_m)
         )
     return np.concatenate(errors_m)
-
-
-def interpolated(first: Estimate, second: Estimate, share: float) -> Estimate:
-    """Interpolate all parameters of two estimates; share 0 is the first, 1 the second."""
-
-    def mix(a: Array, b: Array) -> Array:
-        return np.asarray(a + share * (b - a))
-
-    first_shape, second_shape = first.model.loop_shape, second.model.loop_shape
-    assert first_shape is not None
-    assert second_shape is not None
-    first_weight, second_weight = first_shape.plays_weight, second_shape.plays_weight
-    shape = replace(
-        second_shape,
-        plays_weight=first_weight + share * (second_weight - first_weight),
-        density_m=mix(first_shape.density_m, second_shape.density_m),
-        smooth_m=mix(first_shape.smooth_m, second_shape.smooth_m),
-    )
-    numbers = mix(numbers_of(first.model).value, numbers_of(second.model).value)
-    return replace(
-        second,
-        model=with_numbers(replace(second.model, loop_shape=shape), numbers),
-        weights=tuple(map(mix, first.weights, second.weights)),
-        zeros=tuple(map(mix, first.zeros, second.zeros)),
-        wide=mix(first.wide, second.wide),
-    )
 
 
 def static_response_of(
@@ -304,8 +281,7 @@ def regression_of(
 
     The target is the error of the estimate plus the contribution of its linear coefficients.
 
-    has_numbers  whether lag and extensions may change; if not, the columns of the class contain
-                 the weighted histories
+    has_numbers  whether lag and extensions may change
     has_class    whether the class may change
     """
     axis, is_first, scale_m = estimate.model, not estimate.variance, half_range_m(estimate.model)
@@ -379,7 +355,7 @@ def _tables_of_piece(
         of_class = columns.values[first : first + rows]
     if estimate.variance:  # not in the first regression
         histories = path.filtered(changes_m, axis, piece) / abs(scale_m)
-        if has_class and not has_numbers:
+        if has_class:
             change = path.column_changes(estimate.weights[k], columns.plays, abs(scale_m))
             of_class = of_class + path.filtered(change, axis, piece) / columns.scale
     hats = [replace(start, zero_m=knot) for knot in np.eye(len(start.zero_m))]
