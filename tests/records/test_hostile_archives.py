@@ -147,6 +147,17 @@ def test_a_large_matlab_element_is_refused(tmp_path):
     assert "bomb.mat: " in refusal_of(path)
 
 
+def test_a_matlab_element_of_unknown_type_is_refused(tmp_path):
+    """SciPy ends the process on such a file."""
+    path = tmp_path / "run.mat"
+    savemat(path, {"v": np.linspace(0.0, 1.0, 50)})
+    content = path.read_bytes()
+    tag = struct.pack("<II", 9, 400)  # of the fifty numbers
+    assert tag in content
+    path.write_bytes(content.replace(tag, struct.pack("<II", 82, 400)))
+    assert "run.mat: it is damaged: an element has an unknown type" in refusal_of(path)
+
+
 RIGHT_OFFSET = 16  # bytes of a node before the address of its right neighbour
 
 

@@ -1,6 +1,8 @@
 """MATLAB files, version 5 to 7.3: vectors of the workspace, or of the fields of a structure."""
 
 import struct
+import subprocess
+import sys
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -51,6 +53,7 @@ def read(source: Source) -> RawTable:
 
     if source.head.startswith(b"MATLAB 5"):
         _check_sizes(source)
+        _refuse_fatal(source)
         variables = dict(_flatten("", read_mat(str(source.path)), opaque))
     else:
         with source.open() as stream:
@@ -99,6 +102,20 @@ def _check_sizes(source: Source) -> None:
                     check_growth(source, 8 * total)
                 # Numbers are stored in the smallest possible type, and read as doubles.
                 check_growth(source, 8 * total)
+
+
+def _refuse_fatal(source: Source) -> None:
+    """Refuse a file on which SciPy ends the process: it does so for unknown types of numbers."""
+    program = "import sys, scipy.io; scipy.io.loadmat(sys.argv[1])"
+    command = [sys.executable, "-c", program, str(source.path)]
+    status = subprocess.run(command, capture_output=True, check=False).returncode
+    if status not in (0, 1):  # 1 after an exception, which is reported with its text
+        raise unreadable(
+            source.name,
+            "it is damaged: an element has an unknown type",
+            needed="a complete MATLAB file",
+            remedy="Copy or save it again.",
+        )
 
 
 def _flatten(
