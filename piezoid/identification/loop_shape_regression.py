@@ -360,16 +360,18 @@ def _tables_of_piece(
             of_class = of_class + path.filtered(change, axis, piece) / columns.scale
     hats = [replace(start, zero_m=knot) for knot in np.eye(len(start.zero_m))]
     zeros = [zero_of(hat, piece.where.samples)[piece.rows] for hat in hats]
-    by_numbers = np.zeros((rows, 0))
-    if has_numbers:
-        by_numbers_m = _changes_by_numbers_m(axis, piece, start, reading_m, static_m, history_m)
-        by_numbers = by_numbers_m / scale_m
     slope = np.ones(rows)
     if any(is_sensor(extension) for extension in axis.extensions):
         step_m = SENSOR_STEP * abs(scale_m)
         above_m = reading_of(axis, piece, start, static_m, step_m)
         below_m = reading_of(axis, piece, start, static_m, -step_m)
         slope = np.asarray((above_m - below_m) / (2.0 * step_m))
+    by_numbers = np.zeros((rows, 0))
+    if has_numbers:
+        by_numbers_m = _changes_by_numbers_m(
+            axis, piece, start, reading_m, static_m, history_m, slope
+        )
+        by_numbers = by_numbers_m / scale_m
     error_m = piece.measured_m[piece.rows] - reading_m
     return of_class, histories, np.stack(zeros, axis=1), by_numbers, error_m, slope
 
@@ -381,28 +383,39 @@ def _changes_by_numbers_m(
     reading_m: Array,
     static_m: Array,
     history_m: Array,
+    slope: Array,
 ) -> Array:
     """Return the change of the reading by a step of every number, (rows, numbers).
 
     reading_m  (rows,)     of the present model
     history_m  (samples,)  contribution of weighted histories to ``static_m``
+    slope      (rows,)     d reading / d position
     """
     numbers = numbers_of(axis)
     changes = np.zeros((len(piece.rows), len(numbers.value)))
-    changes_hysteresis = [] if axis.lag.kind == "none" else [False]
+    first = int(axis.lag.kind != "none")
+    is_inside = dict.fromkeys(range(first), False)  # whether a number acts in the hysteresis
     for extension in axis.extensions:
-        if not is_sensor(extension):
-            is_inside = (
+        if is_sensor(extension):
+            continue
+        stop = first + len(extension.free().value)
+        if type(extension).added_by_number is Extension.added_by_number:
+            acts_inside = (
                 type(extension).drive is not Extension.drive
                 or type(extension).irreversible is not Extension.irreversible
             )
-            changes_hysteresis += [is_inside] * len(extension.free().value)
-    for k, (step, is_inside) in enumerate(zip(numbers.step, changes_hysteresis, strict=True)):
-        sign = 1.0 if numbers.value[k] + step <= numbers.upper[k] else -1.0
+            is_inside |= dict.fromkeys(range(first, stop), acts_inside)
+        elif (of_piece := extension.added_by_number(piece.where)) is not None:
+            offset, columns = of_piece
+            span = slice(first + offset, first + offset + columns.shape[1])
+            changes[:, span] = slope[:, None] * columns[piece.rows] * numbers.step[span]
+        first = stop
+    for k, acts_inside in is_inside.items():
+        sign = 1.0 if numbers.value[k] + numbers.step[k] <= numbers.upper[k] else -1.0
         values = numbers.value.copy()
-        values[k] += sign * step
+        values[k] += sign * numbers.step[k]
         changed, changed_m = with_numbers(axis, values), static_m
-        if is_inside:
+        if acts_inside:
             drive_V = changed.forward.driven_V(piece.voltage_V, piece.where.rate_Hz)
             changed_m = history_m + changed.static_m(drive_V, start.memory_V, piece.where.rate_Hz)
         changes[:, k] = sign * (reading_of(changed, piece, start, changed_m) - reading_m)
