@@ -154,8 +154,10 @@ class SlipScan:
         return delay_change(self.static, self.samples, samples)
 
     def instants(self) -> Places:
-        """Return the rows at which a slip is tried."""
+        """Return the rows at which a slip is tried; a track with few rows has none."""
         n = len(self.samples)
+        if n < MIN_ROWS:
+            return np.zeros(0, dtype=int)
         trials = np.linspace(END_SHARE * n, (1.0 - END_SHARE) * n, INSTANTS)
         first = np.unique(trials.astype(int))
         motion = self.change(1) ** 2
@@ -207,7 +209,7 @@ def strongest_slips(view: View, null: Null) -> list[Slip]:
     slips = []
     for k, track in enumerate(view.tracks):
         scan, best = SlipScan.of(view, null, k), None
-        first = scan.instants() if len(track.rows) >= MIN_ROWS else track.rows[:0]
+        first = scan.instants()
         for samples in scan.promising_lengths(first) if len(first) else ():
             gain, beta = scan.score(samples, first)
             # a tangent has the right sign but may be wrong in length, except of one sample

@@ -1,6 +1,7 @@
 """Clock slips are found, sized, repaired and distinguished from delays of the stage."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,9 +12,15 @@ from piezoid.diagnosis.candidate import Outcome, size_of
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import timestamp_fault
-from piezoid.diagnosis.effects.timestamp_fault import slip_evidence
+from piezoid.diagnosis.effects.timestamp_fault import find_equal_slips, slip_evidence
 from piezoid.diagnosis.residual_view import with_tracks
-from piezoid.diagnosis.sample_slips import delay_like_null, max_slip, strongest_slips
+from piezoid.diagnosis.sample_slips import (
+    MIN_ROWS,
+    delay_like_null,
+    instant_error,
+    max_slip,
+    strongest_slips,
+)
 from piezoid.diagnosis.selection import repair_faults, search, with_ingest_faults
 from piezoid.numerics.executor import SERIAL
 from piezoid.records.recording import Channel, Quantity
@@ -78,13 +85,52 @@ def test_a_delay_of_fast_motion_only_is_not_a_slip():
         assert evidence is None or not evidence.is_significant
 
 
-def test_a_slip_above_the_detection_bound_is_found():
-    share = timestamp_fault.EFFECT.fault.bound(healthy())
-    changes_m = [with_slip(clean("waves")[2], 4100, n) - clean("waves")[2] for n in range(1, 60)]
-    rms = np.array([np.sqrt(np.mean(change_m**2)) for change_m in changes_m])
-    samples = 1 + int(np.argmax(rms > 1.5 * share * 2.0 * healthy().half_stroke_m))
-    view = view_with(waves=with_slip(clean("waves")[2], 4100, samples))
-    assert is_within_interval(timestamp_fault.EFFECT.fault.find(view), samples)
+@pytest.mark.parametrize(("kind", "ratio"), [("waves", 1.5), ("sweep", 0.8)])
+def test_a_slip_is_found_above_the_detection_bound_and_not_below_it(kind, ratio):
+    limit_m = timestamp_fault.EFFECT.fault.bound(healthy()) * 2.0 * healthy().half_stroke_m
+    changes_m = [with_slip(clean(kind)[2], 4100, n) - clean(kind)[2] for n in range(60)]
+    rms_m = np.array([np.sqrt(np.mean(change_m**2)) for change_m in changes_m])
+    # the next larger slip above the bound, the next smaller slip below it
+    samples = int(np.argmax(rms_m > ratio * limit_m)) - (ratio < 1.0)
+    assert samples > 0
+    view = view_with(**{kind: with_slip(clean(kind)[2], 4100, samples)})
+    fault = timestamp_fault.EFFECT.fault.find(view)
+    assert is_within_interval(fault, samples) if ratio > 1.0 else fault is None
+
+
+@pytest.mark.parametrize("samples", [-60, 60])
+def test_a_slip_is_located_and_sized_before_its_refinement(samples):
+    view = view_with(walk=with_slip(clean("walk")[2], 4100, samples))
+    slip = strongest_slips(view, delay_like_null(view))[0]
+    assert slip.track == 1
+    assert abs(slip.instant - 4100) <= instant_error(9000)
+    assert slip.samples == pytest.approx(samples, rel=0.1)
+
+
+@pytest.mark.parametrize("later", [0, -20], ids=["alone", "before_an_opposite_slip"])
+def test_a_slip_of_known_length_is_located_by_the_error_alone(later):
+    view = view_with(sweep=with_slip(with_slip(clean("sweep")[2], 2500, 12), 6500, later))
+    fault = find_equal_slips(view, partial(with_tracks, view), 12)
+    name, _, since_s, *_ = fault.locations[0].split()
+    assert (name, fault.value) == ("sweep", 12)
+    assert float(since_s) == pytest.approx(2500 / clean("sweep")[0], rel=0.01)
+    assert fault.p_value < 1e-6
+    assert with_tracks(view, fault.tracks).rms < 0.9 * view.rms
+
+
+def test_no_slip_of_known_length_is_found_in_a_healthy_stage():
+    assert find_equal_slips(healthy(), partial(with_tracks, healthy()), 12) is None
+
+
+@pytest.mark.parametrize(("rows", "is_searched"), [(MIN_ROWS, True), (MIN_ROWS - 1, False)])
+def test_a_slip_is_searched_in_recordings_of_enough_rows(rows, is_searched):
+    view = view_with(waves=with_slip(clean("waves")[2], 4100, 60))
+    *others, track = view.tracks
+    selected = np.linspace(0, len(track.rows) - 1, rows).astype(int)
+    short = replace(track, rows=track.rows[selected], block=track.block[selected])
+    view = with_tracks(view, [*others, short])
+    slips = strongest_slips(view, delay_like_null(view))
+    assert (len(others) in {slip.track for slip in slips}) is is_searched
 
 
 def test_faults_of_time_stamps_add_to_the_slip_in_samples():

@@ -28,7 +28,6 @@ from piezoid.diagnosis.effects.outliers import spikes, without_spikes
 from piezoid.diagnosis.residual_view import View, with_tracks
 from piezoid.diagnosis.sample_slips import (
     MIN_ORTHOGONAL,
-    MIN_ROWS,
     Refit,
     Slip,
     SlipScan,
@@ -117,8 +116,6 @@ def largest_undetected(view: View) -> float:
     null, largest = delay_like_null(view), MIN_RMS
     for k in range(len(view.tracks)):
         scan = SlipScan.of(view, null, k)
-        if len(scan.samples) < MIN_ROWS:
-            continue
         first = scan.instants()
         if len(first):
             square, orthogonal = scan.squares(1, first)
@@ -270,7 +267,7 @@ def find_equal_slips(view: View, refit: Refit, samples: int) -> Fault | None:
     slips: list[Slip] = []
     for k in range(len(view.tracks)):
         scan = SlipScan.of(repaired, repaired.null, k)
-        first = scan.instants() if len(scan.samples) >= MIN_ROWS else np.array([], dtype=int)
+        first = scan.instants()
         if not len(first):
             continue
         gain, beta = scan.score(samples, first)
