@@ -322,6 +322,35 @@ def test_every_candidate_drive_stays_inside_range_and_slew_rate(experiment, slew
         assert body_V.max() <= limits.voltage_max_V + 1e-9
 
 
+@pytest.mark.parametrize(
+    ("clock_Hz", "slew_V_per_s", "fastest_Hz"),
+    [
+        pytest.param(24_800.0, 1e5, (310.0, 310.0, 97.0), id="mechanics"),
+        pytest.param(24_800.0, 3100.0, (310.0, 310.0, 97.0), id="slew"),
+        pytest.param(1000.0, 1e5, (31.0, 31.0, 31.0), id="clock"),
+    ],
+)
+def test_each_sine_of_the_grid_has_half_a_second_or_three_cycles(
+    clock_Hz, slew_V_per_s, fastest_Hz
+):
+    """Mechanics allow 100 Hz at the full range, the slew limit 99 Hz, the clock 50 Hz."""
+    limits = DriveLimits(voltage_min_V=0.0, voltage_max_V=10.0, slew_V_per_s=slew_V_per_s)
+    bench = Bench(axis="x", limits=limits, clock_Hz=clock_Hz)
+    drive = drive_of(next(e for e in EXPERIMENTS if e.name == "sine_grid"), bench, 0)
+    offset_V = drive.voltage_V[:, 0] - limits.middle_V
+    rising = np.flatnonzero((offset_V[:-1] <= 1e-9) & (offset_V[1:] > 1e-9))
+    period_s = np.diff(rising) / drive.sampling_rate_Hz
+    peak_V = np.maximum.reduceat(offset_V, rising)[:-1]
+    for amplitude_V, highest_Hz in zip((0.5, 1.5, 5.0), fastest_Hz, strict=True):
+        sines_s = period_s[np.isclose(peak_V, amplitude_V, rtol=0.02)]
+        assert 1.0 / sines_s.min() == pytest.approx(highest_Hz, rel=0.05)
+        for frequency_Hz in (highest_Hz, 0.97):
+            cycles_s = sines_s[np.isclose(sines_s * frequency_Hz, 1.0, rtol=0.06)]
+            # the first and the last cycle may join those of the neighbouring sines
+            assert len(cycles_s) >= 2
+            assert cycles_s.sum() > 0.5 - 2.0 / frequency_Hz
+
+
 def test_a_drive_for_coupling_requires_another_axis():
     limits = DriveLimits(voltage_min_V=0.0, voltage_max_V=10.0, slew_V_per_s=1e3)
     bench = Bench(axis="x", limits=limits, clock_Hz=CLOCK_Hz)

@@ -1,5 +1,6 @@
 """A mode identified by the fit is named from the recordings that it affects."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -10,17 +11,21 @@ from piezoid import ActuatorModel, Recording, diagnose, fit
 from piezoid.diagnosis.diagnosis import NO_RECORDING
 from piezoid.diagnosis.identified_modes import with_modes
 from piezoid.diagnosis.refit import refit_model
+from piezoid.identification.dynamics.modal import ResponseFit
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.operators.linear import resonance, sample
 from piezoid.records.lab import Lab
+from tests.identification.dynamics.stage import truth
 from tests.reports.known_diagnosis import diagnosed, finding
+from tests.reports.known_stage import axis_model
 
 from .bench import causes, view_of_recordings
 from .play_recordings import RINGING_NOISE as NOISE
 from .play_recordings import HALF_STROKE_m, cycled, memory_after, play_response, ringing
+from .play_stage import healthy
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
+pytestmark = pytest.mark.usefixtures("plays_alone")
 
 MODE_Hz, QUALITY = 300.0, 20.0
 
@@ -51,6 +56,7 @@ def fitted_stage() -> tuple[tuple[Recording, ...], ActuatorModel]:
     return recordings, fit(recordings)
 
 
+@pytest.mark.slow
 def test_a_mode_also_improves_the_model_of_the_other_recordings():
     """The fast triangle does not identify the mode but excites it above the noise."""
     fast = 0.8 * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * 8.0 * np.arange(5000) / 5000.0))
@@ -72,6 +78,7 @@ def test_a_mode_also_improves_the_model_of_the_other_recordings():
     assert errors.final_m < 4.0 * NOISE * HALF_STROKE_m
 
 
+@pytest.mark.slow
 def test_a_mode_is_named_once_with_its_parameters_and_the_error_that_it_causes():
     recordings, model = fitted_stage()
     diagnosis = diagnose(recordings, model=model)
@@ -95,6 +102,7 @@ def test_a_mode_is_named_once_with_its_parameters_and_the_error_that_it_causes()
     assert finding.rms_percent == pytest.approx(added_percent, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_recording_of_the_mode_answers_which_delay_the_others_leave_open():
     recordings, model = fitted_stage()
     dynamics = replace(model["x"].dynamics, delay_s=4e-5)
@@ -106,3 +114,35 @@ def test_the_recording_of_the_mode_answers_which_delay_the_others_leave_open():
     assert "multisine" in delay.next_experiment
     assert "40.0 µs" in delay.next_experiment
     assert creep == pairs[1]
+
+
+def test_modes_of_a_measured_response_are_stated_beside_the_bound_of_the_recordings():
+    response = ResponseFit(
+        name="analyser.csv",
+        lines=400,
+        used=380,
+        left_out_Hz=(),
+        gain_m_per_V=1e-6,
+        gain_ratio=1.0,
+        factor=1.0,
+        noise_relative=0.01,
+        left_relative=0.02,
+        left_Hz=500.0,
+        slow=None,
+    )
+    dynamics = replace(truth(), mode_frequency_Hz=np.array([612.345, 881.234]))
+    before = diagnosed()
+    for damping, modes_Hz in (((0.03, 0.02), ["612.3", "881.2"]), ((0.03, 1.5), ["612.3"])):
+        damped = replace(dynamics, mode_damping=np.array(damping))
+        model = replace(axis_model(), dynamics=damped, response=response)
+        after = with_modes(before, model, (), healthy())
+        pairs = zip(before.not_detected, after.not_detected, strict=True)
+        ((bound, stated),) = (pair for pair in pairs if pair[0] != pair[1])
+        assert stated.effect == "resonance"
+        assert re.findall(r"(\S+) Hz", stated.reason) == modes_Hz
+        assert "analyser.csv" in stated.reason
+        assert stated.reason.endswith(bound.reason)
+        assert replace(stated, reason=bound.reason) == bound
+    overdamped = replace(dynamics, mode_damping=np.array([1.5, 2.0]))
+    model = replace(axis_model(), dynamics=overdamped, response=response)
+    assert with_modes(before, model, (), healthy()) == before
