@@ -66,7 +66,7 @@ OUTLIER = 7.0  # robust standard deviations
 MAX_SHIFT = 0.02  # of the residual: a larger change by lag and extensions needs new columns
 # Weight of the change of histories and numbers over that of their rows. On a stage with a lag and
 # creep the undamped change had 28 times the predicted error. Shorter steps in its direction ended
-# at 2.0 times the noise on left-out blocks, damped ones at 1.4 times.
+# at 2.0 times the noise on left-out blocks, damped ones at 1.3 times.
 DAMPINGS = (0.0, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
 MIN_GAIN = 0.1  # of the predicted reduction of the mean square
 TOLERANCE = 1.01  # of the simulated mean square over the predicted one
