@@ -119,6 +119,11 @@ class Finding:
         """Return the rms contribution as a share of the stroke."""
         return self.rms_percent / 100.0
 
+    @property
+    def needs_recording(self) -> bool:
+        """Whether no recording of the fit settles what the finding leaves open."""
+        return not self.next_experiment.startswith(NO_RECORDING)
+
 
 @dataclass(frozen=True, kw_only=True)
 class NotDetected:

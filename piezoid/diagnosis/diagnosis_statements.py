@@ -7,7 +7,6 @@ more than a size.
 from math import pi
 
 from piezoid.diagnosis.diagnosis import (
-    NO_RECORDING,
     NOISE_RATIO,
     NOT_EXCITED,
     SOMETHING_ELSE,
@@ -83,8 +82,7 @@ def _confounded(diagnosis: Diagnosis, finding: Finding) -> Statement:
         text += f"; a loop below {with_unit(equal_Hz, 'Hz', 2)} is the same with either"
     text = f"{text}. {finding.next_experiment}"
     quantity = f"{finding.effect}_confounded"
-    is_answered = finding.next_experiment.startswith(NO_RECORDING)
-    level = Level.WARNING if is_answered else Level.ACTION
+    level = Level.ACTION if finding.needs_recording else Level.WARNING
     return _statement(diagnosis, Kind.LIMIT, level, quantity, text)
 
 

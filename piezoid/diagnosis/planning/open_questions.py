@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from math import inf, isfinite, sqrt
 
 from piezoid.diagnosis.candidate import MINIMUM_SHARE
-from piezoid.diagnosis.diagnosis import NO_RECORDING, Diagnosis, Finding, NotDetected
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected
 from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.planning.separation import SeparationEstimate, Suspect
@@ -95,8 +95,7 @@ def _every_question(diagnosis: Diagnosis) -> list[Question]:
     suspects = {finding.effect: suspect_of(finding, stroke_m) for finding in findings}
     for finding in findings:
         suspect = suspects[finding.effect]
-        is_answered = finding.next_experiment.startswith(NO_RECORDING)
-        for name in () if is_answered else finding.not_separable_from:
+        for name in finding.not_separable_from if finding.needs_recording else ():
             alternative = _suspect(name, shares.get(name, finding.share), stroke_m)
             if suspect and alternative:
                 pair = (suspect, alternative)
