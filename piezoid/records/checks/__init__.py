@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 
 from piezoid.errors import RecordingError
 from piezoid.raw_counts import record_in_counts
-from piezoid.records.checks.axis_names import check_axis_names
 from piezoid.records.checks.causality import check_early_turns, check_loop_direction
 from piezoid.records.checks.command_range import check_command_range
 from piezoid.records.checks.consistency import (
@@ -60,7 +59,6 @@ SET_CHECKS: tuple[SetCheck, ...] = (check_mixed_units, check_consistency, check_
 SET_CHECKS_OF_CONSISTENT: tuple[SetCheck, ...] = (
     check_drive_ranges,
     check_feedback_of_set,
-    check_axis_names,
 )
 
 
