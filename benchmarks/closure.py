@@ -6,8 +6,8 @@
 The stages are those of ``benchmarks.zoo``, with drives in a steady cycle before each recording.
 Healthy ones are fitted, those with hidden effects are diagnosed as well. ``--own`` replaces the
 displacement by a simulation with the final model, so that only errors of the estimator remain.
-Printed for each stage, over the noise: error in sample, corrected for the number of parameters,
-and error on held-out blocks, both with loop shape and without (plays).
+Printed for each stage, over the noise of sensor and converter: error in sample, corrected for the
+number of parameters, and error on held-out blocks, both with loop shape and without (plays).
 """
 
 import time
@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.zoo.command_line import stage_parser
 from benchmarks.zoo.score import read_campaign
-from benchmarks.zoo.stages import KINDS, NAMES, draw_stage, stage_requests
+from benchmarks.zoo.stages import KINDS, NAMES, draw_stage, noise_floor_m, stage_requests
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.identification.fit import axes_of, fit_axis
 from piezoid.identification.model import AxisModel
@@ -36,7 +36,7 @@ def fit_stages(
     for request in stage_requests(laws, kinds, cases, first):
         campaign = draw_stage(request, settled=True)
         recordings, lab = read_campaign(campaign)
-        noise_m, axis = campaign.answer.noise_rms_m, axes_of(recordings)[0]
+        noise_m, axis = noise_floor_m(campaign), axes_of(recordings)[0]
         if is_own:
             model = final_model(recordings, axis, lab, has_effects=bool(request.hidden))
             rng = np.random.default_rng(request.seed)

@@ -35,7 +35,7 @@ from benchmarks.outsiders.causes import FAIR
 from benchmarks.outsiders.cedar import campaigns as cedar
 from benchmarks.outsiders.lateral import is_stable_on
 from benchmarks.outsiders.simulators import load_simulator
-from benchmarks.zoo.stages import KINDS, NAMES, draw_stage, stage
+from benchmarks.zoo.stages import KINDS, NAMES, draw_stage, noise_floor_m, stage
 from piezoid_datasets.virtual_lab.write import write_campaign
 
 sys.path.insert(0, str(Path(__file__).parent / "outsiders/dogwood"))
@@ -58,7 +58,7 @@ class Truth:
 
     description  simulator, law and effects as text
     allowed      right names of effects, or None if this simulator does not state them
-    noise_m      rms of the sensor noise; 0 if the simulator does not state it
+    noise_m      rms of the noise of sensor and converter; 0 if the simulator does not state it
     """
 
     description: str
@@ -161,7 +161,7 @@ def _write_laboratory(
             description=f"laboratory {request.seed}, {request.law}, "
             f"{' + '.join(hidden) or 'healthy'} at {request.size:g}",
             allowed=hidden,
-            noise_m=float(campaign.answer.noise_rms_m),
+            noise_m=noise_floor_m(campaign),
         ),
         _assume_stable,
     )

@@ -5,9 +5,9 @@
 
 ``piezoid fit`` runs on each stage. Stage ``number`` of a group is always the same: a seed, and
 effects drawn from the catalogue (for ``outside``, one effect outside the catalogue, whose
-coordinate must be right). Closure is the error of the final model over the true noise. A name is
-right if it is that of a hidden effect, or one that the author of the simulator declared fair
-before the first run.
+coordinate must be right). Closure is the error of the final model over the true noise of sensor
+and converter, whose steps no model removes. A name is right if it is that of a hidden effect, or
+one that the author of the simulator declared fair before the first run.
 """
 
 import argparse
@@ -90,7 +90,8 @@ def evaluate(task: tuple[str, int], *, simulator: str, first: int, size: float) 
     if not (out / "diagnosis.json").exists():
         return result
     record = json.loads((out / "diagnosis.json").read_bytes())
-    noise_m = truth["noise_m"]
+    steps_m = [effect.get("parameters", {}).get("step_m", 0.0) for effect in truth["effects"]]
+    noise_m = float(np.linalg.norm([truth["noise_m"], *np.array(steps_m) / np.sqrt(12.0)]))
     names = tuple(finding["effect"] for finding in record["findings"])
     fair = {kind: {kind, *campaigns.FAIR.get(kind, ())} for kind in kinds}
     coordinates = [f["coordinate"] for f in record["findings"] if f.get("coordinate")]

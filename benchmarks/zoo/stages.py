@@ -72,3 +72,14 @@ def draw_stage(
         plans=plans,
         laboratory=laboratory.settled if settled else laboratory,
     )
+
+
+def noise_floor_m(campaign: Campaign) -> float:
+    """Return the rms error that no model removes: sensor noise and rounding of a coarse converter.
+
+    Rounding to steps q has the rms error q / sqrt(12).
+    """
+    steps_m = [
+        float(e.numbers["step_m"]) for e in campaign.answer.effects if e.name == "quantisation"
+    ]
+    return float(np.linalg.norm([campaign.answer.noise_rms_m, *np.array(steps_m) / np.sqrt(12.0)]))
