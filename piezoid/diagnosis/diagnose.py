@@ -24,7 +24,12 @@ from piezoid.diagnosis.identified_modes import split_by_mode, with_modes
 from piezoid.diagnosis.null_distribution import ALPHA, evidence_p_value, smallest_structure_p_value
 from piezoid.diagnosis.refit import CLEARLY_WORSE, ModelErrors, attribute_errors, repair_recordings
 from piezoid.diagnosis.residual_structure import SearchResult, add_structure, locate_residual
-from piezoid.diagnosis.residual_view import View, view_of
+from piezoid.diagnosis.residual_view import (
+    View,
+    has_continuous_drive,
+    view_of,
+    with_continuous_drive,
+)
 from piezoid.diagnosis.segments import tracks_of
 from piezoid.diagnosis.selection import (
     search_all,
@@ -309,17 +314,25 @@ def _prefer_named_effects(
 
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
-    """Return the view of all recordings in which this axis moves."""
+    """Return the view of all recordings in which this axis moves.
+
+    A converter with a declared clock holds every value of the drive, unless the recordings agree
+    better with a drive that moves between samples, as that of a generator does.
+    """
     moving_recordings = driven_recordings(recordings, axis)
     scales, rig = scales_of(moving_recordings, axis), rig_of(lab, axis)
-    clock_Hz = lab.acquisition.sampling_rate_Hz
-    tracks = tracks_of(moving_recordings, axis, scales, rig, clock_Hz=clock_Hz)
-    half_stroke_m = abs(scales.displacement_m)
-    rest_drive = -scales.voltage_offset_V / scales.voltage_V
-    view = view_of(
-        tracks, half_stroke_m=half_stroke_m, voltage_V=scales.voltage_V, rest_drive=rest_drive
-    )
     scope = scope_of(pieces_of(moving_recordings, axis, scales, rig))
+    clock_Hz = lab.acquisition.sampling_rate_Hz
+    view = view_of(
+        tracks_of(moving_recordings, axis, scales, rig, clock_Hz=clock_Hz),
+        half_stroke_m=abs(scales.displacement_m),
+        voltage_V=scales.voltage_V,
+        rest_drive=-scales.voltage_offset_V / scales.voltage_V,
+    )
+    if clock_Hz is not None:
+        continuous = tracks_of(moving_recordings, axis, scales, rig)
+        view = replace(view, continuous=tuple((t.command, t.drive) for t in continuous))
+        view = with_continuous_drive(view) if has_continuous_drive(view) else view
     return replace(view, one_speed=scope.has_one_speed and step_response_view(view) is None)
 
 

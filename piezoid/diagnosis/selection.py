@@ -44,7 +44,13 @@ from piezoid.diagnosis.nuisance_search import (
 )
 from piezoid.diagnosis.refinement import SelectedEffect, initial_guess, refine, with_effects
 from piezoid.diagnosis.residual_structure import SearchResult, locate_structure
-from piezoid.diagnosis.residual_view import View, with_shared_reversals, with_tracks
+from piezoid.diagnosis.residual_view import (
+    View,
+    has_continuous_drive,
+    with_continuous_drive,
+    with_shared_reversals,
+    with_tracks,
+)
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.step_responses import step_response_view
 from piezoid.formatting import words
@@ -66,7 +72,8 @@ MAX_SECOND_RATIO = 0.97  # largest error after the second search, over that afte
 
 def search_all(view: View, executor: Executor) -> SearchResult:
     """Search for effects, and for structure of the residual that no effect explains."""
-    first = search(view, executor)
+    first = _search_with_best_clock(view, executor)
+    view = first.first
     executor.report("locating the unexplained residual")
     unexplained, structures = locate_structure(first)
     first_result = SearchResult(raw=view, outcome=first, unexplained=unexplained)
@@ -91,9 +98,31 @@ def search_all(view: View, executor: Executor) -> SearchResult:
     return best
 
 
-def search(view: View, executor: Executor = SERIAL) -> Outcome:
-    """Search for the causes of the residual of the nuisance class."""
-    clean, faults, initial = repair_faults(view, executor)
+def _search_with_best_clock(view: View, executor: Executor) -> Outcome:
+    """Search with the drive held or not, and with or without slips, whichever error is smaller.
+
+    Beside effects that are not selected yet, a drive that moves between samples is not recognised,
+    and a resonance at a rising speed looks like slips of the clock.
+    """
+    outcome = search(view, executor)
+    if SLIP in outcome.faults:
+        executor.report("searching without slips of the clock")
+        outcome = min(outcome, search(view, executor, skipped=SLIP), key=lambda o: o.final.rms)
+    if view.continuous:
+        causes = [cause.selected for cause in outcome.causes]
+        continuous = with_effects(with_continuous_drive(outcome.clean), causes)
+        if has_continuous_drive(outcome.final, continuous):
+            executor.report("searching with a drive that moves between samples")
+            return _search_with_best_clock(with_continuous_drive(view), executor)
+    return outcome
+
+
+def search(view: View, executor: Executor = SERIAL, *, skipped: str = "") -> Outcome:
+    """Search for the causes of the residual of the nuisance class.
+
+    skipped  name of a fault that is not searched before the effects
+    """
+    clean, faults, initial = repair_faults(view, executor, skipped=skipped)
     state = select_forward(clean, faults, executor, initial)
     causes, confounded, dismissed = compare_models(state.clean, state.selected, executor)
     final = with_effects(state.clean, [cause.selected for cause in causes])
