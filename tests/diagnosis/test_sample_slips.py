@@ -1,5 +1,6 @@
 """Clock slips are found, sized, repaired and distinguished from delays of the stage."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -21,12 +22,16 @@ from piezoid.diagnosis.sample_slips import (
     max_slip,
     strongest_slips,
 )
-from piezoid.diagnosis.selection import repair_faults, search, with_ingest_faults
+from piezoid.diagnosis.selection import repair_faults, search, search_all, with_ingest_faults
+from piezoid.identification.extensions.extension import Where
+from piezoid.identification.extensions.linear_mode import LinearMode
+from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import SERIAL
 from piezoid.records.recording import Channel, Quantity
 from piezoid.statement import finding
+from piezoid_datasets.virtual_lab.truths import ZOO
 
-from .bench import thinned, view_of_recordings, with_fewer_rows
+from .bench import single_axis_recording, thinned, view_of_recordings, with_fewer_rows
 from .play_stage import (
     NOISE_m,
     STROKE_m,
@@ -234,3 +239,39 @@ def test_a_slip_is_found_in_the_presence_of_a_gain_change():
     low, high = size_of(cause).ci95
     assert low < 5.0 < high
     assert outcome.final.rms < 1.5 * outcome.final.noise
+
+
+def course_of(levels: Sequence[float], samples: int) -> Array:
+    """Return a drive through levels at one speed."""
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(levels)))])
+    return np.interp(np.linspace(0.0, travel[-1], samples), travel, levels)
+
+
+def test_a_resonance_beside_unknown_initial_states_is_no_slip():
+    """Beside wrong initial states the phase of a mode at a rising frequency resembles slips."""
+    mode = LinearMode(frequency_Hz=723.0, quality=5.3, participation=0.58)
+    time_s = np.arange(11_000) / 10_000.0
+    chirp = -0.13 + 0.19 * np.sin(2.0 * np.pi * (2.0 + 358.0 * time_s) * time_s)
+    turns = np.random.default_rng(117).uniform(-1.0, 1.0, 30)
+    loops = course_of([-1.0, 1.0, -1.0, *turns], 6000)
+    triangle = course_of([0.0, 0.8, -0.8, 0.8, 0.0], 3000)
+    drives = {
+        "loops": (500.0, loops, (-0.14, 0.22, 0.47, -0.97, -0.49)),
+        "chirp": (10_000.0, chirp, (0.0, 0.21, -0.83, 1.0, 0.66)),
+        "triangle": (2000.0, triangle, (0.0, -0.93, 0.14, 0.22)),
+    }
+    ceramic = next(truth for truth in ZOO if truth.name == "preisach_lorentzian").draw(
+        np.random.default_rng(5)
+    )
+    rng, recordings = np.random.default_rng(17), []
+    for name, (rate_Hz, field, turns_before) in drives.items():
+        history = course_of([*turns_before, field[0]], 600)
+        response = np.add(*ceramic.respond(np.concatenate([history, field]), np.zeros(0)))
+        where = Where(recording=name, rate_Hz=rate_Hz)
+        moved_m = mode.response(3e-6 * response[len(history) :], where)
+        reading_m = moved_m + 2e-9 * rng.standard_normal(len(field))
+        recordings.append(single_axis_recording(name, rate_Hz, 5.0 * field, reading_m))
+    outcome = search_all(with_fewer_rows(view_of_recordings(recordings), 3), SERIAL).outcome
+    assert "timestamp_fault" not in outcome.faults
+    assert "resonance" in {cause.effect.name for cause in outcome.causes}
+    assert outcome.final.rms < 1.2 * outcome.final.noise

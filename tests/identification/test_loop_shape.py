@@ -19,7 +19,7 @@ from piezoid.identification.extensions.periodic_error import PeriodicError, Phas
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.loop_shape_fit import with_loop_shape
-from piezoid.identification.model import SCHEMA, AxisModel
+from piezoid.identification.model import SCHEMA, AxisModel, Lag
 from piezoid.identification.simulation import compare, simulate_recording
 from piezoid.identification.store import read_model, write_model
 from piezoid.numerics.arrays import Array
@@ -102,6 +102,17 @@ def test_a_law_other_than_plays_is_explained_to_the_noise():
     rms_m = np.sqrt(np.mean(np.concatenate(errors_m) ** 2))
     assert rms_m == pytest.approx(axis.quality.rms_m, rel=0.1)
     assert abs(axis.loop_shape.plays_weight) < 0.2  # without the kinks of plays
+
+
+def test_a_lag_of_several_periods_of_the_drive_is_found_wrong():
+    """The error has a minimum in every period of the lag; that without lag is tried as well."""
+    chirp = -0.4 + 0.1 * np.sin(2.0 * np.pi * np.arange(2000) * (0.01 + 2e-5 * np.arange(2000)))
+    recordings = (recorded("dahl", SWEEP, "sweep"), recorded("dahl", chirp, "chirp"))
+    plays = estimate_axis(recordings, "x", Rig(), orders=((8, 2),))
+    delayed = replace(plays, lag=Lag(kind="delay", time_s=0.1))
+    axis = with_loop_shape(delayed, recordings)
+    assert axis.lag.time_s < 1e-4
+    assert axis.quality.explained_rms_m < 1.2 * NOISE_M
 
 
 def test_loop_shape_improves_the_prediction_of_a_new_recording():
