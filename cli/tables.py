@@ -74,10 +74,12 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]") -> list[str]:
     """Return the error budget of each diagnosed axis as a line, followed by a legend."""
     from piezoid.formatting import with_unit
     from piezoid.raw_counts import in_counts
-    from piezoid_reports.sections.error_budget import label_of, visible_parts
+    from piezoid_reports.sections.error_budget import MAX_EXCESS, label_of, visible_parts
 
     lines = []
     for diagnosis in diagnoses:
+        if diagnosis.final.rms_m > MAX_EXCESS * diagnosis.baseline.rms_m:
+            continue
         terms = ", ".join(
             f"{label_of(part.part)} {with_unit(part.rms_m, 'm')}{'*' if part.is_explained else ''}"
             for part in visible_parts(diagnosis)

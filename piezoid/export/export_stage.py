@@ -99,7 +99,34 @@ def export_stage(
         },
         unshipped={**design.refused, **unshipped},
         decoupled=decoupled,
+        signals={axis.axis: text for axis in shipped if (text := _signals(lab, axis))} or None,
     )
+
+
+def _signals(lab: Lab, axis: AxisParameters) -> str:
+    """Return what lab.toml declares about the columns and the amplifier of an axis."""
+    texts = list[str]()
+    for entry in lab.recordings:
+        for quantity in ("displacement", "current", "voltage"):
+            keys = (f"{quantity}_{axis.axis}", *([quantity] if entry.axis == axis.axis else []))
+            column, unit, scale, offset = (
+                next((table[key] for key in (*keys, quantity) if key in table), None)
+                for table in (entry.columns, entry.units, entry.scale, entry.offset)
+            )
+            if not any(key in entry.columns for key in keys):
+                continue
+            text = f"{quantity} from the column {column} in {unit or 'the unit of its heading'}"
+            text += f", times {scale:g}" if scale is not None else ""
+            text += f", plus {offset:g}" if offset is not None else ""
+            if text not in texts:
+                texts.append(text)
+    gain_V_per_V = lab.amplifier_of(axis.axis).gain_V_per_V
+    if gain_V_per_V is not None:
+        high_V = axis.voltage_range_V[1]
+        texts.append(
+            f"an output of {high_V:.5g} V gives {gain_V_per_V * high_V:.5g} V at the piezo"
+        )
+    return "; ".join(texts)
 
 
 def _export_axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisParameters:

@@ -161,6 +161,35 @@ def check_drive_ranges(recordings: Sequence[Recording]) -> list[Statement]:
     return statements
 
 
+def check_time_units(recordings: Sequence[Recording]) -> list[Statement]:
+    """Report each recording whose rate and drive are both 1000 or 1e6 times those of another."""
+    statements = []
+    for axis in sorted({axis for r in recordings for axis in r.complete_axes}):
+        slews = [
+            (float(np.mean(np.abs(np.diff(r.voltage_V(axis))))) * r.sampling_rate_Hz, r)
+            for r in recordings
+            if axis in r.complete_axes
+        ]
+        slowest = min(slews, key=lambda pair: pair[1].sampling_rate_Hz)
+        for slew_V_per_s, recording in slews:
+            ratio = recording.sampling_rate_Hz / slowest[1].sampling_rate_Hz
+            thousands = math.log10(ratio) / 3.0
+            if round(thousands) < 1 or abs(thousands - round(thousands)) > UNIT_TOLERANCE:
+                continue
+            if not _is_alike(slew_V_per_s / max(ratio * slowest[0], 1e-300)):
+                continue
+            fast, slow = (
+                f"{r.name} has {with_unit(r.sampling_rate_Hz, 'Hz')} and a drive of "
+                f"{with_unit(slew, 'V/s')} on average"
+                for slew, r in ((slew_V_per_s, recording), slowest)
+            )
+            text = f"{fast}, {slow}. Check the unit of the time of {recording.name}."
+            statements.append(
+                finding("implausible_time", text, axis=axis, recording=recording.name, value=ratio)
+            )
+    return statements
+
+
 def check_consistency(recordings: Sequence[Recording]) -> list[Statement]:
     """Report each recording whose gain contradicts that of most others on its axis."""
     return [statement for statement, _ in _inconsistencies(recordings)]
@@ -247,8 +276,8 @@ def inconsistency(
     is_drive = abs(math.log(size * spans_V[0] / spans_V[1])) < abs(
         math.log(spans_V[0] / spans_V[1])
     )
-    comparison = f"{significant(max(size, 1.0 / size))} times "
-    comparison += "larger" if size > 1.0 else "smaller"
+    comparison = f"{gain.name} moves {significant(max(size, 1.0 / size))} times "
+    comparison += "more" if size > 1.0 else "less"
     thousands = math.log10(size) / 3.0
     distances = {monitor: abs(math.log(size / monitor)) for monitor in MONITORS}
     monitors = [m for m in MONITORS if distances[m] < MONITOR_TOLERANCE]
