@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 NARROW, MINUS = "\u202f", "\u2212"  # typography of the report
 MAX_SHOWN = 5  # statements
+MAX_WORD = 12
 INDENT = "  "
 
 
@@ -32,10 +33,13 @@ def table(
     """
     from rich.table import Table
 
-    cells = Table(title=rich_text(title))
+    cells, rows = Table(title=rich_text(title)), list(rows)
+    # Words of the first column stay whole beside many columns of numbers.
+    lengths = [len(word) for row in rows for word in str(row[0]).split()]
     for k, heading in enumerate(headings):
         justify: JustifyMethod = "left" if k < n_words else "right"
-        cells.add_column(heading, justify=justify, overflow="fold")  # no cell is cut off
+        width = min(max(lengths, default=0), MAX_WORD) if k == 0 else None
+        cells.add_column(heading, justify=justify, overflow="fold", min_width=width)
     for row in rows:
         cells.add_row(*(rich_text(cell) if isinstance(cell, str) else cell for cell in row))
     return cells

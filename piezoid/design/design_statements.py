@@ -128,8 +128,8 @@ def _error_bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     text = (
         f"No useful bound of the error: the proven limit, {with_unit(error_m, 'm')}, exceeds a "
         f"tenth of the {with_unit(axis.quality.range_m, 'm')} range. Most of it, "
-        f"{with_unit(parts_m[largest], 'm')}, comes from {largest}. It adds up worst cases; the "
-        "expected error is the simulated one."
+        f"{with_unit(parts_m[largest], 'm')}, comes from {largest}. It adds up worst cases; "
+        "piezoid verify --bounds computes the probable error."
     )
     return [_statement(design.axis, Level.WARNING, "guaranteed_error", text, error_m, "m")]
 

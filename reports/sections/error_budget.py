@@ -65,7 +65,9 @@ def render(page: Page) -> Section | None:
         title="Error budget",
         lead="Held-out error of the base model (hysteresis without a lag or another effect), "
         "split into its causes. Each number is the rms of one part. Their squares add up, so the "
-        "bars between the first and the last are shorter than their numbers.",
+        "bars between the first and the last are shorter than their numbers. Excess on held-out "
+        "data: error on left-out blocks beyond that of the fit. Unexplained: residual of the "
+        "widest class of hysteresis beyond the noise.",
         parts=tuple(waterfalls),
     )
 

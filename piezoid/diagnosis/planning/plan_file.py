@@ -3,6 +3,8 @@
 from math import isfinite
 from typing import Any
 
+import numpy as np
+
 from piezoid.diagnosis.experiment import Plan
 from piezoid.diagnosis.planning.open_questions import (
     HALF_95,
@@ -170,7 +172,8 @@ def _advice(plan: Plan) -> str:
     advised = next(of_report, None)
     if advised is None or advised.estimate is None or drive.name in tangent.advised:
         return ""
-    because = f": {tangent.visible}" if tangent.visible else ""
+    moves = np.count_nonzero(np.diff(drive.voltage_V, axis=0)) > 0.5 * len(drive.voltage_V)
+    because = f": {tangent.visible}" if tangent.visible and moves else ""
     return (
         f"The report recommends {advised.name} for {words(suspect.name)}, "
         f"{advised.duration_s:.0f} s with an expected standard error of "
