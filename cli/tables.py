@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 NARROW, MINUS = "\u202f", "\u2212"  # typography of the report
 MAX_SHOWN = 5  # statements
-MAX_WORD = 12
+MIN_WORDS, MANY = 11, 5  # characters of a first column beside many columns
 INDENT = "  "
 
 
@@ -33,12 +33,11 @@ def table(
     """
     from rich.table import Table
 
-    cells, rows = Table(title=rich_text(title)), list(rows)
-    # Words of the first column stay whole beside many columns of numbers.
-    lengths = [len(word) for row in rows for word in str(row[0]).split()]
+    cells = Table(title=rich_text(title))
     for k, heading in enumerate(headings):
         justify: JustifyMethod = "left" if k < n_words else "right"
-        width = min(max(lengths, default=0), MAX_WORD) if k == 0 else None
+        # No cell is cut off, and words of the first column stay whole.
+        width = MIN_WORDS if k == 0 and len(headings) > MANY else None
         cells.add_column(heading, justify=justify, overflow="fold", min_width=width)
     for row in rows:
         cells.add_row(*(rich_text(cell) if isinstance(cell, str) else cell for cell in row))

@@ -46,66 +46,65 @@ def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
         return []
     bandwidth_Hz = design.recommended.bandwidth_Hz
     rate_Hz, unseen_modes = design.sampling_rate_Hz, unseen(axis)
-    if unseen_modes.peak < FIRST_MODE:
-        record = _chirp_above_modes(axis, rate_Hz, unseen_modes.from_Hz)
-        seen_Hz = with_unit(unseen_modes.from_Hz, "Hz")
-        text = (
-            f"Designed for {with_unit(bandwidth_Hz, 'Hz')}; design.toml may request more "
-            f"(bandwidth_Hz). Above {seen_Hz} no recorded response is coherent with its drive, "
-            "which limits the control effort. "
-            f"{record or 'The motion of a small chirp there is lost in the sensor noise.'}"
-        )
-        level = Level.ACTION if record else Level.NOTE
-        return [_statement(design.axis, level, "bandwidth", text, bandwidth_Hz, "Hz")]
+    chirp_Hz, level = rate_Hz / CHIRP_SAMPLES, Level.ACTION
+    record = f"{_chirp(axis, chirp_Hz)}, less through a resonance."
     resonance_Hz = axis.unfitted_resonance_Hz
     stated_Hz = None if axis.bandwidth is None else axis.bandwidth.stated_Hz
-    chirp_Hz, (low_V, high_V) = rate_Hz / CHIRP_SAMPLES, axis.voltage_V
-    record = (
-        f"Record a small chirp up to {with_unit(chirp_Hz, 'Hz', 2)}, with an amplitude of about "
-        f"{with_unit(CHIRP_AMPLITUDE * (high_V - low_V), 'V', 2)}, less through a resonance, "
-        f"sampled at {with_unit(rate_Hz, 'Hz', 2)} or faster"
-    )
-    if resonance_Hz is not None:
-        reason = f"the resonance near {with_unit(resonance_Hz, 'Hz', 3)} could not be fitted."
+    text = f"Bandwidth limited to {with_unit(bandwidth_Hz, 'Hz')}: "
+    if unseen_modes.peak < FIRST_MODE:
+        record = _chirp_above_modes(axis, chirp_Hz, unseen_modes.from_Hz)
+        level = Level.ACTION if record else Level.NOTE
+        text = (
+            f"Designed for {with_unit(bandwidth_Hz, 'Hz')}; design.toml may request more "
+            f"(bandwidth_Hz). Above {with_unit(unseen_modes.from_Hz, 'Hz')} no recorded response "
+            "is coherent with its drive, which limits the control effort. "
+            f"{record or 'The motion of a small chirp there is lost in the sensor noise.'}"
+        )
+    elif resonance_Hz is not None:
+        text += f"the resonance near {with_unit(resonance_Hz, 'Hz', 3)} could not be fitted."
     elif stated_Hz is None:
-        declare = "or state bandwidth_Hz under [actuator] in lab.toml"
-        reason = f"no resonance was recorded. {record}, {declare}."
+        text += (
+            f"no resonance was recorded. {record} Or state bandwidth_Hz under [actuator] in "
+            "lab.toml."
+        )
     else:
-        advice = f"{record}."
         if stated_Hz > chirp_Hz:
-            advice = (
+            record = (
                 f"Its chirp cannot be sampled at {with_unit(rate_Hz, 'Hz', 3)}: use a faster "
                 f"recorder, at {with_unit(CHIRP_SAMPLES * stated_Hz, 'Hz', 3)} or more."
             )
-        reason = f"the stated {with_unit(stated_Hz, 'Hz', 3)} was not recorded. {advice}"
-    text = f"Bandwidth limited to {with_unit(bandwidth_Hz, 'Hz')}: {reason}"
-    return [_statement(design.axis, Level.ACTION, "bandwidth", text, bandwidth_Hz, "Hz")]
+        text += f"the stated {with_unit(stated_Hz, 'Hz', 3)} was not recorded. {record}"
+    return [_statement(design.axis, level, "bandwidth", text, bandwidth_Hz, "Hz")]
 
 
-def _chirp_above_modes(axis: AxisModel, rate_Hz: float, seen_Hz: float) -> str:
+def _chirp(axis: AxisModel, end_Hz: float, start: str = "up ") -> str:
+    """Return the chirp to record, up to a frequency, as a sentence without its full stop."""
+    amplitude_V = CHIRP_AMPLITUDE * (axis.voltage_V[1] - axis.voltage_V[0])
+    return (
+        f"Record a small chirp {start}to {with_unit(end_Hz, 'Hz', 2)}, sampled at "
+        f"{with_unit(CHIRP_SAMPLES * end_Hz, 'Hz', 2)} or faster, with an amplitude of about "
+        f"{with_unit(amplitude_V, 'V', 2)}"
+    )
+
+
+def _chirp_above_modes(axis: AxisModel, chirp_Hz: float, seen_Hz: float) -> str:
     """Return the chirp that shows more of the response than recorded, a sentence, or ''.
 
     It begins above the modes, where its motion is that of a slow drive or less, and ends where its
     motion is no longer visible in the sensor noise.
-
-    seen_Hz  highest frequency that the recordings show
     """
-    low_V, high_V = axis.voltage_V
-    amplitude_V = CHIRP_AMPLITUDE * (high_V - low_V)
-    frequency_Hz = np.geomspace(1.0, rate_Hz / CHIRP_SAMPLES, _LINES)
-    response = linear_part(axis, None).response(frequency_Hz)[:, 0, 0]
-    motion_m = amplitude_V * np.abs(response)
-    is_visible = motion_m > _VISIBLE * axis.quality.noise_rms_m
-    end_Hz = float(np.max(frequency_Hz, where=is_visible, initial=0.0))
-    start_Hz = float(np.max(frequency_Hz, where=motion_m > CLEAR_PEAK * motion_m[0], initial=0.0))
+    frequency_Hz = np.geomspace(1.0, chirp_Hz, _LINES)
+    gain_m_per_V = np.abs(linear_part(axis, None).response(frequency_Hz)[:, 0, 0])
+    amplitude_V = CHIRP_AMPLITUDE * (axis.voltage_V[1] - axis.voltage_V[0])
+    is_visible = amplitude_V * gain_m_per_V > _VISIBLE * axis.quality.noise_rms_m
+    is_amplified = gain_m_per_V > CLEAR_PEAK * gain_m_per_V[0]
+    end_Hz, start_Hz = (
+        float(frequency_Hz.max(where=where, initial=0.0)) for where in (is_visible, is_amplified)
+    )
     if end_Hz < _WIDER * max(seen_Hz, start_Hz):
         return ""
-    start = f"from {with_unit(start_Hz, 'Hz', 2)} " if start_Hz else ""
-    return (
-        f"Record a small chirp {start}to {with_unit(end_Hz, 'Hz', 2)}, with an amplitude of about "
-        f"{with_unit(amplitude_V, 'V', 2)}, sampled at "
-        f"{with_unit(CHIRP_SAMPLES * end_Hz, 'Hz', 2)} or faster."
-    )
+    start = f"from {with_unit(start_Hz, 'Hz', 2)} " if start_Hz else "up "
+    return f"{_chirp(axis, end_Hz, start)}."
 
 
 def _error_bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:

@@ -17,7 +17,7 @@ from piezoid.export.c_header import plain_ascii
 from piezoid.export.parameter_file import AxisParameters, ParameterFile, Robustness
 from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
-from piezoid.operators.dead_zone import LINEAR, DeadZones
+from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.preisach_plays import straight_between
 from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.runtime.controller import Controller
@@ -39,10 +39,7 @@ _AXIS = (
     *("axis", "index", "method", "rate, Hz", "preview, samples", "working range", "output, V"),
     *("LSB, V", "codes"),
 )
-_COST = (
-    *("axis", "plays", "knots", "creep elements", "biquads", "observer order"),
-    "instructions",
-)
+_COST = (*("axis", "plays", "knots", "creep elements", "observer order", "instructions"),)
 _LOOP = (
     *("axis", "delay margin", "safe delay", "lag", "guaranteed error", "transient", "start"),
     "jump",
@@ -115,7 +112,6 @@ def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> st
         unit="m (tip axis: A)" if has_lateral and has_tip else "A" if has_tip else "m",
         total_samples=samples * len(file.axes),
         costs=_table(_COST, [row for row in rows if "instructions" in row]),
-        cost_rule=fill(_cost_rule(), _WIDTH),
         readings=indent(_table(_READING, [row for row in rows if _READING[1] in row]), "  "),
         dac_ranges=_dac_ranges(file.axes),
         has_guarantee=any(
@@ -210,7 +206,6 @@ def _position_cells(axis: AxisParameters) -> dict[str, str]:
         "plays": f"{values['play_count']:.0f}",
         "knots": f"{values['knot_count'] + values['envelope_count']:.0f}",
         "creep elements": f"{values['relaxation_count']:.0f}",
-        "biquads": f"{_sections(values):.0f}",
         "observer order": f"{values['observer_order']:.0f}",
         "instructions": _instructions(axis),
         "working range": f"{low_m:.7g} to {high_m:.7g} m",
@@ -272,10 +267,9 @@ def _lag(axis: AxisParameters) -> str:
 def _start_cells(axis: AxisParameters) -> tuple[str, str]:
     """Return the end of the ramp at power-up, and the largest jump of the first output.
 
-    At the lowest or highest output, the reading of a stage at rest may lie outside the working
-    range. The ramp ends a share of the output range beyond the voltage at which the model's
-    outermost branch enters it. On seven stages no voltage or reading inside both ranges has a
-    larger jump.
+    The ramp ends a share of the output range beyond the voltage at which the model's outermost
+    branch, that of a stage at rest, enters the working range. On seven stages no voltage or
+    reading inside both ranges has a larger jump.
     """
     values = _scalars(axis)
     low_V, high_V = axis.voltage_range_V
@@ -285,9 +279,8 @@ def _start_cells(axis: AxisParameters) -> tuple[str, str]:
         end_V, side = (high_V, -1) if start_V > 0.0 else (low_V, 1)
         ramp_V = np.linspace(float(np.clip(0.0, low_V, high_V)), end_V, _RAMP_STEPS)
         reading_m = _branch_m(axis, ramp_V, side)
-        is_within = (reading_m >= values["reference_minimum_m"]) & (
-            reading_m <= values["reference_maximum_m"]
-        )
+        limits_m = values["reference_minimum_m"], values["reference_maximum_m"]
+        is_within = np.clip(reading_m, *limits_m) == reading_m
         start_V = float(ramp_V[int(np.argmax(is_within.all(axis=0)))]) - side * inset_V
     jump_V = 0.0
     for voltage_V, end in product(
@@ -308,36 +301,29 @@ def _end_cell(axis: AxisParameters, voltage_V: float, side: int, opposite: bool)
 
 
 def _branch_m(axis: AxisParameters, ramp_V: Array, side: int) -> Array:
-    """Return the model's readings on an outermost branch, before and after all creep.
+    """Return the model's readings on an outermost branch, without and with all creep, (2, rows).
 
-    ramp_V    (voltages,)  V, monotonic
-    side      -1: all plays at u - r, as on a rise from the lowest state; 1: all at u + r
-    returned  (2, voltages)  m
+    side  -1: all plays at u - r, as on a rise from the lowest state; 1: all at u + r
     """
-    values, arrays = _scalars(axis), axis.values
-    plays, knots, bends = (int(values[f"{part}_count"]) for part in ("play", "knot", "envelope"))
-    offset_m, threshold_V = values["displacement_offset_m"], arrays["play_threshold_V"][:plays]
-    envelope = LINEAR
-    if bends:
-        envelope = DeadZones(
-            threshold=arrays["envelope_knot_V"][:bends], weight=arrays["envelope_weight"][:bends]
-        )
-    input_V = envelope.run(ramp_V - values["voltage_offset_V"])
+
+    def mapped(x: Array, count: str, *names: str) -> Array:
+        threshold, weight = (axis.values[name][: int(axis.values[count])] for name in names)
+        return DeadZones(threshold=threshold, weight=weight).run(x) if len(weight) else x
+
+    values, plays = axis.values, slice(int(axis.values["play_count"]))
+    threshold_V, edges = values["play_threshold_V"][plays], int(values["edge_count"])
+    centred_V = ramp_V - values["voltage_offset_V"]
+    input_V = mapped(centred_V, "envelope_count", "envelope_knot_V", "envelope_weight")
     state_V = input_V[:, None] + side * threshold_V
-    if edges := int(values["edge_count"]):
-        width_V = values["edge_steps"] * threshold_V[1]
-        edge_V = values["edge_V"] + width_V * np.arange(edges)
-        functions_m = arrays["play_value_m"][:plays, :edges]
-        moved_m = np.zeros(len(ramp_V))
-        for state, value_m in zip(state_V.T, functions_m, strict=True):
-            moved_m = moved_m + straight_between(state, edge_V, value_m)
+    if edges:
+        edge_V = values["edge_V"] + values["edge_steps"] * threshold_V[1] * np.arange(edges)
+        pairs = zip(state_V.T, values["play_value_m"][plays, :edges], strict=True)
+        sum_m = np.sum([straight_between(z, edge_V, value_m) for z, value_m in pairs], axis=0)
     else:
-        moved_m = state_V @ arrays["play_weight_m_per_V"][:plays]
-    if knots:
-        zones = DeadZones(threshold=arrays["knot_m"][:knots], weight=arrays["knot_weight"][:knots])
-        moved_m = zones.run(moved_m)
-    creep = 1.0 + float(arrays["relaxation_share"].sum())
-    return np.asarray(offset_m + values["polarity"] * np.outer([1.0, creep], moved_m))
+        sum_m = state_V @ values["play_weight_m_per_V"][plays]
+    moved_m = mapped(sum_m, "knot_count", "knot_m", "knot_weight")
+    creep = np.outer([1.0, 1.0 + values["relaxation_share"].sum()], moved_m)
+    return np.asarray(values["displacement_offset_m"] + values["polarity"] * creep)
 
 
 def _limits_per_sample(axes: Sequence[AxisParameters], name: str) -> str:
@@ -362,33 +348,13 @@ def _instructions(axis: AxisParameters) -> str:
     order, has_plays = values["observer_order"], axis.method == "mpi_dob"
     if axis.method not in ("dob", "mpi_dob") or (has_plays and values["edge_count"]):
         return "not measured"
-    cost = (
-        _OBSERVER_COST
-        + _SECTION_COST * _sections(values)
-        + _CREEP_COST * values["relaxation_count"]
-    )
+    sections = values["reference_section_count"] + values["command_section_count"]
+    cost = _OBSERVER_COST + _SECTION_COST * sections + _CREEP_COST * values["relaxation_count"]
     cost += _ORDER_COSTS[0] * order + _ORDER_COSTS[1] * order**2
     if has_plays:
         knots = values["knot_count"] + values["envelope_count"]
         cost += _INVERSE_COST + _PLAY_COST * values["play_count"] + _KNOT_COST * knots
     return f"{round(cost, -1):.0f}"
-
-
-def _sections(values: Mapping[str, float]) -> float:
-    """Return the number of biquads of an axis."""
-    return values["reference_section_count"] + values["command_section_count"]
-
-
-def _cost_rule() -> str:
-    """Return the rule of the estimate in words."""
-    linear, quadratic = _ORDER_COSTS
-    return (
-        f"The estimate is {_OBSERVER_COST} for the loop, {linear} n + {quadratic} n^2 for an "
-        f"observer of order n, {_SECTION_COST} for each biquad and {_CREEP_COST} for each creep "
-        f"element. Plays add {_INVERSE_COST} for the inverse, {_PLAY_COST} for each play and "
-        f"{_KNOT_COST} for each knot. The longest steps of 24 parameter sets in an emulator "
-        "differed from it by at most 2.1 %."
-    )
 
 
 def _scalars(axis: AxisParameters) -> dict[str, float]:

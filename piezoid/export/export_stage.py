@@ -8,6 +8,7 @@ every precision.
 
 import math
 from collections.abc import Mapping
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -105,26 +106,23 @@ def export_stage(
 
 def _signals(lab: Lab, axis: AxisParameters) -> str:
     """Return what lab.toml declares about the columns and the amplifier of an axis."""
-    texts = list[str]()
-    for entry in lab.recordings:
-        for quantity in ("displacement", "current", "voltage"):
-            keys = (f"{quantity}_{axis.axis}", *([quantity] if entry.axis == axis.axis else []))
+    texts: dict[str, None] = {}
+    for entry, name in product(lab.recordings, ("displacement", "current", "voltage")):
+        key = f"{name}_{axis.axis}"
+        if key in entry.columns or (entry.axis == axis.axis and name in entry.columns):
             column, unit, scale, offset = (
-                next((table[key] for key in (*keys, quantity) if key in table), None)
-                for table in (entry.columns, entry.units, entry.scale, entry.offset)
+                table.get(key, table.get(name, default))
+                for table, default in (
+                    *((entry.columns, ""), (entry.units, "the unit of its heading")),
+                    *((entry.scale, 1.0), (entry.offset, 0.0)),
+                )
             )
-            if not any(key in entry.columns for key in keys):
-                continue
-            text = f"{quantity} from the column {column} in {unit or 'the unit of its heading'}"
-            text += f", times {scale:g}" if scale is not None else ""
-            text += f", plus {offset:g}" if offset is not None else ""
-            if text not in texts:
-                texts.append(text)
-    gain_V_per_V = lab.amplifier_of(axis.axis).gain_V_per_V
+            texts[f"{name} from the column {column} in {unit}, times {scale} plus {offset}"] = None
+    gain_V_per_V, high_V = lab.amplifier_of(axis.axis).gain_V_per_V, axis.voltage_range_V[1]
     if gain_V_per_V is not None:
-        high_V = axis.voltage_range_V[1]
-        texts.append(
-            f"an output of {high_V:.5g} V gives {gain_V_per_V * high_V:.5g} V at the piezo"
+        texts = texts or {"no columns are declared; ask the author of the bundle for them": None}
+        texts[f"{high_V:.5g} V of the output are {gain_V_per_V * high_V:.5g} V at the piezo"] = (
+            None
         )
     return "; ".join(texts)
 

@@ -129,7 +129,7 @@ def test_the_chirp_beyond_an_identified_mode_avoids_it_and_ends_in_the_noise(noi
         return
     start_Hz, end_Hz = (
         float(number) * {"Hz": 1.0, "kHz": 1e3}[unit]
-        for number, unit in re.findall(r"([0-9.]+) (k?Hz)(?= to|, with)", limit.text)
+        for number, unit in re.findall(r"([0-9.]+) (k?Hz)(?= to|, sampled)", limit.text)
     )
     slow_m = 0.02 * (axis.voltage_V[1] - axis.voltage_V[0]) * axis.operator.middle_slope_m_per_V
     assert start_Hz == pytest.approx(mode_Hz * np.sqrt(1.0 + 1.0 / 1.2), rel=0.02)

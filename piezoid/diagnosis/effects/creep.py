@@ -140,7 +140,6 @@ EFFECT = Effect(
     tangent=Tangent(
         columns=_tangent,
         advised=("held_levels_mirrored", "held_levels"),
-        visible="creep follows every move, not only holds",
     ),
     confounded=("thermal_drift",),
     may_be_loop_shape=True,

@@ -3,8 +3,6 @@
 from math import isfinite
 from typing import Any
 
-import numpy as np
-
 from piezoid.diagnosis.experiment import Plan
 from piezoid.diagnosis.planning.open_questions import (
     HALF_95,
@@ -167,18 +165,15 @@ def _reason(question: Question) -> str:
 def _advice(plan: Plan) -> str:
     """Compare the drive with the experiment that the diagnosis recommends, if it is another."""
     suspect, drive = plan.question.suspects[0], plan.drive
-    tangent = suspect.tangent
-    of_report = (a for a in plan.alternatives if a.name in tangent.advised)
-    advised = next(of_report, None)
-    if advised is None or advised.estimate is None or drive.name in tangent.advised:
+    names = () if plan.question.kind == "detect" else suspect.tangent.advised
+    advised = next((a for a in plan.alternatives if a.name in names), None)
+    if advised is None or advised.estimate is None or drive.name in names:
         return ""
-    moves = np.count_nonzero(np.diff(drive.voltage_V, axis=0)) > 0.5 * len(drive.voltage_V)
-    because = f": {tangent.visible}" if tangent.visible and moves else ""
     return (
         f"The report recommends {advised.name} for {words(suspect.name)}, "
         f"{advised.duration_s:.0f} s with an expected standard error of "
         f"{standard_error(plan.question, advised.estimate)}; {drive.name} takes "
-        f"{drive.duration_s:.0f} s for {standard_error(plan.question, plan.planned)}{because}."
+        f"{drive.duration_s:.0f} s for {standard_error(plan.question, plan.planned)}."
     )
 
 

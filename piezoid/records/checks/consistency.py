@@ -162,31 +162,21 @@ def check_drive_ranges(recordings: Sequence[Recording]) -> list[Statement]:
 
 
 def check_time_units(recordings: Sequence[Recording]) -> list[Statement]:
-    """Report each recording whose rate and drive are both 1000 or 1e6 times those of another."""
+    """Report each recording that is another one at 1000 or 1e6 times its rate, by its drive."""
     statements = []
-    for axis in sorted({axis for r in recordings for axis in r.complete_axes}):
-        slews = [
-            (float(np.mean(np.abs(np.diff(r.voltage_V(axis))))) * r.sampling_rate_Hz, r)
-            for r in recordings
-            if axis in r.complete_axes
-        ]
-        slowest = min(slews, key=lambda pair: pair[1].sampling_rate_Hz)
-        for slew_V_per_s, recording in slews:
-            ratio = recording.sampling_rate_Hz / slowest[1].sampling_rate_Hz
-            thousands = math.log10(ratio) / 3.0
-            if round(thousands) < 1 or abs(thousands - round(thousands)) > UNIT_TOLERANCE:
-                continue
-            if not _is_alike(slew_V_per_s / max(ratio * slowest[0], 1e-300)):
-                continue
-            fast, slow = (
-                f"{r.name} has {with_unit(r.sampling_rate_Hz, 'Hz')} and a drive of "
-                f"{with_unit(slew, 'V/s')} on average"
-                for slew, r in ((slew_V_per_s, recording), slowest)
+    drives = [(r, r.voltage_V(r.axis)) for r in recordings if r.axis in r.complete_axes]
+    rates = sorted((r.sampling_rate_Hz, np.abs(np.diff(v)).mean(), r.name) for r, v in drives)
+    for rate_Hz, step_V, name in rates[1:]:
+        slow_Hz, slow_step_V, slow_name = rates[0]
+        thousands = math.log10(rate_Hz / slow_Hz) / 3.0
+        is_power = abs(thousands - round(thousands)) < UNIT_TOLERANCE and round(thousands) > 0
+        if is_power and _is_alike(step_V / max(slow_step_V, 1e-300)):
+            text = (
+                f"{name} is sampled at {with_unit(rate_Hz, 'Hz')}, {slow_name} at "
+                f"{with_unit(slow_Hz, 'Hz')}, and both drives move as far between samples. Check "
+                f"the unit of the time of {name}."
             )
-            text = f"{fast}, {slow}. Check the unit of the time of {recording.name}."
-            statements.append(
-                finding("implausible_time", text, axis=axis, recording=recording.name, value=ratio)
-            )
+            statements.append(finding("implausible_time", text, recording=name))
     return statements
 
 
