@@ -8,7 +8,6 @@ every precision.
 
 import math
 from collections.abc import Mapping
-from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -100,31 +99,29 @@ def export_stage(
         },
         unshipped={**design.refused, **unshipped},
         decoupled=decoupled,
-        signals={axis.axis: text for axis in shipped if (text := _signals(lab, axis))} or None,
+        signals={axis.axis: _signals(lab, axis) for axis in shipped} if lab.digest else None,
     )
 
 
 def _signals(lab: Lab, axis: AxisParameters) -> str:
-    """Return what lab.toml declares about the columns and the amplifier of an axis."""
-    texts: dict[str, None] = {}
-    for entry, name in product(lab.recordings, ("displacement", "current", "voltage")):
-        key = f"{name}_{axis.axis}"
-        if key in entry.columns or (entry.axis == axis.axis and name in entry.columns):
-            column, unit, scale, offset = (
-                table.get(key, table.get(name, default))
-                for table, default in (
-                    *((entry.columns, ""), (entry.units, "the unit of its heading")),
-                    *((entry.scale, 1.0), (entry.offset, 0.0)),
-                )
-            )
-            texts[f"{name} from the column {column} in {unit}, times {scale} plus {offset}"] = None
+    """Return what lab.toml declares about the recordings and the amplifier of an axis."""
+    entries = (
+        entry
+        for entry in lab.recordings
+        if entry.axis == axis.axis or any(key.endswith(f"_{axis.axis}") for key in entry.columns)
+    )
+    texts = [
+        f"{name} {', '.join(f'{key} = {value}' for key, value in table.items())}"
+        for entry in entries
+        for name in ("columns", "units", "scale", "offset")
+        if (table := getattr(entry, name))
+    ] or ["columns are not declared: ask the author of the bundle"]
     gain_V_per_V, high_V = lab.amplifier_of(axis.axis).gain_V_per_V, axis.voltage_range_V[1]
     if gain_V_per_V is not None:
-        texts = texts or {"no columns are declared; ask the author of the bundle for them": None}
-        texts[f"{high_V:.5g} V of the output are {gain_V_per_V * high_V:.5g} V at the piezo"] = (
-            None
+        texts.append(
+            f"{high_V:.5g} V of the output are {gain_V_per_V * high_V:.5g} V at the piezo"
         )
-    return "; ".join(texts)
+    return "; ".join(dict.fromkeys(texts))
 
 
 def _export_axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisParameters:

@@ -39,16 +39,17 @@ def test_no_output_exceeds_the_highest_code_of_the_converter():
 
 def test_the_parameters_state_the_declared_columns_and_the_volts_at_the_piezo():
     columns = {"time": 1, "voltage_x": "V (V)", "displacement_x": "x (um)"}
-    entry = RecordingEntry(
-        file="a.csv", columns=columns, units={"displacement": "um"}, scale={"voltage": 0.1}
+    entry = RecordingEntry(file="a.csv", columns=columns, scale={"voltage": 0.1})
+    other = RecordingEntry(file="b.csv", axis="y", columns={"voltage": 2})
+    lab = Lab(
+        amplifier=Amplifier(gain_V_per_V=15.0), recordings=(entry, entry, other), digest="sha256:"
     )
-    lab = Lab(amplifier=Amplifier(gain_V_per_V=15.0), recordings=(entry, entry))
     parameters = export_stage(fitted(), design_with(lab), design_digest="", lab=lab)
-    high_V = 15.0 * parameters.axis("x").voltage_range_V[1]
-    text = parameters.signals["x"]
-    assert text.startswith("displacement from the column x (um) in um, times 1.0 plus 0.0; ")
-    assert text.count("voltage from the column V (V) in the unit of its heading, times 0.1") == 1
-    assert text.endswith(f"{high_V:.5g} V at the piezo")
+    high_V = parameters.axis("x").voltage_range_V[1]
+    assert parameters.signals["x"] == (
+        "columns time = 1, voltage_x = V (V), displacement_x = x (um); scale voltage = 0.1; "
+        f"{high_V:.5g} V of the output are {15.0 * high_V:.5g} V at the piezo"
+    )
 
 
 def test_limits_of_an_amplifier_without_a_gain_are_kept():
