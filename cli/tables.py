@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 NARROW, MINUS = "\u202f", "\u2212"  # typography of the report
 MAX_SHOWN = 5  # statements
-MIN_WORDS, MANY = 11, 5  # characters of a first column beside many columns
+MIN_WORDS = 11  # characters of a first column with names of several words
 INDENT = "  "
 
 
@@ -33,11 +33,12 @@ def table(
     """
     from rich.table import Table
 
-    cells = Table(title=rich_text(title))
+    cells, rows = Table(title=rich_text(title)), list(rows)
+    has_names = any(len(str(row[0])) > 2 * MIN_WORDS for row in rows)
     for k, heading in enumerate(headings):
         justify: JustifyMethod = "left" if k < n_words else "right"
         # No cell is cut off, and words of the first column stay whole.
-        width = MIN_WORDS if k == 0 and len(headings) > MANY else None
+        width = MIN_WORDS if k == 0 and has_names else None
         cells.add_column(heading, justify=justify, overflow="fold", min_width=width)
     for row in rows:
         cells.add_row(*(rich_text(cell) if isinstance(cell, str) else cell for cell in row))
