@@ -76,6 +76,7 @@ def design(
                 say(f"axis {axis.axis}: {axis.sampling_rate_Hz:g} Hz, the rate of its recordings")
         show_unshipped(result.refused)
         say(f"design: {stage / 'design.json'}, {stage / 'design.html'}")
-        say(f"params.json and bundle/ contain the earlier design until: piezoid export {stage}")
+        say("params.json and bundle/ still contain the earlier design. To update them:")
+        say(f"piezoid export {stage}")
     if result.refused:
         raise typer.Exit(1)

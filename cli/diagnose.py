@@ -55,9 +55,10 @@ def diagnose(
     if json:
         print_raw(contents["diagnosis.json"])
     elif not quiet:
-        _show(diagnosis, recordings)
         if comparison is not None:
             say(in_counts(comparison.statement.text, comparison.counted))
+            display("a new diagnosis of these recordings alone:")
+        _show(diagnosis, recordings)
         say(f"diagnosis: {', '.join(str(out / name) for name in names)}")
 
 

@@ -22,7 +22,7 @@ WRITTEN = (
 LEGEND = (
     "(table: error on held-out data; closure: error / noise, 1 if only noise remains; bandwidth "
     "of the feedback; guaranteed: proven limit of the tracking error{speeds}, the worst of all "
-    "uncertainties together; ships: verified, in bundle/)"
+    "uncertainties together, without sensor noise; ships: verified, in bundle/)"
 )
 UNDIAGNOSED = (
     "not diagnosed, because the recordings were read in chunks; for a diagnosis, fit a part that "

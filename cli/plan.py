@@ -142,7 +142,7 @@ def _controller_limit(folder: "StageFolder", planned: "Plan") -> str:
     highest_Hz = MULTISINE_BAND * planned.bench.clock_Hz
     highest = with_unit(highest_Hz, "Hz", 2)
     resonance_Hz = axis.unfitted_resonance_Hz
-    scope = f"No drive below is this chirp: they end at {highest}, a tenth of the sampling rate."
+    scope = f"None of the drives below replaces this chirp: they end at {highest}."
     if resonance_Hz is not None and CHIRP_TO_RESONANCE * resonance_Hz <= highest_Hz:
         scope = f"Of the drives below, small_multisine excites this band, up to {highest}."
     return f"{' '.join(limits)} {scope} The plan answers a question of the diagnosis."
@@ -150,6 +150,7 @@ def _controller_limit(folder: "StageFolder", planned: "Plan") -> str:
 
 def _show(planned: "Plan", preface: "Sequence[str]") -> None:
     """Print the plan after the sentences of a preface, which may be empty."""
+    from piezoid.diagnosis.planning.open_questions import expected_limit_m
     from piezoid.diagnosis.planning.plan_file import sentences, standard_error
     from piezoid.formatting import resolved_percent, with_unit
 
@@ -158,7 +159,8 @@ def _show(planned: "Plan", preface: "Sequence[str]") -> None:
     for sentence in sentences(planned):
         display(sentence)
     # Separability is only defined if two effects compete.
-    is_single = planned.question.kind != "separate"
+    question = planned.question
+    is_single, is_detection = question.kind != "separate", question.kind == "detect"
     headings = ("drive", "duration", *(() if is_single else ("separability",)))
     rows: list[tuple[Any, ...]] = []
     for candidate in planned.alternatives:
@@ -171,15 +173,17 @@ def _show(planned: "Plan", preface: "Sequence[str]") -> None:
                 rich_text(name, style="bold" if name == planned.drive.name else ""),
                 f"{candidate.duration_s:.0f} s",
                 *(() if is_single else (resolved_percent(estimate.separability),)),
-                standard_error(planned.question, estimate),
+                with_unit(expected_limit_m(question, planned.recorded, estimate), "m", 2)
+                if is_detection
+                else standard_error(question, estimate),
             )
         )
-    question = planned.question
     title = f"axis {planned.axis}: {' against '.join(question.effects)}"
-    if question.kind == "detect":
-        title += f", assumed size {with_unit(question.suspects[0].rms_m, 'm')} rms"
+    if is_detection and question.limit_m is not None:
+        title += f", so far detected from {with_unit(question.limit_m, 'm')} rms"
     source = "with the recordings" if planned.recorded is not None else "without the recordings"
-    last_heading = f"expected standard error of the size, {source}"
+    quantity = "detection limit, rms" if is_detection else "standard error of the size"
+    last_heading = f"expected {quantity}, {source}"
     display(table(title, (*headings, last_heading), rows, n_words=1))
     is_best = planned.drive.name == planned.alternatives[0].name
     why = "the best drive" if is_best else "the shortest drive of at least 90 % of the best score"

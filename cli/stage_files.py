@@ -137,10 +137,11 @@ def _missing(path: Path) -> ParameterFileError:
             needed="a design of the stage",
             remedy=f"Run `piezoid design {folder}`, which states what is missing.",
         )
+    remedy = f"Run `{WRITTEN_BY[path.name].format(folder)}` first."
     return ParameterFileError(
         f"{folder} contains no {path.name}",
         needed=f"the folder of a stage with {path.name}",
-        remedy=f"Run `{WRITTEN_BY[path.name].format(folder)}` first.",
+        remedy=remedy if is_fitted else f"Name the folder that `piezoid fit` wrote. {remedy}",
     )
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 NARROW, MINUS = "\u202f", "\u2212"  # typography of the report
 MAX_SHOWN = 5  # statements
+MIN_WORDS = 11  # characters of a first column with names of several words
 INDENT = "  "
 
 
@@ -32,10 +33,13 @@ def table(
     """
     from rich.table import Table
 
-    cells = Table(title=rich_text(title))
+    cells, rows = Table(title=rich_text(title)), list(rows)
+    has_names = any(len(str(row[0])) > 2 * MIN_WORDS for row in rows)
     for k, heading in enumerate(headings):
         justify: JustifyMethod = "left" if k < n_words else "right"
-        cells.add_column(heading, justify=justify, overflow="fold")  # no cell is cut off
+        # No cell is cut off, and words of the first column stay whole.
+        width = MIN_WORDS if k == 0 and has_names else None
+        cells.add_column(heading, justify=justify, overflow="fold", min_width=width)
     for row in rows:
         cells.add_row(*(rich_text(cell) if isinstance(cell, str) else cell for cell in row))
     return cells
@@ -74,10 +78,12 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]") -> list[str]:
     """Return the error budget of each diagnosed axis as a line, followed by a legend."""
     from piezoid.formatting import with_unit
     from piezoid.raw_counts import in_counts
-    from piezoid_reports.sections.error_budget import label_of, visible_parts
+    from piezoid_reports.sections.error_budget import MAX_EXCESS, label_of, visible_parts
 
     lines = []
     for diagnosis in diagnoses:
+        if diagnosis.final.rms_m > MAX_EXCESS * diagnosis.baseline.rms_m:
+            continue
         terms = ", ".join(
             f"{label_of(part.part)} {with_unit(part.rms_m, 'm')}{'*' if part.is_explained else ''}"
             for part in visible_parts(diagnosis)

@@ -184,6 +184,7 @@ PHASE_LABEL = "part of a period"
 
 CLASSES = 48
 MIN_ROWS = 12  # in a class
+MIN_DECADES = 1.5  # fewer decades show no law
 BANDS = 160  # of a spectrum, evenly spaced over the decades
 MIN_CHANGE = 1e-3  # of the residual: a smaller change is not visible
 HEIGHT = 280
@@ -276,6 +277,8 @@ def _in_classes(
 ) -> Drawing | None:
     classes = [_classes(coordinate, values) for values in residuals_m]
     if any(len(curve) < 2 for curve in classes):
+        return None
+    if appearance.decades and np.ptp(classes[0][:, 0]) < MIN_DECADES:
         return None
     without, with_effect, lookalike = classes
     curves = [without[:, 1:], with_effect[:, 1:], lookalike[:, 2]]

@@ -235,7 +235,7 @@ def _lateral_task(
         raise DesignError(
             f"axis {name}: the model class does not apply, {axis.verdict.reason}",
             needed="an axis whose hysteresis is known",
-            remedy="Read in the report why it does not apply, and record again.",
+            remedy="Correct what causes this, or record the axis again more slowly.",
         )
     if rate_Hz is None and model.controller_rate_Hz is None:
         is_limited = has_pole(loop_model(axis, _FASTEST_Hz), _FASTEST_Hz)

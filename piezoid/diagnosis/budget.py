@@ -91,7 +91,7 @@ def with_budget(
         other_recordings: findings whose errors are those of other recordings than the baseline, by
             name, with the reason; their part of this budget is 0.
         gains: reduction of the squared error by findings that were measured on other recordings
-            and are part of the model, by name.
+            and are part of the model, by name; at most what the other findings leave.
     """
     explained_rms_m = min(errors.explained_m, diagnosis.final.rms_m)
     final = replace(diagnosis.final, explained_rms_m=explained_rms_m)
@@ -193,8 +193,12 @@ def _effect_parts(
             finding.held_out_rms_before_m**2 - finding.held_out_rms_after_m**2, 0.0
         )
         for finding in diagnosis.findings
-        if finding.effect not in {*other_recordings, *in_sequence, *remaining}
-    } | dict(gains)
+        if finding.effect not in {*other_recordings, *in_sequence, *remaining, *gains}
+    }
+    # Effects of other recordings: their refits also change the hysteresis, and with it the error.
+    unattributed = max(power - sum(rises.values()), 0.0)
+    scale = min(unattributed / max(sum(gains.values()), 1e-300), 1.0)
+    rises |= {name: scale * gain for name, gain in gains.items()}
     total_rise = sum(rises.values())
     if total_rise == 0.0 and power > 0.0:
         # the model's lag, which is no finding if it cannot be separated from a width of the loop
@@ -248,10 +252,9 @@ def _remaining_part(
             held_out_m = diagnosis.final.rms_m
             in_sample_m = sqrt(max(held_out_m**2 - rms_m**2, 0.0))
             text = (
-                "The model predicts data that were left out of the fit worse "
-                f"({with_unit(held_out_m, 'm')} rms) than the data of the fit "
-                f"({with_unit(in_sample_m, 'm')} rms). Record every amplitude and speed at least "
-                "twice, in one recording or in several."
+                f"The error on left-out data ({with_unit(held_out_m, 'm')} rms) exceeds that of "
+                f"the fit ({with_unit(in_sample_m, 'm')} rms): an amplitude or speed occurs in "
+                "one block of several seconds only. To reduce it, record the same drives again."
             )
     elif name == SOMETHING_ELSE:
         text = (

@@ -134,24 +134,21 @@ class ModelComparison:
         if self.holds and (as_good or self.unchanged_error_m <= self.fitted_error_m):
             limit = with_unit(self.limit_m, "m")
             return (
-                f"the model still holds; error {error}, {fitted} at the fit, limit {limit}"
-                f"{self._reference}{noise}"
+                f"the model still holds. Error{self._class} now {error}, at the fit {fitted}; it "
+                f"may grow to {limit}{noise}."
             )
         verdict = "holds less well" if self.holds else "does not hold"
         rescaled = with_unit(self.rescaled_error_m, "m")
         return (
-            f"the model {verdict}: more than the sensitivity changed. Error {error}, {fitted} at "
-            f"the fit; {rescaled} with another sensitivity{f' ({change})' if change else ''}, "
-            f"{refitted} refitted{self._reference}{noise}"
+            f"the model {verdict}: more than the sensitivity changed. Error{self._class} now "
+            f"{error}, at the fit {fitted}; {rescaled} with another sensitivity"
+            f"{f' ({change})' if change else ''}, {refitted} refitted{noise}."
         )
 
     @property
-    def _reference(self) -> str:
-        """What the errors leave out, if the fit reports another error; else empty."""
-        if self.shaped_error_m is None:
-            return ""
-        shaped = with_unit(self.shaped_error_m, "m")
-        return f"; all of plays with dead zones alone, the whole model had {shaped} at the fit"
+    def _class(self) -> str:
+        """The class of the compared errors, if the fit reports the error of a wider one."""
+        return "" if self.shaped_error_m is None else " of plays with dead zones"
 
     @property
     def limit_m(self) -> float:

@@ -18,6 +18,7 @@ from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
 from piezoid.diagnosis.null_distribution import ALPHA
 from piezoid.diagnosis.residual_coordinates import coordinate_words
 from piezoid.formatting import significant, with_unit, words
+from piezoid.identification.fit_statements import GOOD_PERCENT
 from piezoid.statement import Kind, Level, Statement
 
 MIN_GAIN = 0.01  # of the power: less has no coordinate
@@ -35,7 +36,7 @@ def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
 
     The part that dominates a final error far above the noise is stated, unless it is along one
     coordinate: then it is a finding. Every fit predicts new recordings worse than its own, so
-    extrapolation needs action only if it is most of the error.
+    extrapolation needs action only if it is most of an error that is not good.
     """
     findings, part, statements = diagnosis.findings, diagnosis.largest_remaining, []
     is_tested = any(absence.upper_bound_m is not None for absence in diagnosis.not_detected)
@@ -52,7 +53,8 @@ def diagnosis_statements(diagnosis: Diagnosis) -> tuple[Statement, ...]:
     statements += [_confounded(diagnosis, f) for f in findings if f.not_separable_from]
     if part is not None and part.part != SOMETHING_ELSE and (is_tested or findings):
         is_most = part.rms_m**2 > 0.5 * diagnosis.final.rms_m**2
-        is_action = part.part == "extrapolation" and is_most
+        is_large = diagnosis.final.rms_percent > GOOD_PERCENT
+        is_action = part.part == "extrapolation" and is_most and is_large
         level = Level.ACTION if is_action else Level.WARNING
         statements.append(
             _statement(diagnosis, Kind.LIMIT, level, part.part, part.text, part.rms_m)

@@ -225,7 +225,6 @@ class Tangent:
                      time at which it has its size replaces it
     scale_parameter  name of the parameter of a finding that is this scale, or empty
     advised          names of the planned drives that carry out the ``experiment`` of the effect
-    visible          when the effect is visible besides, as a clause for a plan with another drive
     """
 
     columns: Callable[[DriveResponse, float], Array]
@@ -234,7 +233,6 @@ class Tangent:
     scale: float = 0.0
     scale_parameter: str = ""
     advised: tuple[str, ...] = ()
-    visible: str = ""
 
 
 def delay_tangent(response_filter: Filter, name: str) -> Tangent:

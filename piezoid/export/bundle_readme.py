@@ -16,6 +16,9 @@ import numpy as np
 from piezoid.export.c_header import plain_ascii
 from piezoid.export.parameter_file import AxisParameters, ParameterFile, Robustness
 from piezoid.formatting import with_unit
+from piezoid.numerics.arrays import Array
+from piezoid.operators.dead_zone import DeadZones
+from piezoid.operators.preisach_plays import straight_between
 from piezoid.records.checks.command_range import DRIVE_VOLTAGE_NOTE
 from piezoid.runtime.controller import Controller
 from piezoid.runtime.library import library
@@ -36,7 +39,7 @@ _AXIS = (
     *("axis", "index", "method", "rate, Hz", "preview, samples", "working range", "output, V"),
     *("LSB, V", "codes"),
 )
-_COST = ("axis", "plays", "knots", "creep elements", "observer order", "instructions")
+_COST = (*("axis", "plays", "knots", "creep elements", "observer order", "instructions"),)
 _LOOP = (
     *("axis", "delay margin", "safe delay", "lag", "guaranteed error", "transient", "start"),
     "jump",
@@ -52,6 +55,7 @@ _GUARDS = (
 )
 _USELESS = "no useful bound"  # as in the report
 _START_SHARE = 0.05  # of the output range, by which a start stays inside its limits
+_RAMP_STEPS = 1001
 # Additional delay as a share of the delay margin. On 27 loops of fitted stages, the worst modulus
 # margin then keeps 65 to 87 % of its value, and 0.34 to 0.64 (docs/guide/runtime.md).
 _SAFE_DELAY = 0.3
@@ -108,7 +112,6 @@ def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> st
         unit="m (tip axis: A)" if has_lateral and has_tip else "A" if has_tip else "m",
         total_samples=samples * len(file.axes),
         costs=_table(_COST, [row for row in rows if "instructions" in row]),
-        cost_rule=fill(_cost_rule(), _WIDTH),
         readings=indent(_table(_READING, [row for row in rows if _READING[1] in row]), "  "),
         dac_ranges=_dac_ranges(file.axes),
         has_guarantee=any(
@@ -125,6 +128,10 @@ def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> st
         reference_steps=_limits_per_sample(lateral, "reference_step_m"),
         decoupled=decoupled,
         decoupling=_table(("", *decoupled), coupling),
+        signals=[
+            (plain_ascii(axis), plain_ascii(text, length=600))
+            for axis, text in (file.signals or {}).items()
+        ],
         version=version("piezoid"),
         digest=digest,
         source=source,
@@ -194,7 +201,7 @@ def _position_cells(axis: AxisParameters) -> dict[str, str]:
     )
     blind_s = values["blind_samples"] / values["sampling_rate_Hz"]
     start, jump = _start_cells(axis)
-    ends_m = (low_m, high_m) if values["polarity"] > 0 else (high_m, low_m)
+    low_V, high_V = axis.voltage_range_V
     return {
         "plays": f"{values['play_count']:.0f}",
         "knots": f"{values['knot_count'] + values['envelope_count']:.0f}",
@@ -202,8 +209,8 @@ def _position_cells(axis: AxisParameters) -> dict[str, str]:
         "observer order": f"{values['observer_order']:.0f}",
         "instructions": _instructions(axis),
         "working range": f"{low_m:.7g} to {high_m:.7g} m",
-        at_lowest: f"{ends_m[0]:.4g} m",
-        at_highest: f"{ends_m[1]:.4g} m",
+        at_lowest: _end_cell(axis, low_V, 1, opposite=low_V >= 0.0),
+        at_highest: _end_cell(axis, high_V, -1, opposite=high_V <= 0.0),
         centre: f"{values['displacement_offset_m']:.4g} m at {values['voltage_offset_V']:.4g} V",
         "safe delay": safe_delay,
         "lag": _lag(axis),
@@ -258,14 +265,23 @@ def _lag(axis: AxisParameters) -> str:
 
 
 def _start_cells(axis: AxisParameters) -> tuple[str, str]:
-    """Return the voltage of the DAC at power-up, and the largest jump of the first output.
+    """Return the end of the ramp at power-up, and the largest jump of the first output.
 
-    On seven stages no voltage or reading inside these ends has a larger jump.
+    The ramp ends a share of the output range beyond the voltage at which the model's outermost
+    branch, that of a stage at rest, enters the working range. On seven stages no voltage or
+    reading inside both ranges has a larger jump.
     """
     values = _scalars(axis)
     low_V, high_V = axis.voltage_range_V
     inset_V = _START_SHARE * (high_V - low_V)
     start_V = float(np.clip(0.0, low_V + inset_V, high_V - inset_V))
+    if start_V != 0.0:
+        end_V, side = (high_V, -1) if start_V > 0.0 else (low_V, 1)
+        ramp_V = np.linspace(float(np.clip(0.0, low_V, high_V)), end_V, _RAMP_STEPS)
+        reading_m = _branch_m(axis, ramp_V, side)
+        limits_m = values["reference_minimum_m"], values["reference_maximum_m"]
+        is_within = np.clip(reading_m, *limits_m) == reading_m
+        start_V = float(ramp_V[int(np.argmax(is_within.all(axis=0)))]) - side * inset_V
     jump_V = 0.0
     for voltage_V, end in product(
         (low_V, high_V), ("displacement_minimum_m", "displacement_maximum_m")
@@ -274,6 +290,40 @@ def _start_cells(axis: AxisParameters) -> tuple[str, str]:
         controller.start(voltage_V, values[end])
         jump_V = max(jump_V, abs(controller.step(values[end], values[end]) - voltage_V))
     return f"{start_V:.2g} V", f"{jump_V:.2g} V"
+
+
+def _end_cell(axis: AxisParameters, voltage_V: float, side: int, opposite: bool) -> str:
+    """Return the readings at an end of the output: of the branch towards it, of both at rest."""
+    sides = (side, -side) if opposite else (side,)
+    reading_m = np.concatenate([_branch_m(axis, np.array([voltage_V]), s) for s in sides])
+    span_m = dict.fromkeys(f"{end_m:.4g}" for end_m in (reading_m.min(), reading_m.max()))
+    return f"{' to '.join(span_m)} m"
+
+
+def _branch_m(axis: AxisParameters, ramp_V: Array, side: int) -> Array:
+    """Return the model's readings on an outermost branch, without and with all creep, (2, rows).
+
+    side  -1: all plays at u - r, as on a rise from the lowest state; 1: all at u + r
+    """
+
+    def mapped(x: Array, count: str, *names: str) -> Array:
+        threshold, weight = (axis.values[name][: int(axis.values[count])] for name in names)
+        return DeadZones(threshold=threshold, weight=weight).run(x) if len(weight) else x
+
+    values, plays = axis.values, slice(int(axis.values["play_count"]))
+    threshold_V, edges = values["play_threshold_V"][plays], int(values["edge_count"])
+    centred_V = ramp_V - values["voltage_offset_V"]
+    input_V = mapped(centred_V, "envelope_count", "envelope_knot_V", "envelope_weight")
+    state_V = input_V[:, None] + side * threshold_V
+    if edges:
+        edge_V = values["edge_V"] + values["edge_steps"] * threshold_V[1] * np.arange(edges)
+        pairs = zip(state_V.T, values["play_value_m"][plays, :edges], strict=True)
+        sum_m = np.sum([straight_between(z, edge_V, value_m) for z, value_m in pairs], axis=0)
+    else:
+        sum_m = state_V @ values["play_weight_m_per_V"][plays]
+    moved_m = mapped(sum_m, "knot_count", "knot_m", "knot_weight")
+    creep = np.outer([1.0, 1.0 + values["relaxation_share"].sum()], moved_m)
+    return np.asarray(values["displacement_offset_m"] + values["polarity"] * creep)
 
 
 def _limits_per_sample(axes: Sequence[AxisParameters], name: str) -> str:
@@ -305,19 +355,6 @@ def _instructions(axis: AxisParameters) -> str:
         knots = values["knot_count"] + values["envelope_count"]
         cost += _INVERSE_COST + _PLAY_COST * values["play_count"] + _KNOT_COST * knots
     return f"{round(cost, -1):.0f}"
-
-
-def _cost_rule() -> str:
-    """Return the rule of the estimate in words."""
-    linear, quadratic = _ORDER_COSTS
-    return (
-        f"The estimate is {_OBSERVER_COST} for the loop, {linear} n + {quadratic} n^2 for an "
-        f"observer of order n, {_SECTION_COST} for each biquad and {_CREEP_COST} for each creep "
-        f"element. Plays add {_INVERSE_COST} for the inverse, {_PLAY_COST} for each play and "
-        f"{_KNOT_COST} for each knot. The longest steps of 24 parameter sets in an emulator "
-        "differed from it by at most 3 %. Plays include that of half-width 0; knots are those of "
-        "dead zones and envelope, those at 0 included."
-    )
 
 
 def _scalars(axis: AxisParameters) -> dict[str, float]:

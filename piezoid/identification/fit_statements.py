@@ -74,9 +74,9 @@ def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
     statements = []
     if not axis.verdict.applies:
         text = (
-            f"The hysteresis model does not apply: {axis.verdict.reason}. Check the assignment of "
-            "the columns and that both channels are sampled at the same instant, then sweep ten "
-            "times slower."
+            f"The hysteresis model does not apply: {axis.verdict.reason}. Check the columns, "
+            "the unit of the time, and that both channels are sampled at the same instant; then "
+            "sweep ten times slower."
         )
         statements.append(_limit(axis, Level.ACTION, "model_class", text))
     if not axis.quality.converged:

@@ -28,8 +28,7 @@ def missing_column(table: RawTable, lab: Lab, key: str, name_or_number: str | in
     if isinstance(name_or_number, str) and name_or_number.isdigit():
         remedy = f"Write column numbers without quotes: {key} = {name_or_number}."
     return LabFileError(
-        f"{lab.place}: {table.name} has no column {name_or_number!r} of its own for {key!r}, only "
-        f"{columns}",
+        f"{lab.place}: {table.name} has no column {name_or_number!r} for {key!r}, only {columns}",
         needed="one column of the file, by heading or by number from 1, for each name",
         remedy=remedy,
     )

@@ -270,6 +270,13 @@ def _convert_column(
         unit = Unit(symbol="V", dimension=Dimension.VOLTAGE)
         text = f"{column.place} has no unit; the voltage that lab.toml names is read as volts."
         statements.append(finding("unit_assumed", text, place=column.place))
+    written = column.heading.unit
+    if unit and written and written.dimension is unit.dimension and written.factor != unit.factor:
+        text = (
+            f"{column.place} states {written.symbol} in its heading, lab.toml {unit.symbol}, "
+            "which is used. Correct the wrong one."
+        )
+        statements.append(finding("unit_contradicts_heading", text, place=column.place))
     # Only the shape of a reference is used.
     unit = unit or Unit(symbol="", dimension=Dimension.OTHER)
     values = column.values * unit.factor + unit.offset

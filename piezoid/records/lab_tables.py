@@ -251,5 +251,5 @@ def lab_error(problem: str, needed: str) -> LabFileError:
     return LabFileError(
         problem,
         needed=needed,
-        remedy="Correct it; every table and name is listed in the documentation of lab.toml.",
+        remedy="Correct it; docs/guide/lab_toml.md lists all tables and keys.",
     )

@@ -135,14 +135,16 @@ def waveform_files(inputs: TargetInputs) -> tuple[Mapping[str, bytes], tuple[str
         converters.append(f"Axis {axis.axis}: {converter}")
         errors_m = scan_errors_m(inputs, axis, waveform)
         worst = worst_errors(errors_m)
+        nominal = with_unit(next(iter(errors_m.values()))["waveform"], "m")
         expected = with_unit(expected_error_m(inputs.models[axis.axis], errors_m), "m")
         wanted_m, shape = waveform.wanted_m, inputs.hardware.shape
         frequency_Hz = waveform.rate_Hz / len(wanted_m)
         notes.append(
             f"axis {axis.axis}: {shape} of {with_unit(frequency_Hz, 'Hz')}, "
             f"{with_unit(float(np.ptp(wanted_m)), 'm')} wide, rms error in simulation: with the "
-            f"drive of waveform/ {worst['waveform']}, with a plain {shape} {worst['straight']}, "
-            f"with the exported controller {worst['exported']} (worst of {len(errors_m)} plants); "
+            f"drive of waveform/ {worst['waveform']} (identified stage: {nominal}), with a plain "
+            f"{shape} {worst['straight']}, with the exported controller {worst['exported']} "
+            f"(worst of {len(errors_m)} plants); "
             f"expected on the stage, with the error of the model: {expected}"
         )
         sections.append(

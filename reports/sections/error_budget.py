@@ -13,13 +13,14 @@ NOISE = "noise"
 LABELS = {NOISE: "sensor noise", "extrapolation": "excess on held-out data"}
 OF_EVERY_FIT = ("lag", "loop_shape")  # parts that the model removes without a finding
 NEGLIGIBLE = 1e-3  # of the power of the final error: no bar
+MAX_EXCESS = 1.05  # of the final error over the baseline's, which the parts cannot add up to
 
 
 def render(page: Page) -> Section | None:
     """Return a waterfall for each axis with an error budget."""
     waterfalls = []
     for diagnosis in page.diagnoses:
-        if not diagnosis.budget:
+        if not diagnosis.budget or diagnosis.final.rms_m > MAX_EXCESS * diagnosis.baseline.rms_m:
             continue
         parts, total_m = visible_parts(diagnosis), diagnosis.baseline.rms_m
         total = number(total_m, "m")
@@ -64,7 +65,9 @@ def render(page: Page) -> Section | None:
         title="Error budget",
         lead="Held-out error of the base model (hysteresis without a lag or another effect), "
         "split into its causes. Each number is the rms of one part. Their squares add up, so the "
-        "bars between the first and the last are shorter than their numbers.",
+        "bars between the first and the last are shorter than their numbers. Excess on held-out "
+        "data: error on left-out blocks beyond that of the fit. Unexplained: residual of the "
+        "widest class of hysteresis beyond the noise.",
         parts=tuple(waterfalls),
     )
 

@@ -23,7 +23,7 @@ from piezoid_reports.sections.error_budget import fitted_parts
 MAX_BOUND = 0.1  # of the range: a larger bound of an effect is not useful
 MIN_GAIN = 1e-3  # of the held-out error: refitting alone changes it by as much
 NO_FIGURES = "No figures: they need a model of these recordings. Run piezoid fit."
-NO_FIGURE = "No figure: the model fits these recordings equally well without the effect."
+NO_FIGURE = "No figure: the recordings in the model do not show the effect."
 READING = (
     "Four numbers in nm describe an effect, and differ. Table: held-out error without and with "
     "it, refitted. Error budget: its part of a common sum. Figure: residual after its removal, "
@@ -74,7 +74,7 @@ def render(page: Page) -> Section | None:
                 texts = (finding.explanation, *doubts(finding), *values, control)
                 parts.append(Prose(text=" ".join(texts)))
                 if not any(finding.next_experiment in fact.text for fact in page.statements):
-                    parts.append(Prose(text=f"To confirm: {finding.next_experiment}"))
+                    parts.append(Prose(text=f"To confirm, optional: {finding.next_experiment}"))
         described = {**{f.effect: diagnosis.axis for f in diagnosis.findings}, **described}
     parts.append(Heading(text="Not detected"))
     return Section(

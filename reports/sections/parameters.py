@@ -95,7 +95,7 @@ def _bow(axis: AxisModel) -> Figure:
     if not has_usable_intervals(axis):
         half_m = np.zeros_like(half_m)
     bow_m = uncertainty.loading_m - uncertainty.loading_m[-1] * reach_V / reach_V[-1]
-    x = axis_over("rise of the drive", [reach_V], "V")
+    x = axis_over("rise of the drive from the middle", [reach_V], "V")
     curves = [bow_m - half_m, bow_m + half_m, np.zeros(1)]
     canvas = Canvas(x=x, y=axis_over("loading curve minus chord", curves, "m"), height=260)
     return Figure(
@@ -150,7 +150,8 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Table]:
     return with_rows(
         Table(
             caption="Errors and their meaning, without feedback unless stated. The last two are "
-            "limits for every drive, not expected errors.",
+            "limits for every drive, not expected errors. The last one can exceed the other: it "
+            "assumes the time course of the hysteresis error that the loop amplifies most.",
             columns=("error", *(f"axis {budget.axis}" for budget in budgets)),
             rows=side_by_side(columns),
             is_open=True,

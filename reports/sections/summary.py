@@ -141,16 +141,14 @@ def _card(page: Page, axis: AxisModel) -> Card:
     quality, design = axis.quality, page.loop_of(axis.axis)
     noise_m, error_m = quality.noise_rms_m, quality.held_out_rms_m
     closure = f"{significant(error_m / noise_m, 2)} times noise" if noise_m else ""
-    speed = ("Bandwidth", "none")
+    speed = [("Bandwidth", "none")]
     if design is not None:
         bandwidth, error = number(design.bandwidth_Hz, "Hz"), tracking_error(page, axis.axis)
-        speed = ("Bandwidth of the feedback, at least", bandwidth)
+        speed = [("Bandwidth of the feedback, at least", bandwidth)]
         if error:
-            label = (
-                f"Bandwidth of the feedback, at least; simulated error on a {SPIRAL_Hz:g} Hz "
-                f"spiral, {moving_axes(page.verification)}"
-            )
-            speed = (label, f"{bandwidth}; {error} rms")
+            spiral_axes = moving_axes(page.verification)
+            label = f"Simulated error on a {SPIRAL_Hz:g} Hz spiral, {spiral_axes}"
+            speed.append((label, f"{error} rms"))
     return Card(
         title=f"Axis {axis.axis}",
         tone=TONES[grade],
@@ -165,7 +163,7 @@ def _card(page: Page, axis: AxisModel) -> Card:
                 "Sensor noise; closure",
                 f"{quality.noise_bound}{number(noise_m, 'm')} rms; {closure}",
             ),
-            speed,
+            *speed,
             ("Guaranteed error", guarantee(page, axis, has_speeds=True)),
             ("Ships", ships(page, axis.axis)),
         ),

@@ -1,8 +1,10 @@
 """Statements about the limit of the bandwidth and the bound of the error."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
 import piezoid
@@ -19,7 +21,9 @@ from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.digests import digest_in
 from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.bandwidth import unmeasured
-from piezoid.identification.model import AxisModel
+from piezoid.identification.extensions.linear_mode import LinearMode
+from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.store import write_model
 from piezoid.statement import Level
 from tests.cli.calls import invoke
@@ -101,6 +105,36 @@ def test_the_chirp_is_stated_with_band_amplitude_and_a_rate_that_resolves_it():
         f"sampled at {with_unit(RATE_Hz, 'Hz', 2)}",
     ):
         assert number in text
+
+
+@pytest.mark.parametrize(("noise_m", "is_visible"), [(1e-11, True), (1e-7, False)])
+def test_the_chirp_beyond_an_identified_mode_avoids_it_and_ends_in_the_noise(noise_m, is_visible):
+    """Motion of a mode f0 above it: amplitude gain / ((f / f0)^2 - 1), visible above 4 noises."""
+    mode_Hz, top_Hz, axis = 400.0, RATE_Hz / 3.0, fitted()["x"]
+    extension = LinearMode(frequency_Hz=mode_Hz, quality=20.0)
+    axis = replace(
+        axis,
+        lag=Lag(kind="none", time_s=0.0),
+        rig=Rig(),
+        extensions=(extension,),
+        quality=replace(axis.quality, noise_rms_m=noise_m),
+    )
+    specification = lateral_task(axis, RATE_Hz, forms=("inverse",)).specification
+    (axis_design,) = fast_design().axes
+    design = replace(fast_design(), axes=(replace(axis_design, specification=specification),))
+    (limit,) = (f for f in design_statements(design, model_of(axis)) if f.quantity == "bandwidth")
+    assert limit.level is (Level.ACTION if is_visible else Level.NOTE)
+    assert ("Record a small chirp" in limit.text) == is_visible
+    if not is_visible:
+        return
+    start_Hz, end_Hz = (
+        float(number) * {"Hz": 1.0, "kHz": 1e3}[unit]
+        for number, unit in re.findall(r"([0-9.]+) (k?Hz)(?= to|, sampled)", limit.text)
+    )
+    slow_m = 0.02 * (axis.voltage_V[1] - axis.voltage_V[0]) * axis.operator.middle_slope_m_per_V
+    assert start_Hz == pytest.approx(mode_Hz * np.sqrt(1.0 + 1.0 / 1.2), rel=0.02)
+    visible_Hz = mode_Hz * np.sqrt(1.0 + slow_m / (4.0 * noise_m))
+    assert end_Hz == pytest.approx(min(visible_Hz, top_Hz), rel=0.03)
 
 
 def test_a_plan_repeats_the_chirp_through_a_resonance_that_could_not_be_fitted(tmp_path):

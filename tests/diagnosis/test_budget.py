@@ -1,5 +1,6 @@
 """The error budget adds up and names every error above the noise."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -71,6 +72,23 @@ def test_each_error_is_split_by_the_next_smaller_one():
     assert parts["loop_shape"] == pytest.approx(np.sqrt(3.0) * 1e-8)
     assert parts["unexplained"] == pytest.approx(np.sqrt(0.75) * 1e-8)
     assert parts["noise"] == pytest.approx(5e-9)
+
+
+@pytest.mark.parametrize(("gain_m", "left_m"), [(2e-8, 2e-8), (9e-8, np.sqrt(9.75) * 1e-8)])
+def test_a_mode_of_other_recordings_has_at_most_the_part_that_other_findings_leave(gain_m, left_m):
+    """Of 16 (1e-16 m^2), creep removes 6.25; a refit without the mode may cost more than 9.75."""
+    creep = replace(
+        finding("creep", 0.4),
+        held_out_rms_before_m=5e-8,
+        held_out_rms_after_m=np.sqrt(18.75) * 1e-8,
+    )
+    errors = RemainingErrors(explained_m=3e-8, wide_m=3e-8, scatter=0.01)
+    diagnosis = diagnosed(creep, finding("resonance", 0.4))
+    completed = with_budget(diagnosis, errors, gains={"resonance": gain_m**2})
+    power_m2 = diagnosis.baseline.rms_m**2 - diagnosis.final.rms_m**2
+    expected_m2 = left_m**2 * power_m2 / (6.25e-16 + left_m**2)
+    assert part_of(completed, "resonance").rms_m ** 2 == pytest.approx(expected_m2)
+    assert power(completed) == pytest.approx(diagnosis.baseline.rms_m**2)
 
 
 def test_a_dominant_residual_is_something_else_with_its_coordinate():

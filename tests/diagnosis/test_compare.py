@@ -29,11 +29,11 @@ def test_a_confirmation_states_the_error_of_the_fit_and_the_limit():
     fitted_m = model.quality.held_out_rms_m
     assert comparison.limit_m == pytest.approx(3.0 * fitted_m, rel=0.05)
     text = comparison.statement.text
-    assert f"{with_unit(fitted_m, 'm')} at the fit" in text
-    assert f"limit {with_unit(comparison.limit_m, 'm')}" in text
-    assert "plays with dead zones alone" not in text
+    assert f"at the fit {with_unit(fitted_m, 'm')}" in text
+    assert f"may grow to {with_unit(comparison.limit_m, 'm')}" in text
+    assert "plays with dead zones" not in text
     shaped = replace(comparison, shaped_error_m=0.1 * fitted_m)
-    assert f"the whole model had {with_unit(0.1 * fitted_m, 'm')}" in shaped.statement.text
+    assert "Error of plays with dead zones now" in shaped.statement.text
     just_above = replace(comparison, unchanged_error_m=1.01 * comparison.limit_m)
     assert comparison.holds
     assert not just_above.holds

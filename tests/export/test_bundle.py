@@ -14,6 +14,8 @@ import piezoid
 from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import SAMPLES, SHIPPED, bundle, runtime_source
 from piezoid.export.parameter_file import AxisParameters, Robustness, from_json, to_json
+from piezoid.operators.dead_zone import DeadZones
+from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from piezoid.runtime.controller import Controller, Status
 from piezoid.runtime.library import library
 from piezoid.runtime.schema import PARAMETERS, TIP_PARAMETERS
@@ -368,29 +370,75 @@ def test_the_readme_states_the_lag_of_the_observer_model():
     assert float(stated) * {"us": 1e-6, "ms": 1e-3}[unit] == pytest.approx(lag_s, rel=0.01)
 
 
-def test_the_readme_states_the_readings_at_the_ends_of_the_output_range():
-    heading = "| axis | reading at the lowest output |"
-    text = bundle(replace(stage(), axes=(stage().axis("x"),)))["README.md"].decode()
-    assert table_row(text.replace("\n  |", "\n|"), heading, "x") == {
-        "axis": "x",
-        "reading at the lowest output": "-3e-05 m",
-        "at the highest output": "3e-05 m",
-        "centre of the model": "0 m at 0 V",
-    }
-    falling = stage().axis("x").with_values({"polarity": -1})
-    text = bundle(replace(stage(), axes=(falling,)))["README.md"].decode()
-    assert "| x | 3e-05 m | -3e-05 m |" in text
+def outermost_branch(axis, voltage_V, side):
+    """Return the operator's displacement on a ramp whose plays begin at one end, without creep."""
+    knots = int(axis.values["knot_count"])
+    plays = slice(int(axis.values["play_count"]))
+    threshold_V = axis.values["play_threshold_V"][plays]
+    operator = ModifiedPrandtlIshlinskii(
+        plays=PrandtlIshlinskii(
+            threshold=threshold_V, weight=axis.values["play_weight_m_per_V"][plays]
+        ),
+        dead_zones=DeadZones(
+            threshold=axis.values["knot_m"][:knots], weight=axis.values["knot_weight"][:knots]
+        ),
+        voltage_offset_V=float(axis.values["voltage_offset_V"]),
+    )
+    memory_V = voltage_V[0] - operator.voltage_offset_V + side * threshold_V
+    return operator.run(voltage_V, memory_V)[0]
+
+
+CREEP = 1.01  # of the stage, after all its creep
+
+
+@pytest.mark.parametrize("polarity", [1, -1])
+@pytest.mark.parametrize("low_V", [-10.0, 0.0])
+def test_the_readme_states_the_readings_at_the_ends_of_the_output_range(low_V, polarity):
+    """At 0 V, a stage at rest may lie anywhere between both branches."""
+    axis = stage().axis("x").with_values({"voltage_minimum_V": low_V, "polarity": polarity})
+    text = bundle(replace(stage(), axes=(axis,)))["README.md"].decode()
+    row = table_row(text.replace("\n  |", "\n|"), "| axis | reading at the lowest output |", "x")
+    assert row["centre of the model"] == "0 m at 0 V"
+    high_V = float(axis.values["voltage_maximum_V"])
+    for column, voltage_V, sides in (
+        ("reading at the lowest output", low_V, (1, -1) if low_V == 0.0 else (1,)),
+        ("at the highest output", high_V, (-1,)),
+    ):
+        ends_m = [
+            polarity * factor * outermost_branch(axis, np.array([voltage_V]), side)[0]
+            for side in sides
+            for factor in (1.0, CREEP)
+        ]
+        stated_m = [float(end) for end in row[column].removesuffix(" m").split(" to ")]
+        assert stated_m == pytest.approx([min(ends_m), max(ends_m)], rel=1e-3)
+
+
+def test_the_readme_states_the_declared_columns_and_the_volts_at_the_piezo():
+    text = "displacement from the column z (um) in um; 10 V of the output are 100 V at the piezo"
+    file = replace(stage(), signals={"x": text})
+    assert from_json(to_json(file), "params.json").signals == {"x": text}
+    assert text in bundle(file)["README.md"].decode()
+    assert "does not contain the names and units" not in bundle(file)["README.md"].decode()
+    assert "does not contain the names and units" in readme()
 
 
 @pytest.mark.parametrize("low_V", [-5.0, 0.0, 2.0])
 def test_the_start_of_the_readme_lies_inside_and_its_jump_bounds_the_first_output(low_V):
     limits = {"voltage_minimum_V": low_V, "reference_step_m": 1e-7, "lsb_V": 0.0}
+    limits |= {"reference_minimum_m": max(low_V, -3.0) * 3.5e-6}
     axis = stage().axis("x").with_values(limits)
     row = table_row(bundle(replace(stage(), axes=(axis,)))["README.md"].decode(), LOOPS, "x")
     high_V = float(axis.values["voltage_maximum_V"])
     start_V = float(row["start"].removesuffix(" V"))
     assert low_V < start_V < high_V
-    assert abs(start_V) <= max(low_V + 0.06 * (high_V - low_V), 0.0)
+    if low_V < 0.0:
+        assert start_V == 0.0
+    else:
+        ramp_V = np.linspace(low_V, high_V, 4001)
+        crept_m = np.outer([1.0, CREEP], outermost_branch(axis, ramp_V, -1))
+        reading_m = crept_m.min(axis=0)
+        inside_V = ramp_V[reading_m >= float(axis.values["reference_minimum_m"])][0]
+        assert start_V == pytest.approx(inside_V + 0.05 * (high_V - low_V), abs=0.06)
     jump_V = float(row["jump"].removesuffix(" V"))
     for voltage_V in (low_V, high_V):
         for reading_m in np.linspace(-4e-5, 4e-5, 41):

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.digests import digest_of_file
+from piezoid.formatting import with_unit
 from piezoid.identification.store import write_model
 from piezoid_cli.main import app
 from tests.reports.known_diagnosis import diagnosed, finding
@@ -74,6 +75,27 @@ def test_recordings_of_the_fit_that_are_missing_are_named(stage, tmp_path):
     result = CliRunner().invoke(app, ["plan", str(stage), str(sweep), *RATE, "--force"])
     output = " ".join(result.output.split())
     assert "2 of 2 recordings of the fit are missing: sweep.csv, chirp.csv" in output
+
+
+def test_drives_for_an_undetected_effect_are_compared_by_their_detection_limits(stage):
+    """The chosen drive has the limit that the sentence and plan.json state."""
+    diagnosis = diagnosed()
+    limits = {"thermal_drift": 1e-6}
+    not_detected = tuple(
+        replace(absent, detection_limit_m=limits.get(absent.effect, 1e-12), upper_bound_m=1e-12)
+        for absent in diagnosis.not_detected
+    )
+    content = write_diagnosis(replace(diagnosis, not_detected=not_detected))
+    (stage / "diagnosis.json").write_bytes(content)
+    result = CliRunner().invoke(app, ["plan", str(stage), *RATE], env={"COLUMNS": "200"})
+    assert result.exit_code == 0, result.output
+    plan = json.loads((stage / "plan.json").read_bytes())
+    assert plan["question"]["effects"] == ["thermal_drift"]
+    assert "so far detected from 1.00 µm rms" in result.output
+    expected = with_unit(plan["size"]["expected_detection_limit"], "m", 2)
+    (row,) = (line for line in result.output.splitlines() if f"│ {plan['drive']['name']} " in line)
+    assert row.rstrip(" │").endswith(expected)
+    assert f"Expected detection limit: {expected} rms" in result.output
 
 
 def test_gaps_of_a_plan_are_stated(stage):

@@ -138,6 +138,21 @@ def test_columns_and_units_of_lab_toml_replace_the_headings(tmp_path):
     assert [p.quantity for p in recording.statements] == ["unit_assumed"]
 
 
+@pytest.mark.parametrize(("unit", "is_stated"), [("nm", True), ("um", False), ("µm", False)])
+def test_a_unit_of_lab_toml_that_contradicts_the_heading_is_stated_with_both(
+    tmp_path, unit, is_stated
+):
+    path = table(tmp_path, "time [s],voltage [V],position [um]", TIME_s, VOLTAGE_V, RESPONSE)
+    lab = lab_with(
+        columns={"time": 1, "voltage": 2, "displacement": 3}, units={"displacement": unit}
+    )
+    statements = [
+        s for s in collect([path], lab)[0].statements if s.quantity == "unit_contradicts_heading"
+    ]
+    assert len(statements) == is_stated
+    assert all("um in its heading, lab.toml nm" in s.text for s in statements)
+
+
 def test_volts_of_a_sensor_become_a_displacement_by_its_gain(tmp_path):
     headings = "time [s],voltage_z [V],sensor_z [V]"
     path = table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE)

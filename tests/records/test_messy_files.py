@@ -106,11 +106,11 @@ def test_segments_of_several_rates_keep_their_clock_and_seconds_of_the_file(tmp_
     [
         (
             "kilovolts.csv",
-            r"1000 times larger\. Likely cause: another unit of the drive.*voltage = 1000",
+            r"1000 times more\. Likely cause: another unit of the drive.*voltage = 1000",
         ),
         (
             "monitor.csv",
-            r"15\.0 times larger\. Likely cause: the drive is the output of a monitor \(1/15\)",
+            r"15\.0 times more\. Likely cause: the drive is the output of a monitor \(1/15\)",
         ),
         ("polarity.csv", r"opposite sign\. Likely cause: opposite polarity of drive or sensor"),
     ],

@@ -127,7 +127,7 @@ EFFECT = Effect(
     "more, and the same staircase mirrored. Creep goes on in every hold and changes sign with the "
     "steps; drift keeps its sign, and an initial state ends with the first full cycle.",
     control="With feedforward alone the position drifts after every step. Integral action removes "
-    "the drift within its bandwidth; a creep ladder in the feedforward removes it from the start.",
+    "the drift within its bandwidth; the exported inverse contains the creep of the model.",
     shows=Appearance(
         label="time in a hold",
         unit="s",
@@ -140,14 +140,13 @@ EFFECT = Effect(
     tangent=Tangent(
         columns=_tangent,
         advised=("held_levels_mirrored", "held_levels"),
-        visible="creep follows every move, not only holds",
     ),
     confounded=("thermal_drift",),
     may_be_loop_shape=True,
     untestable=lambda view: (
         ""
         if view.longest_s >= MIN_DURATION_s
-        else f"the longest recording lasts {view.longest_s:.2g} s; creep needs "
+        else f"the longest recording lasts {view.longest_s:.4g} s; creep needs "
         f"{MIN_DURATION_s:g} s or more"
     ),
     trials=lambda view: [

@@ -42,8 +42,8 @@ EFFECT = Effect(
     experiment="Record minor loops of five sizes at three biases, each twice: they decide between "
     "classes of hysteresis.",
     control="In open loop this error remains, because the exported inverse has an envelope, plays "
-    "and dead zones, but not this class. Feedback removes it, or a drive computed in advance from "
-    "the whole model (piezoid export --target waveform).",
+    "and dead zones, but not this class. Feedback removes it. A drive computed in advance removes "
+    "it as far as the model is known; piezoid export --target waveform states the expected error.",
     shows=OVER_DRIVE,
     tangent="its size is the difference of two classes of hysteresis, which no single drive sets",
     inject=inject,

@@ -72,7 +72,7 @@ EFFECT = Effect(
     untestable=lambda view: (
         ""
         if view.longest_s >= DEGREES_s[0]
-        else f"the longest recording lasts {view.longest_s:.2g} s, drift needs {DEGREES_s[0]:g} s"
+        else f"the longest recording lasts {view.longest_s:.4g} s, drift needs {DEGREES_s[0]:g} s"
     ),
     trials=lambda view: [
         Trial(columns=_curves(view)),

@@ -165,17 +165,15 @@ def _reason(question: Question) -> str:
 def _advice(plan: Plan) -> str:
     """Compare the drive with the experiment that the diagnosis recommends, if it is another."""
     suspect, drive = plan.question.suspects[0], plan.drive
-    tangent = suspect.tangent
-    of_report = (a for a in plan.alternatives if a.name in tangent.advised)
-    advised = next(of_report, None)
-    if advised is None or advised.estimate is None or drive.name in tangent.advised:
+    names = () if plan.question.kind == "detect" else suspect.tangent.advised
+    advised = next((a for a in plan.alternatives if a.name in names), None)
+    if advised is None or advised.estimate is None or drive.name in names:
         return ""
-    because = f": {tangent.visible}" if tangent.visible else ""
     return (
         f"The report recommends {advised.name} for {words(suspect.name)}, "
         f"{advised.duration_s:.0f} s with an expected standard error of "
         f"{standard_error(plan.question, advised.estimate)}; {drive.name} takes "
-        f"{drive.duration_s:.0f} s for {standard_error(plan.question, plan.planned)}{because}."
+        f"{drive.duration_s:.0f} s for {standard_error(plan.question, plan.planned)}."
     )
 
 

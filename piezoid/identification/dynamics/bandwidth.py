@@ -183,10 +183,12 @@ def unfitted(
     if verdict.fallen_Hz is None and peak_Hz > BAND_END * verdict.highest_Hz:
         location = f"at {with_unit(feature_Hz or 0.0, 'Hz')} or above, where its response ends"
         chirp = f"to at least {2.0 * verdict.highest_Hz:.0f} Hz"
+    share_percent = 100.0 * CHIRP_AMPLITUDE / max(verdict.peak_ratio or 1.0, 1.0)
     text = (
         f"{recording} shows {feature} {location}{size}. Its frequency response could not be fitted"
-        f": {reason}. The model {model}. Record a small chirp {chirp}, about 2 % of the range of "
-        "the drive, sampled at three times its highest frequency or faster."
+        f": {reason}. The model {model}. Record a small chirp {chirp}, about "
+        f"{share_percent:.2g} % of the range of the drive, sampled at three times its highest "
+        "frequency or faster."
     )
     return replace(verdict, text=declared + text)
 

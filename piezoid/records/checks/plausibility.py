@@ -97,7 +97,9 @@ def check_missing_channels(recording: Recording, _lab: Lab) -> list[Statement]:
     return [
         finding(
             "incomplete",
-            f"No {quantity.name.lower()} is recorded; this recording cannot be fitted alone.",
+            f"No {quantity.name.lower()} is recorded; this recording cannot be fitted alone. If a "
+            "column without a heading has it, add to its [[recording]] in lab.toml: "
+            "columns = { time = 1, voltage = 2, displacement = 3 }",
             place="columns",
         )
         for quantity in (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
