@@ -39,7 +39,7 @@ _AXIS = (
     *("axis", "index", "method", "rate, Hz", "preview, samples", "working range", "output, V"),
     *("LSB, V", "codes"),
 )
-_COST = (*("axis", "plays", "knots", "creep elements", "observer order", "instructions"),)
+_COST = ("axis", "plays", "knots", "creep elements", "observer order", "instructions")
 _LOOP = (
     *("axis", "delay margin", "safe delay", "lag", "guaranteed error", "transient", "start"),
     "jump",

@@ -1,7 +1,6 @@
 """Contract of the checks: same signature, no report about clean recordings, registration."""
 
 import inspect
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,24 +32,6 @@ def test_every_check_is_silent_over_clean_recordings(tmp_path, law):
         for check in checks.AXIS_CHECKS:
             assert check(recording, recording.axis) == [], check.__name__
     assert {c.__name__: c(recordings) for c in SET_CHECKS} == {c.__name__: [] for c in SET_CHECKS}
-
-
-@pytest.mark.parametrize(("rate_ratio", "n_reported"), [(1000.0, 1), (50.0, 0), (1.0, 0)])
-def test_a_recording_in_another_unit_of_time_is_reported(tmp_path, rate_ratio, n_reported):
-    slow = clean(tmp_path / "a", "preisach", SWEEP, 1)
-    loops = clean(tmp_path / "b", "preisach", LOOPS, 2)
-    fast = replace(loops, name="ms.csv", sampling_rate_Hz=rate_ratio * slow.sampling_rate_Hz)
-    statements = checks.check_set([slow, fast])
-    assert [s.recording for s in statements if s.quantity == "implausible_time"] == (
-        ["ms.csv"] * n_reported
-    )
-
-
-def test_a_fast_chirp_beside_a_slow_sweep_is_no_other_unit_of_time(tmp_path):
-    slow = clean(tmp_path / "a", "preisach", SWEEP, 1)
-    chirp = clean(tmp_path / "b", "preisach", 0.02 * LOOPS, 2)
-    fast = replace(chirp, name="chirp.csv", sampling_rate_Hz=1000.0 * slow.sampling_rate_Hz)
-    assert "implausible_time" not in {s.quantity for s in checks.check_set([slow, fast])}
 
 
 def test_every_check_of_the_folder_is_registered_under_one_signature():

@@ -21,7 +21,6 @@ from piezoid.records.checks.consistency import (
     check_copies,
     check_drive_ranges,
     check_mixed_units,
-    check_time_units,
     refuse_inconsistent,
 )
 from piezoid.records.checks.coupled_drives import check_coupled_drives
@@ -60,7 +59,6 @@ SET_CHECKS: tuple[SetCheck, ...] = (check_mixed_units, check_consistency, check_
 SET_CHECKS_OF_CONSISTENT: tuple[SetCheck, ...] = (
     check_drive_ranges,
     check_feedback_of_set,
-    check_time_units,
 )
 
 

@@ -161,25 +161,6 @@ def check_drive_ranges(recordings: Sequence[Recording]) -> list[Statement]:
     return statements
 
 
-def check_time_units(recordings: Sequence[Recording]) -> list[Statement]:
-    """Report each recording that is another one at 1000 or 1e6 times its rate, by its drive."""
-    statements = []
-    drives = [(r, r.voltage_V(r.axis)) for r in recordings if r.axis in r.complete_axes]
-    rates = sorted((r.sampling_rate_Hz, np.abs(np.diff(v)).mean(), r.name) for r, v in drives)
-    for rate_Hz, step_V, name in rates[1:]:
-        slow_Hz, slow_step_V, slow_name = rates[0]
-        thousands = math.log10(rate_Hz / slow_Hz) / 3.0
-        is_power = abs(thousands - round(thousands)) < UNIT_TOLERANCE and round(thousands) > 0
-        if is_power and _is_alike(step_V / max(slow_step_V, 1e-300)):
-            text = (
-                f"{name} is sampled at {with_unit(rate_Hz, 'Hz')}, {slow_name} at "
-                f"{with_unit(slow_Hz, 'Hz')}, and both drives move as far between samples. Check "
-                f"the unit of the time of {name}."
-            )
-            statements.append(finding("implausible_time", text, recording=name))
-    return statements
-
-
 def check_consistency(recordings: Sequence[Recording]) -> list[Statement]:
     """Report each recording whose gain contradicts that of most others on its axis."""
     return [statement for statement, _ in _inconsistencies(recordings)]
