@@ -26,7 +26,7 @@ from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.identification.extensions.lags import ConverterHold, Delay, FirstOrderLag
-from piezoid.identification.extensions.linear_mode import LinearMode
+from piezoid.identification.extensions.linear_mode import FixedMode, LinearMode
 from piezoid.identification.hysteresis.coordinates import Structure
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales, drifting_zeros
 from piezoid.identification.model import AxisModel, Lag
@@ -248,14 +248,14 @@ def _with_effects(
     return tuple(in_order([*_declared_hold(lab, model), *extensions])), starts, structure
 
 
-def _identified_modes(model: AxisModel, extensions: Sequence[Extension]) -> list[LinearMode]:
+def _identified_modes(model: AxisModel, extensions: Sequence[Extension]) -> list[FixedMode]:
     """Return the resolved modes of the dynamics; none if the extensions contain a mode."""
     dynamics = model.dynamics
     if dynamics is None or any(isinstance(e, LinearMode) for e in extensions):
         return []
     modes = resolved_modes(dynamics)
     return [
-        LinearMode(frequency_Hz=float(frequency_Hz), quality=float(0.5 / damping))
+        FixedMode(frequency_Hz=float(frequency_Hz), quality=float(0.5 / damping))
         for frequency_Hz, damping in zip(
             dynamics.mode_frequency_Hz[modes], dynamics.mode_damping[modes], strict=True
         )
@@ -265,7 +265,7 @@ def _identified_modes(model: AxisModel, extensions: Sequence[Extension]) -> list
 def _fit_with_effects(
     model: AxisModel,
     extensions: tuple[Extension, ...],
-    modes: Sequence[LinearMode],
+    modes: Sequence[FixedMode],
     estimates: Sequence[EffectEstimate],
     recordings: Sequence[Recording],
     fit: Fit,

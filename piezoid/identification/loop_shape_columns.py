@@ -126,7 +126,7 @@ class _HistoryPath:
             filtered = np.concatenate([change, settled])
         else:
             filtered = _at_sensor(axis, piece, self.interpolated(change, piece.where.samples))
-        return np.asarray(filtered * axis.forward.gain_at(piece.rows, piece.where))
+        return _with_slow_response(axis, piece, filtered)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -219,9 +219,7 @@ def columns_of(
             table = _at_sensor(axis, piece, static)
             drive_V, row_index = _drive_at_rows(piece.drive_V, piece.rows, 0.0)
         remainder = plays_m / (0.5 * axis.quality.range_m) - table @ plays[:-1]
-        tables.append(
-            np.column_stack([table, remainder]) * axis.forward.gain_at(piece.rows, piece.where)
-        )
+        tables.append(_with_slow_response(axis, piece, np.column_stack([table, remainder])))
         paths.append(
             _history_path(axis, memory_V, drive_V, row_index, sample, count, is_pure_delay)
         )
@@ -311,6 +309,13 @@ def _reference() -> _Reference:
 def _at_sensor(axis: AxisModel, piece: PieceRows, static: Array) -> Array:
     """Filter a static response, (samples,) or (samples, columns), by fast extensions, at rows."""
     return axis.forward.linear_response(static, piece.where, fast_only=True)[piece.rows]
+
+
+def _with_slow_response(axis: AxisModel, piece: PieceRows, change: Array) -> Array:
+    """Add creep to changes of the response at rows, linear between them, and apply the gain."""
+    for extension in axis.extensions:
+        change = extension.slow_response(change, piece.rows / piece.where.rate_Hz)
+    return np.asarray(change * axis.forward.gain_at(piece.rows, piece.where))
 
 
 def zero_loop_shape(axis: AxisModel) -> LoopShape:

@@ -1,6 +1,6 @@
 """Lags, delays, the relaxation ladder of creep, slew limit and thermally activated motion."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,9 +51,18 @@ def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
 
     signal  (samples,) or (samples, columns)
     """
+    return each_column(lambda column: ladder(column, [time_s], rate_Hz), signal)
+
+
+def each_column(filter_column: Callable[[Array], Array], signal: Array) -> Array:
+    """Filter a signal, or its columns one by one: a single column fits into the cache.
+
+    signal    (samples,) or (samples, columns)
+    returned  of the same shape, column-major
+    """
     result = np.empty(signal.shape, order="F")
     for output, column in zip(np.atleast_2d(result.T), np.atleast_2d(signal.T), strict=True):
-        output[:] = ladder(column, [time_s], rate_Hz)
+        output[:] = filter_column(column)
     return result
 
 

@@ -75,6 +75,7 @@ def test_a_mode_also_improves_the_model_of_the_other_recordings():
     (mode_of_model,) = [e for e in errors.model.extensions if isinstance(e, LinearMode)]
     assert errors.final_m < 0.5 * errors.without_m["resonance"]
     assert mode_of_model.frequency_Hz == pytest.approx(MODE_Hz, rel=0.01)
+    assert mode_of_model.frequency_Hz in model["x"].dynamics.mode_frequency_Hz  # not refitted
     assert errors.final_m < 4.0 * NOISE * HALF_STROKE_m
 
 

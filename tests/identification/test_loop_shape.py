@@ -12,17 +12,26 @@ from piezoid.diagnosis.signals import with_displacement, with_extension
 from piezoid.digests import seal
 from piezoid.errors import ParameterFileError
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.extensions.extension import Where
+from piezoid.identification.extensions.creep_ladder import CreepLadder
+from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.extensions.mains_lines import Hum, MainsLines
 from piezoid.identification.extensions.periodic_error import PeriodicError, Phase
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.loop_shape import history_of
+from piezoid.identification.loop_shape_columns import (
+    columns_of,
+    piece_rows,
+    reference_columns,
+    zero_loop_shape,
+)
 from piezoid.identification.loop_shape_fit import with_loop_shape
 from piezoid.identification.model import SCHEMA, AxisModel, Lag
 from piezoid.identification.simulation import compare, simulate_recording
 from piezoid.identification.store import read_model, write_model
 from piezoid.numerics.arrays import Array
+from piezoid.operators.wide_hysteresis import coefficients
 from piezoid.records.frames import from_arrays
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.truths import ZOO
@@ -62,12 +71,12 @@ def recorded(
     field: Array,
     name: str,
     polarity: float = 1.0,
-    mode: LinearMode | None = None,
+    part: Extension | None = None,
 ) -> Recording:
     history = np.tile(path_through(np.array([0.0, 1.0, -1.0, 1.0, -1.0])), 2)
     displacement_m = 2e-5 * law_of(law)(np.concatenate([history, field]))[len(history) :]
-    if mode is not None:
-        displacement_m = mode.response(displacement_m, Where(recording=name, rate_Hz=RATE_Hz))
+    if part is not None:
+        displacement_m = part.response(displacement_m, Where(recording=name, rate_Hz=RATE_Hz))
     noise_m = NOISE_M * np.random.default_rng(len(field)).standard_normal(len(field))
     return recording_of(5.0 * field, polarity * displacement_m + noise_m, name)
 
@@ -267,6 +276,27 @@ def test_loop_shape_is_fitted_with_a_mode():
     shaped = with_loop_shape(replace(plays, extensions=(mode,)), ringing)
     assert shaped.loop_shape is not None
     assert shaped.quality.explained_rms_m < 1.5 * NOISE_M
+
+
+def test_the_columns_of_the_class_contain_the_creep_of_its_motion():
+    """Without it no step is confirmed by the simulation if the shares of creep are large."""
+    creep = CreepLadder(time_s=(0.05, 0.5, 5.0), share=(0.03, 0.14, 0.02))
+    recordings, plays, _ = fitted("dahl")
+    axis = replace(plays, extensions=(creep,))
+    pieces = piece_rows(axis, recordings)
+    columns = columns_of(axis, pieces, reference_columns(axis))
+    weight = np.random.default_rng(1).standard_normal(len(columns.scale) - 1)
+    density_m, smooth_m = coefficients(1e-6 * weight)
+    shape = replace(zero_loop_shape(axis), density_m=density_m, smooth_m=smooth_m)
+    motions_m = []
+    for piece in pieces:
+        history = history_of(axis.hysteresis, piece.start.memory_V, shape)
+        static_m = shape.response(piece.drive_V, history)
+        motion_m = axis.forward.linear_response(static_m, piece.where)
+        motions_m.append(motion_m[piece.rows])
+    simulated_m = np.concatenate(motions_m)
+    of_columns_m = (columns.values * columns.scale)[:, :-1] @ (1e-6 * weight)
+    assert np.std(of_columns_m - simulated_m) < 2e-3 * np.std(simulated_m)
 
 
 def test_a_hum_with_harmonics_is_fitted_to_a_subset_of_rows(monkeypatch):

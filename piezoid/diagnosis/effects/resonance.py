@@ -31,7 +31,7 @@ from piezoid.diagnosis.refinement import with_polynomial_response
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.signals import filtered_change, mode, with_extension
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.extensions.linear_mode import LinearMode, StruckMode
+from piezoid.identification.extensions.linear_mode import FixedMode, LinearMode
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -107,7 +107,7 @@ def extend(estimate: EffectEstimate, _: SearchScaling) -> tuple[Extension, ...]:
     """Return the model extension, starting from the estimate of the search."""
     # after a step of the drive the mode is the sum of two columns that are one sample apart
     kind, share = (
-        (StruckMode, float(np.sum(estimate.coefficient)))
+        (FixedMode, float(np.sum(estimate.coefficient)))
         if estimate.from_jumps
         else (LinearMode, estimate.first_coefficient)
     )

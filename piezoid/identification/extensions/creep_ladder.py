@@ -14,7 +14,7 @@ from piezoid.identification.extensions.extension import (
     within,
 )
 from piezoid.numerics.arrays import Array
-from piezoid.operators.filters import ladder
+from piezoid.operators.filters import each_column, ladder
 from piezoid.operators.linear import ContinuousSystem
 
 MAX_SHARE = 0.5
@@ -52,11 +52,27 @@ class CreepLadder(Extension):
 
     def response(self, displacement: Array, where: Where) -> Array:
         """Add creep to the displacement."""
-        columns = np.atleast_2d(displacement.T)
-        creep = np.column_stack(
-            [ladder(column, self.time_s, where.rate_Hz, self.share) for column in columns]
+        return each_column(
+            lambda column: column + ladder(column, self.time_s, where.rate_Hz, self.share),
+            displacement,
         )
-        return np.asarray(displacement + creep.reshape(displacement.shape))
+
+    def slow_response(self, values: Array, time_s: Array) -> Array:
+        """Add creep to values that are linear between some times.
+
+        x[k] = d x[k-1] + (r - d) m[k-1] + (1 - r) m[k],   d = exp(-T/tau),  r = tau/T (1 - d)
+        """
+        share, state = np.array(self.share), np.tile(values[:1], (len(self.share), 1))
+        result = np.empty_like(values)
+        result[0] = values[0] * (1.0 + share.sum())
+        ratio = np.array(self.time_s) / np.diff(time_s)[:, None]
+        decay, ramp = np.exp(-1.0 / ratio), -ratio * np.expm1(-1.0 / ratio)
+        weights = np.stack([ramp - decay, 1.0 - ramp], axis=2)  # of the old and the new value
+        for k in range(1, len(values)):
+            state *= decay[k - 1][:, None]
+            state += weights[k - 1] @ values[k - 1 : k + 1]
+            result[k] = values[k] + share @ state
+        return result
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the ladder as a slow linear system."""

@@ -155,6 +155,14 @@ class Extension:
         """
         return displacement
 
+    def slow_response(self, values: Array, time_s: Array) -> Array:  # noqa: ARG002
+        """Return the linear response to values that are linear between some times, at these.
+
+        values  (times, columns)
+        time_s  (times,)  rising; at rest before the first
+        """
+        return values
+
     def added(self, where: Where) -> Array | float:
         """Return displacement that does not depend on the drive, (samples,) in m, or 0."""
         of_piece = self.added_by_number(where)

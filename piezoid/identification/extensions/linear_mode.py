@@ -18,6 +18,7 @@ from piezoid.identification.extensions.extension import (
 )
 from piezoid.numerics.arrays import Array, Samples
 from piezoid.numerics.robust import NORMAL_95
+from piezoid.operators.filters import each_column
 from piezoid.operators.linear import ContinuousSystem, recursive_filter
 from piezoid.records.drive_signal import isolated_steps
 
@@ -63,11 +64,12 @@ class LinearMode(Extension):
     def response(self, displacement: Array, where: Where) -> Array:
         """Filter the displacement by the mode, with its participation."""
         fraction = _transfer_function(self.frequency_Hz, self.quality, where.rate_Hz)
-        start = displacement[:1]
-        changes = np.atleast_2d((displacement - start).T)
-        filtered = np.stack([recursive_filter(*fraction, change) for change in changes]).T
-        shaped = filtered.reshape(displacement.shape) + start
-        return np.asarray(displacement + self.participation * (shaped - displacement))
+
+        def filtered(column: Array) -> Array:
+            shaped = recursive_filter(*fraction, column - column[:1]) + column[:1]
+            return np.asarray(column + self.participation * (shaped - column))
+
+        return each_column(filtered, displacement)
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the mode in parallel to the instantaneous response, if it takes part in it."""
@@ -126,10 +128,10 @@ def mode_spread(
 
 
 @dataclass(frozen=True, kw_only=True)
-class StruckMode(LinearMode):
-    """A mode that was identified from free decays and is not refitted.
+class FixedMode(LinearMode):
+    """A mode that was identified from free decays or a frequency response, and is not refitted.
 
-    If few samples or none contain its ringing, a fit would use the mode as a lag with low quality.
+    If few samples or none contain its ringing, a fit would use the mode as a lag of low quality.
     """
 
     def free(self) -> Free:

@@ -115,3 +115,15 @@ def test_rows_after_steps_are_excluded_where_samples_do_not_resolve_the_mode():
     np.testing.assert_array_equal(resolved_rows, [100, 101, 200, 201, 400, 401])
     sine = np.sin(np.linspace(0.0, 9.0, 500))
     assert not len(rows_after_steps(sine, 500.0, (mode,), min_rows=2))
+
+
+def test_creep_of_values_between_some_times_is_that_of_every_sample():
+    """A signal that is linear between irregular times has the same creep at these times."""
+    creep = CreepLadder(time_s=(0.01, 0.3, 20.0), share=(0.02, 0.03, 0.01))
+    rng = np.random.default_rng(0)
+    samples = np.unique([0, 2999, *rng.integers(0, 3000, 400)])
+    values = rng.standard_normal((len(samples), 2)).cumsum(axis=0)
+    signal = np.stack([np.interp(np.arange(3000), samples, column) for column in values.T]).T
+    response = creep.response(signal, Where(recording="a", rate_Hz=1000.0))
+    slow = creep.slow_response(values, samples / 1000.0)
+    np.testing.assert_allclose(slow, response[samples], rtol=0.0, atol=1e-12)
