@@ -142,11 +142,18 @@ def test_a_diagnosis_without_tests_states_the_reason():
 
 
 @pytest.mark.parametrize(
-    ("part", "level"), [("loop_shape", Level.WARNING), ("extrapolation", Level.ACTION)]
+    ("part", "error_percent", "level"),
+    [
+        ("loop_shape", 1.0, Level.WARNING),
+        ("extrapolation", 1.0, Level.ACTION),
+        ("extrapolation", 0.2, Level.WARNING),  # of a model that is good
+    ],
 )
-def test_the_dominant_part_of_the_remaining_error_is_stated(part, level):
+def test_the_dominant_part_of_the_remaining_error_is_stated(part, error_percent, level):
     large = BudgetPart(part=part, rms_m=2.9e-8, is_explained=False, text="What it is.")
     diagnosis = replace(diagnosed(finding("delay")), budget=(large,))
+    final = replace(diagnosis.final, rms_percent=error_percent)
+    diagnosis = replace(diagnosis, final=final)
     (fact,) = diagnosis_statements(diagnosis)
     assert (fact.quantity, fact.level, fact.value) == (part, level, 2.9e-8)
     small = replace(diagnosis, budget=(replace(large, rms_m=1.5e-8),))

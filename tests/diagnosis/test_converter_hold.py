@@ -13,7 +13,7 @@ from piezoid.numerics.executor import SERIAL
 from piezoid.operators.filters import later
 from piezoid.records.lab import Lab
 from piezoid.records.lab_tables import Acquisition
-from tests.diagnosis.bench import single_axis_recording
+from tests.diagnosis.bench import single_axis_recording, with_fewer_rows
 from tests.laws import LAWS
 
 CLOCK_Hz = 1000.0
@@ -65,6 +65,6 @@ def test_a_declared_hold_is_kept_only_if_the_recordings_agree(drive, is_held, hu
 
 @pytest.mark.parametrize("drive", [converter, generator])
 def test_no_effect_is_named_for_the_hold(drive):
-    outcome = search_all(view_of_drive(drive), SERIAL).outcome
+    outcome = search_all(with_fewer_rows(view_of_drive(drive), 4), SERIAL).outcome
     assert outcome.causes == ()
     assert dict(outcome.faults) == {}
