@@ -78,12 +78,10 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]") -> list[str]:
     """Return the error budget of each diagnosed axis as a line, followed by a legend."""
     from piezoid.formatting import with_unit
     from piezoid.raw_counts import in_counts
-    from piezoid_reports.sections.error_budget import MAX_EXCESS, label_of, visible_parts
+    from piezoid_reports.sections.error_budget import label_of, visible_parts
 
     lines = []
     for diagnosis in diagnoses:
-        if diagnosis.final.rms_m > MAX_EXCESS * diagnosis.baseline.rms_m:
-            continue
         terms = ", ".join(
             f"{label_of(part.part)} {with_unit(part.rms_m, 'm')}{'*' if part.is_explained else ''}"
             for part in visible_parts(diagnosis)
@@ -93,6 +91,9 @@ def budget_lines(diagnoses: "Sequence[Diagnosis]") -> list[str]:
         is_tested = diagnosis.model is None or diagnosis.model.quality.is_tested
         sample = "" if is_tested else " in sample"
         line = f"error budget {diagnosis.axis}: {name} {total}{sample}, from {terms}"
+        if diagnosis.final.rms_m > diagnosis.baseline.rms_m:
+            final = with_unit(diagnosis.final.rms_m, "m")
+            line += f"; the final model has a larger error, {final}"
         lines.append(in_counts(line, diagnosis.counted))
     if any("*" in line for line in lines):
         lines.append(

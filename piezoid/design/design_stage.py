@@ -235,7 +235,7 @@ def _lateral_task(
         raise DesignError(
             f"axis {name}: the model class does not apply, {axis.verdict.reason}",
             needed="an axis whose hysteresis is known",
-            remedy="Correct what causes this, or record the axis again more slowly.",
+            remedy="Correct what the reason names, then fit the axis again.",
         )
     if rate_Hz is None and model.controller_rate_Hz is None:
         is_limited = has_pole(loop_model(axis, _FASTEST_Hz), _FASTEST_Hz)

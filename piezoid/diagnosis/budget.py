@@ -253,8 +253,8 @@ def _remaining_part(
             in_sample_m = sqrt(max(held_out_m**2 - rms_m**2, 0.0))
             text = (
                 f"The error on left-out data ({with_unit(held_out_m, 'm')} rms) exceeds that of "
-                f"the fit ({with_unit(in_sample_m, 'm')} rms): an amplitude or speed occurs in "
-                "one block of several seconds only. To reduce it, record the same drives again."
+                f"the fit ({with_unit(in_sample_m, 'm')} rms). To reduce it, record the same "
+                "drives again."
             )
     elif name == SOMETHING_ELSE:
         text = (

@@ -128,10 +128,6 @@ def readme(file: ParameterFile, *, samples: int, digest: str, source: str) -> st
         reference_steps=_limits_per_sample(lateral, "reference_step_m"),
         decoupled=decoupled,
         decoupling=_table(("", *decoupled), coupling),
-        signals=[
-            (plain_ascii(axis), plain_ascii(text, length=600))
-            for axis, text in (file.signals or {}).items()
-        ],
         version=version("piezoid"),
         digest=digest,
         source=source,

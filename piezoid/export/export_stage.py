@@ -99,29 +99,7 @@ def export_stage(
         },
         unshipped={**design.refused, **unshipped},
         decoupled=decoupled,
-        signals={axis.axis: _signals(lab, axis) for axis in shipped} if lab.digest else None,
     )
-
-
-def _signals(lab: Lab, axis: AxisParameters) -> str:
-    """Return what lab.toml declares about the recordings and the amplifier of an axis."""
-    entries = (
-        entry
-        for entry in lab.recordings
-        if entry.axis == axis.axis or any(key.endswith(f"_{axis.axis}") for key in entry.columns)
-    )
-    texts = [
-        f"{name} {', '.join(f'{key} = {value}' for key, value in table.items())}"
-        for entry in entries
-        for name in ("columns", "units", "scale", "offset")
-        if (table := getattr(entry, name))
-    ] or ["columns are not declared: ask the author of the bundle"]
-    gain_V_per_V, high_V = lab.amplifier_of(axis.axis).gain_V_per_V, axis.voltage_range_V[1]
-    if gain_V_per_V is not None:
-        texts.append(
-            f"{high_V:.5g} V of the output are {gain_V_per_V * high_V:.5g} V at the piezo"
-        )
-    return "; ".join(dict.fromkeys(texts))
 
 
 def _export_axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisParameters:

@@ -160,8 +160,6 @@ class ParameterFile:
     sources    digests of the records from which it was made: ``model``, ``design``, ...
     unshipped  reason of each axis that does not ship, by axis
     decoupled  of axes whose drives act on all of their displacements; None: no matrix
-    signals    by axis: columns of the recordings with unit, scale and offset, and the amplifier's
-               gain, as lab.toml declares them; None: nothing is declared
     """
 
     name: str
@@ -169,7 +167,6 @@ class ParameterFile:
     sources: Mapping[str, str] = field(default_factory=dict)
     unshipped: Mapping[str, str] = field(default_factory=dict)
     decoupled: Decoupled | None = None
-    signals: Mapping[str, str] | None = None
 
     def __post_init__(self) -> None:
         names = [axis.axis for axis in self.axes]
@@ -222,7 +219,7 @@ def _axis_of_entry(entry: Mapping[str, Any]) -> AxisParameters:
 
 
 # The entries of params.json, in their order.
-_ENTRIES = ("name", "sources", "unshipped", "decoupled", "signals", "axes")
+_ENTRIES = ("name", "sources", "unshipped", "decoupled", "axes")
 LAYOUTS: tuple[RecordLayout, ...] = (
     RecordLayout(kind=AxisParameters, write=_axis_entry, read=_axis_of_entry),
     RecordLayout(
@@ -230,7 +227,7 @@ LAYOUTS: tuple[RecordLayout, ...] = (
         write=lambda file: {
             name: value
             for name in _ENTRIES
-            if (value := getattr(file, name)) is not None  # of ``decoupled`` and ``signals``
+            if (value := getattr(file, name)) is not None  # of ``decoupled``
         },
         read=lambda table: record_json.from_fields(
             ParameterFile, {name: table[name] for name in _ENTRIES if name in table}, LAYOUTS

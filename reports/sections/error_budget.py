@@ -13,14 +13,13 @@ NOISE = "noise"
 LABELS = {NOISE: "sensor noise", "extrapolation": "excess on held-out data"}
 OF_EVERY_FIT = ("lag", "loop_shape")  # parts that the model removes without a finding
 NEGLIGIBLE = 1e-3  # of the power of the final error: no bar
-MAX_EXCESS = 1.05  # of the final error over the baseline's, which the parts cannot add up to
 
 
 def render(page: Page) -> Section | None:
     """Return a waterfall for each axis with an error budget."""
     waterfalls = []
     for diagnosis in page.diagnoses:
-        if not diagnosis.budget or diagnosis.final.rms_m > MAX_EXCESS * diagnosis.baseline.rms_m:
+        if not diagnosis.budget:
             continue
         parts, total_m = visible_parts(diagnosis), diagnosis.baseline.rms_m
         total = number(total_m, "m")

@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 import piezoid_cli
+from piezoid.diagnosis.diagnosis import HeldOut
 from piezoid.identification.quality import IN_SAMPLE
 from piezoid_cli.tables import budget_lines, table
 from piezoid_cli.terminal import print_raw, rich_text, say, show_progress
@@ -84,6 +85,14 @@ def test_an_error_in_sample_is_not_called_held_out(is_tested):
         model = replace(model, quality=replace(model.quality, held_out_kind=IN_SAMPLE))
     line, *_ = budget_lines([replace(diagnosed(), model=model)])
     assert ("in sample" in line) is not is_tested
+
+
+@pytest.mark.parametrize(("factor", "is_stated"), [(0.5, False), (10.0, True)])
+def test_a_budget_states_a_final_error_above_that_of_the_base_model(factor, is_stated):
+    diagnosis = diagnosed()
+    final = HeldOut.of(factor * diagnosis.baseline.rms_m, 1e-5)
+    line, *_ = budget_lines([replace(diagnosis, model=axis_model(), final=final)])
+    assert ("larger error" in line) is is_stated
 
 
 def test_no_cell_of_a_narrow_table_is_cut_off():

@@ -10,7 +10,7 @@ from piezoid.design.specification import converters_of
 from piezoid.errors import PiezoidError
 from piezoid.export.export_stage import export_stage
 from piezoid.records.lab import Acquisition, Amplifier, Lab, Sensor
-from piezoid.records.lab_tables import AxisRig, RecordingEntry
+from piezoid.records.lab_tables import AxisRig
 from piezoid.runtime.library import PRECISIONS
 from tests.design.designed import known_design
 from tests.runtime.runtime_parameters import started
@@ -35,21 +35,6 @@ def test_no_output_exceeds_the_highest_code_of_the_converter():
         controller = started(parameters, 5.0, precision=precision)
         run = controller.run(np.full(500, 1.0), np.zeros(500))
         assert round(run.voltage_V.max() / step_V) == 32767
-
-
-def test_the_parameters_state_the_declared_columns_and_the_volts_at_the_piezo():
-    columns = {"time": 1, "voltage_x": "V (V)", "displacement_x": "x (um)"}
-    entry = RecordingEntry(file="a.csv", columns=columns, scale={"voltage": 0.1})
-    other = RecordingEntry(file="b.csv", axis="y", columns={"voltage": 2})
-    lab = Lab(
-        amplifier=Amplifier(gain_V_per_V=15.0), recordings=(entry, entry, other), digest="sha256:"
-    )
-    parameters = export_stage(fitted(), design_with(lab), design_digest="", lab=lab)
-    high_V = parameters.axis("x").voltage_range_V[1]
-    assert parameters.signals["x"] == (
-        "columns time = 1, voltage_x = V (V), displacement_x = x (um); scale voltage = 0.1; "
-        f"{high_V:.5g} V of the output are {15.0 * high_V:.5g} V at the piezo"
-    )
 
 
 def test_limits_of_an_amplifier_without_a_gain_are_kept():

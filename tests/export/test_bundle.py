@@ -413,15 +413,6 @@ def test_the_readme_states_the_readings_at_the_ends_of_the_output_range(low_V, p
         assert stated_m == pytest.approx([min(ends_m), max(ends_m)], rel=1e-3)
 
 
-def test_the_readme_states_the_declared_columns_and_the_volts_at_the_piezo():
-    text = "displacement from the column z (um) in um; 10 V of the output are 100 V at the piezo"
-    file = replace(stage(), signals={"x": text})
-    assert from_json(to_json(file), "params.json").signals == {"x": text}
-    assert text in bundle(file)["README.md"].decode()
-    assert "does not contain the names and units" not in bundle(file)["README.md"].decode()
-    assert "does not contain the names and units" in readme()
-
-
 @pytest.mark.parametrize("low_V", [-5.0, 0.0, 2.0])
 def test_the_start_of_the_readme_lies_inside_and_its_jump_bounds_the_first_output(low_V):
     limits = {"voltage_minimum_V": low_V, "reference_step_m": 1e-7, "lsb_V": 0.0}
