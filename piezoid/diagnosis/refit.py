@@ -76,8 +76,12 @@ def attribute_errors(
 
     recordings  of the search, not repaired
     model       the axis as fitted to these or to earlier recordings
+    lab         declares the clock of the converters
     scales      of the search
     """
+    # the search decided from the recordings whether the converter holds the drive
+    clock_Hz = lab.acquisition.sampling_rate_Hz
+    hold_s = 0.5 / clock_Hz if clock_Hz and result.raw.continuous else 0.0
     outcome, structure = result.outcome, result.structure
     raw, tracks, faults = result.raw.tracks, outcome.clean.tracks, outcome.repaired_faults
     structured = tracks if structure is None else add_structure(outcome.clean, structure)
@@ -96,7 +100,7 @@ def attribute_errors(
         repair_recordings(recordings, model.axis, raw, tracks, scales),
         estimates,
         model=model,
-        lab=lab,
+        hold_s=hold_s,
         scales=scales,
         raw=recordings,
         faults=faults,
@@ -114,7 +118,7 @@ def refit_model(
     estimates: Sequence[EffectEstimate],
     *,
     model: AxisModel,
-    lab: Lab,
+    hold_s: float = 0.0,
     scales: Scales,
     raw: Sequence[Recording],
     faults: Sequence[str] = (),
@@ -128,21 +132,22 @@ def refit_model(
     recordings      in which the axis moves, faults repaired, in the order of their recording
     estimates       of the effects, by the search
     model           the axis as fitted, from which all refits start
-    lab             declares the clock of the converters
+    hold_s          delay by the hold of the converter; 0: the drive moves between samples
     raw             the recordings, not repaired
     faults          names of repaired faults; the error without them is that of a fit to ``raw``
     rows            samples to fit, for each track; None: all, thinned evenly
     with_structure  the recordings before unexplained structure was subtracted; None: there is none
     structure_rows  samples to fit of these recordings
     """
-    extensions, starts, structure = _with_effects(model, recordings, estimates, lab, scales)
+    hold = (ConverterHold(hold_s=hold_s),) if hold_s > 0.0 else ()
+    starts, structure = _with_effects(model, recordings, estimates, scales)
+    extensions = tuple(in_order([*hold, *(e for effect in starts.values() for e in effect)]))
     progress("refitting the simulation")
-    declared = _declared_hold(lab, model)
     modes = _identified_modes(model, extensions)
     ringing = [e for e in (*extensions, *modes) if isinstance(e, LinearMode)]
     # rows in which the ringing of these modes is not resolved are excluded from every fit
     fit_raw = partial(fit_extended, recordings=raw, ringing=ringing)
-    baseline = fit_raw(model, extensions=declared, structure=STATIC)
+    baseline = fit_raw(model, extensions=hold, structure=STATIC)
     alternatives = (baseline.model,)
     fit = partial(
         fit_extended,
@@ -163,7 +168,7 @@ def refit_model(
     if baseline_structure != STATIC:
         baseline = fit_raw(
             final.model,
-            extensions=declared,
+            extensions=hold,
             structure=baseline_structure,
             further_starts=alternatives,
         )
@@ -209,27 +214,13 @@ def refit_model(
     )
 
 
-def _declared_hold(lab: Lab, model: AxisModel) -> tuple[ConverterHold, ...]:
-    """Return the hold of the declared clock, with a delay of at most the lag of the model.
-
-    The output of a generator moves between samples, and so does a voltage that was measured.
-    """
-    clock_Hz = lab.acquisition.sampling_rate_Hz
-    if clock_Hz is None:
-        return ()
-    max_hold_s = np.inf if model.lag.kind == "none" else model.lag.time_s
-    hold_s = min(0.5 / clock_Hz, max_hold_s)
-    return (ConverterHold(hold_s=hold_s),) if hold_s > 0.0 else ()
-
-
 def _with_effects(
     model: AxisModel,
     recordings: Sequence[Recording],
     estimates: Sequence[EffectEstimate],
-    lab: Lab,
     scales: Scales,
-) -> tuple[tuple[Extension, ...], dict[str, tuple[Extension, ...]], Structure]:
-    """Return all extensions in model order, the extensions of each effect, and the structure."""
+) -> tuple[dict[str, tuple[Extension, ...]], Structure]:
+    """Return the extensions of each effect, and the static structure with all effects."""
     structure = STATIC
     scaling = SearchScaling(
         voltage_V=scales.voltage_V,
@@ -244,8 +235,7 @@ def _with_effects(
         if extend is not None:
             starts[estimate.effect] = extend(estimate, scaling)
         structure = _structure_of(structure, estimate, model, has_effect=True)
-    extensions = (extension for of_effect in starts.values() for extension in of_effect)
-    return tuple(in_order([*_declared_hold(lab, model), *extensions])), starts, structure
+    return starts, structure
 
 
 def _identified_modes(model: AxisModel, extensions: Sequence[Extension]) -> list[FixedMode]:

@@ -15,7 +15,6 @@ from piezoid.identification.dynamics.modal import ResponseFit
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.operators.linear import resonance, sample
-from piezoid.records.lab import Lab
 from tests.identification.dynamics.stage import truth
 from tests.reports.known_diagnosis import diagnosed, finding
 from tests.reports.known_stage import axis_model
@@ -68,7 +67,6 @@ def test_a_mode_also_improves_the_model_of_the_other_recordings():
         without_multisine,
         (),
         model=model["x"],
-        lab=Lab(),
         scales=scales_of(without_multisine, "x"),
         raw=without_multisine,
     )

@@ -1,7 +1,6 @@
 """Refit of the model with the effects of a search, and the error reduction of each finding."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -14,9 +13,7 @@ from piezoid.diagnosis.effect import EffectEstimate
 from piezoid.diagnosis.refit import ModelErrors, refit_model, repair_recordings
 from piezoid.identification.extensions import CreepLadder, Delay, GainChange, SlewLimit
 from piezoid.identification.hysteresis.pieces import Scales, scales_of
-from piezoid.identification.model import Lag
 from piezoid.identification.simulation import simulate_recording
-from piezoid.records.lab import Acquisition, Lab
 from piezoid.records.recording import Recording
 from tests.diagnosis.bench import view_of_recordings
 from tests.identification.extended_stage import NOISE_m, disturbed, known_model, recordings_of
@@ -34,7 +31,7 @@ ESTIMATED = (
 def _refitted(
     recordings: Sequence[Recording], estimates: Sequence[EffectEstimate], **options: Any
 ):
-    defaults = {"model": known_model(), "lab": Lab(), "scales": SCALES, "raw": recordings}
+    defaults = {"model": known_model(), "scales": SCALES, "raw": recordings}
     return refit_model(recordings, estimates, **{**defaults, **options})
 
 
@@ -100,16 +97,10 @@ def test_a_repaired_fault_is_credited_with_its_error_in_the_raw_recordings():
     assert errors.baseline_m > 1.5 * errors.final_m
 
 
-@pytest.mark.parametrize("delay_s", [1e-3, 0.0], ids=["held by the clock", "not held"])
-def test_the_declared_clock_of_the_laboratory_is_not_a_finding(delay_s):
-    """A drive that moves between samples, as of a generator, does not become a lag either."""
-    lab = Lab(acquisition=Acquisition(sampling_rate_Hz=500.0))
-    if delay_s:
-        errors = _refitted(recordings_of(Delay(delay_s=delay_s)), (), lab=lab)
-    else:
-        undelayed = replace(known_model(), lag=Lag(kind="delay", time_s=0.0))
-        errors = _refitted(recordings_of(), (), lab=lab, model=undelayed)
-    assert errors.baseline_m < 1.3 * NOISE_m
+def test_the_hold_of_the_converter_is_part_of_the_baseline():
+    recordings = recordings_of(Delay(delay_s=1e-3))
+    assert _refitted(recordings, ()).baseline_m > 2.0 * NOISE_m
+    assert _refitted(recordings, (), hold_s=1e-3).baseline_m < 1.3 * NOISE_m
 
 
 def test_without_the_only_finding_the_error_is_that_of_the_baseline():
