@@ -158,6 +158,8 @@ def _remaining_reversals(reversals: Reversals, drive: Array) -> Reversals:
     higher = np.diff(np.maximum.accumulate(path)) > 0.0
     lower = np.diff(np.minimum.accumulate(path)) < 0.0
     extrema = np.flatnonzero(higher | lower)
+    if not len(extrema):  # neither the drive nor the reversals before it move
+        return (float(path[0]),)
     outermost = np.append(higher[extrema][1:] != higher[extrema][:-1], True)
     return (*path[1:][extrema[outermost]][::-1].tolist(), float(path[0]))
 

@@ -212,9 +212,11 @@ def _start(
 def _has_ambiguous_lag(axis: AxisModel, pieces: Sequence[PieceRows]) -> bool:
     """Return whether the lag is so long for a drive that the error has several minima."""
     frequencies = [
-        float(np.std(np.diff(p.voltage_V)) / np.std(p.voltage_V)) * p.where.rate_Hz for p in pieces
+        float(np.std(np.diff(p.voltage_V)) / np.std(p.voltage_V)) * p.where.rate_Hz
+        for p in pieces
+        if np.ptp(p.voltage_V) > 0.0
     ]
-    return axis.lag.time_s * max(frequencies) > MAX_PHASE
+    return axis.lag.time_s * max(frequencies, default=0.0) > MAX_PHASE
 
 
 def _predicted_mean_square(

@@ -13,6 +13,9 @@ from piezoid.records.frames import from_arrays
 from piezoid.records.recording import Channel, Quantity
 from piezoid_datasets.virtual_lab.signals import coloured_noise
 
+from .bench import causes, thinned
+from .play_stage import drive, noisy_reading_m, recording
+
 RATE_Hz, SAMPLES, NOISE_m = 500.0, 20_000, 3e-9
 TIME_s = np.arange(SAMPLES) / RATE_Hz
 OTHER_V = 5.0 + 4.0 * np.sin(2.0 * np.pi * 0.31 * TIME_s)
@@ -143,3 +146,13 @@ def test_a_hum_is_detected_above_its_detection_limit_only():
     for factor, is_named in ((1.3, True), (0.6, False)):
         hum_m = factor * limit_m * 2**0.5 * np.sin(2.0 * np.pi * 50.0 * TIME_s)
         assert (MAINS in diagnosis_at_rest(hum_m).names) is is_named
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("plays_alone", "one_order")
+def test_a_piece_at_rest_after_a_gap_is_diagnosed():
+    """A clock that lost samples divided a recording within its final rest."""
+    field = drive("sweep")[1]
+    field = np.append(field, np.full(3000, field[-1]))
+    (rested,) = thinned([recording("sweep", noisy_reading_m(field, 1), field)], 6)
+    assert causes(diagnose([replace(rested, breaks=(1600,))])) == ()

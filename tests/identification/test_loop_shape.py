@@ -114,9 +114,13 @@ def test_a_law_other_than_plays_is_explained_to_the_noise():
 
 
 def test_a_lag_of_several_periods_of_the_drive_is_found_wrong():
-    """The error has a minimum in every period of the lag; that without lag is tried as well."""
+    """The error has a minimum in every period of the lag; that without lag is tried as well.
+
+    The chirp ends at rest, and a gap divides the rest.
+    """
     chirp = -0.4 + 0.1 * np.sin(2.0 * np.pi * np.arange(2000) * (0.01 + 2e-5 * np.arange(2000)))
-    recordings = (recorded("dahl", SWEEP, "sweep"), recorded("dahl", chirp, "chirp"))
+    rested = recorded("dahl", np.append(chirp, np.full(600, chirp[-1])), "chirp")
+    recordings = (recorded("dahl", SWEEP, "sweep"), replace(rested, breaks=(2200,)))
     plays = estimate_axis(recordings, "x", Rig(), orders=((8, 2),))
     delayed = replace(plays, lag=Lag(kind="delay", time_s=0.1))
     axis = with_loop_shape(delayed, recordings)
