@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from math import log, sqrt
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from piezoid.diagnosis.segments import BLOCKS, Places
 from piezoid.numerics.arrays import Array
@@ -140,6 +141,38 @@ class Null:
         """Return the rows of every block."""
         stops = [*self.edges[1:], len(self.block)]
         return tuple(slice(int(a), int(b)) for a, b in zip(self.edges, stops, strict=True))
+
+    def step_powers(self, values: Array, rows: slice, duration: int | None = None) -> Array:
+        """Return the power explained by a step of gain and zero, for a step at each row of a part.
+
+        The columns C of a step are ``values`` and 1, 0 before it. With sums over the orthonormal
+        columns Q of the null, all steps take one pass over the rows:
+
+            power = b' (C'C - C'Q Q'C)^-1 b,    b = C'r
+
+        values    (rows of the part,)
+        duration  rows after which the step ends; None: it lasts until the end of the part
+        """
+        basis = solve_triangular(self.factor, (self.all_columns[rows] / self.scale).T, lower=True)
+        residual = self.residual[rows]
+
+        def from_step(table: Array) -> Array:
+            total = np.cumsum(table[..., ::-1], axis=-1)[..., ::-1]
+            if duration is not None:
+                total[..., :-duration] -= total[..., duration:]
+            return total
+
+        gain, zero = from_step(basis * values), from_step(basis)
+        square, product, count = from_step(np.stack([values**2, values, np.ones_like(values)]))
+        gain_residual, zero_residual = from_step(np.stack([values * residual, residual]))
+        a = square - np.einsum("ij,ij->j", gain, gain)
+        b = product - np.einsum("ij,ij->j", gain, zero)
+        c = count - np.einsum("ij,ij->j", zero, zero)
+        determinant = a * c - b * b
+        power = gain_residual**2 * c - 2.0 * gain_residual * zero_residual * b
+        power += zero_residual**2 * a
+        is_regular = determinant > RIDGE * square * count
+        return np.where(is_regular, power / np.where(is_regular, determinant, 1.0), 0.0)
 
     def cross_validated(self, columns: Array, *, projected: bool = False) -> CrossValidated:
         """Cross-validate columns beside the null on left-out blocks.

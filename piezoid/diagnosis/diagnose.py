@@ -249,15 +249,15 @@ def _drop_doubtful_causes(
     causes = [cause for cause in outcome.causes if cause.effect.structural is None]
     doubtful = [cause for cause in causes if evidence_p_value(cause.strength) > ALPHA]
     driven = driven_recordings(selection.repaired(recordings), model.axis)
-    held_out_m, explained_m = quality.held_out_rms_m, quality.explained_rms_m
     tested = [c for c in causes if c not in doubtful and c.strength < MAX_TESTED_STRENGTH]
     if model is final:  # without loop shape
         max_error_m = CLEARLY_WORSE * errors.final_m
         tested = [c for c in tested if errors.without_m[c.effect.name] <= max_error_m]
-        if tested:  # compare loop shape without a cause with loop shape beside all
-            with_all_m = errors_with_loop_shape_m(model, driven)
-            held_out_m = min(held_out_m, with_all_m.held_out)
-            explained_m = min(explained_m, with_all_m.explained)
+    held_out_m, explained_m = quality.held_out_rms_m, quality.explained_rms_m
+    if tested:  # the final model may have no loop shape, or a stronger regularisation in sample
+        with_all_m = errors_with_loop_shape_m(model, driven)
+        held_out_m = min(held_out_m, with_all_m.held_out)
+        explained_m = min(explained_m, with_all_m.explained)
     for cause in tested:
         remaining = cause.effect.without(model, driven[0])
         if remaining is None:

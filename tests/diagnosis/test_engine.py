@@ -72,6 +72,26 @@ def test_errors_of_coefficients_account_for_dependent_rows_of_a_block():
     assert np.mean(stated_errors) == pytest.approx(np.std(estimates), rel=0.2)
 
 
+@pytest.mark.parametrize("duration", [None, 60], ids=["permanent", "temporary"])
+def test_powers_of_steps_are_those_of_a_regression_with_each_step(duration):
+    rng = np.random.default_rng(3)
+    null = Null(
+        columns=rng.normal(size=(300, 4)),
+        response=rng.normal(size=300),
+        block=np.repeat(np.arange(10), 30),
+        extra=rng.normal(size=(300, 1)),
+    )
+    rows, values = slice(50, 250), rng.normal(size=200)
+    powers = null.step_powers(values, rows, duration)
+    for first in (0, 77, 170):
+        step = np.zeros((300, 2))
+        stop = 250 if duration is None else min(50 + first + duration, 250)
+        step[50 + first : stop] = np.column_stack([values, np.ones(200)])[first : stop - 50]
+        design = np.hstack([null.all_columns, step])
+        _, (square,), *_ = np.linalg.lstsq(design, null.response, rcond=None)
+        assert powers[first] == pytest.approx(null.residual @ null.residual - square)
+
+
 def test_a_delay_in_one_recording_is_not_a_delay_of_the_stage():
     recordings, lab = healthy()
     delayed_rates = [
