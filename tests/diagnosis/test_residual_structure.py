@@ -11,16 +11,27 @@ import pytest
 
 from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
+from piezoid.diagnosis.residual_structure import locate_structure
 from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnoses, write_diagnosis
-from piezoid.diagnosis.selection import search_all
+from piezoid.diagnosis.selection import search, search_all
 from piezoid.digests import unseal
 from piezoid.identification.fit import fit
 from piezoid.numerics.executor import SERIAL
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from tests.identification.hysteresis.stages import decaying, recording
 from tests.identification.hysteresis.test_estimate import stage
+from tests.laws import LAWS, triangles
 
-from .bench import causes, finding_of, read_campaign, recorded_zoo_stage, thinned, with_fewer_rows
+from .bench import (
+    causes,
+    finding_of,
+    read_campaign,
+    recorded_zoo_stage,
+    single_axis_recording,
+    thinned,
+    view_of_recordings,
+    with_fewer_rows,
+)
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone")]
 
@@ -64,6 +75,18 @@ def test_structure_outside_the_catalogue_is_something_else_with_its_coordinate(h
     assert structure.p_value <= 0.05
     assert SOMETHING_ELSE not in {absent.effect for absent in diagnosis.not_detected}
     assert diagnosis.unexplained.rms_m > diagnosis.noise_floor_rms_m
+
+
+@pytest.mark.parametrize("law", ["bouc_wen", "dahl"])
+def test_a_tone_near_a_harmonic_of_the_drive_is_located_by_its_frequency(law):
+    """Beside tangents that explain no more than their placebos, the distance fitted better."""
+    drive = triangles(6, 500)
+    noise = np.random.default_rng(0).standard_normal(len(drive))
+    tone = 0.02 * np.sin(2.0 * np.pi * 2.83 * np.arange(len(drive)) / 500.0)
+    reading_m = 1e-5 * (LAWS[law](drive) + tone + 8e-4 * noise)
+    view = view_of_recordings([single_axis_recording("sweep", 500.0, 5.0 * drive, reading_m)])
+    unexplained, (structure,) = locate_structure(search(view))
+    assert unexplained.coordinate == structure.score.coordinate == "frequency"
 
 
 @pytest.mark.usefixtures("one_order")
