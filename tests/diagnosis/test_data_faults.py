@@ -131,6 +131,13 @@ def test_a_coarse_reading_is_named_with_its_step_and_is_not_a_periodic_error(spi
     assert ripple is None or ripple.cv.gain < 0.05
 
 
+def test_a_recording_smaller_than_a_step_does_not_hide_a_coarse_reading():
+    step_m = 0.05 * STROKE_m
+    readings_m = {kind: step_m * np.round(clean(kind)[2] / step_m) for kind in ("sweep", "walk")}
+    view = view_with(**readings_m, waves=np.full(9000, step_m))
+    assert is_within_interval(quantisation.EFFECT.fault.find(view), 1e9 * step_m)
+
+
 def test_a_16_bit_converter_is_not_coarse():
     assert quantisation.EFFECT.fault.find(coarse_reading(1.3 * STROKE_m / 2**16)) is None
 

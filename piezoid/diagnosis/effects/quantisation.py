@@ -35,7 +35,7 @@ from piezoid.numerics.robust import white_noise_rms
 from piezoid.records.recording import Recording
 
 MIN_NOISE_RATIO = 1.5  # step over noise
-MIN_SAMPLES = 0.7  # share of all samples whose reading has steps
+MIN_SAMPLES = 0.7  # share of the samples whose reading has steps
 EQUAL_STEPS = 0.02  # relative difference of the steps of two recordings
 
 
@@ -46,9 +46,10 @@ def _steps_of_reading(view: View) -> Fault | None:
 
         R = |mean exp(2 pi i y / step)|, over the rows at which the reading changed  [Rayleigh]
     """
+    # motion smaller than half a step leaves the reading constant, which shows no step
+    readings = [track.measured for track in view.tracks if np.ptp(track.measured)]
     visible, evidence = [], 0.0
-    for track in view.tracks:
-        reading = track.measured
+    for reading in readings:
         step = lattice_step(reading)
         if step <= max(MIN_STEP, MIN_NOISE_RATIO * white_noise_rms(reading)):
             visible.append(0.0)  # small compared with stroke or noise
@@ -57,10 +58,9 @@ def _steps_of_reading(view: View) -> Fault | None:
         changed = reading[1:][np.diff(reading) != 0]
         resultant = abs(np.mean(np.exp(2j * np.pi * changed / step))) if len(changed) else 0.0
         evidence += float(len(changed) * resultant**2)
-    steps = np.array(visible)
-    samples = np.array([len(track.response) for track in view.tracks])
+    steps, samples = np.array(visible), np.array([len(reading) for reading in readings])
     is_coarse = steps > 0.0
-    if samples[is_coarse].sum() < MIN_SAMPLES * samples.sum():
+    if not is_coarse.any() or samples[is_coarse].sum() < MIN_SAMPLES * samples.sum():
         return None
     step = float(steps[int(np.argmax(np.where(is_coarse, samples, 0)))])
     is_equal = np.abs(steps - step) < EQUAL_STEPS * step
