@@ -251,17 +251,23 @@ def _find_repeats(values: Array, invalid: Mask, noise: float, drive: Array | Non
         & (jump * change_before > 0.0)
         & (jump * change_behind > 0.0)
     )
-    if np.count_nonzero(is_repeat) < MIN_REPEATS:
+    # A reading whose noise spans few of its steps repeats by chance while the stage moves slowly:
+    # readings at levels that differ by m are equal with p = q / (2 sqrt(pi) s) exp(-m^2 / 4 s^2),
+    # in steps of q and with noise s.
+    gaps = np.diff(np.unique(readings))
+    step = float(np.quantile(gaps, STEP_QUANTILE)) if len(gaps) else 0.0
+    chance, by_chance = 1.0, 0.0
+    if noise > 0.0:
+        chance = min(step / (2.0 * np.sqrt(np.pi) * noise), 1.0)
+        level_changes = 0.5 * np.abs(readings[2:] - readings[:-2]) / noise
+        level_changes = level_changes[level_changes > 0.5 * MIN_NOISE]
+        by_chance = chance * float(np.sum(np.exp(-0.25 * level_changes**2)))
+    if np.count_nonzero(is_repeat) < max(MIN_REPEATS, MIN_EXCESS * by_chance):
         return repeats
     # Missing codes of a converter also hold back the reading in front of a repeat.
     change_per_sample = (readings[starts] - readings[starts - 1]) * (stops - starts) / jump
     if np.median(change_per_sample[is_repeat]) < MIN_UNIFORM:
         return repeats
-    # A reading whose noise spans few of its steps repeats by chance while the stage moves slowly:
-    # two readings at one level are equal with p = q / (2 sqrt(pi) sigma), in steps of q.
-    gaps = np.diff(np.unique(readings))
-    step = float(np.quantile(gaps, STEP_QUANTILE)) if len(gaps) else 0.0
-    chance = min(step / (2.0 * np.sqrt(np.pi) * noise), 1.0) if noise > 0.0 else 1.0
     if np.sum(stops - starts - 1) > MIN_EXCESS * (len(readings) * chance):
         is_repeat[:] = True
     if drive is not None:

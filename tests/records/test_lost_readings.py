@@ -125,6 +125,15 @@ def test_readings_equal_by_the_converter_step_are_valid(rng):
         assert (kind, samples.tolist()) == ("held", invalid.tolist())
 
 
+def test_readings_equal_by_chance_in_a_motion_are_valid(rng):
+    """The stage moves by 4.3 standard deviations of the noise from sample to sample."""
+    motion_nm = np.cumsum(np.repeat([4.3, -4.3] * 10, 2000))
+    step_nm = 0.6
+    reading_nm = step_nm * np.round((motion_nm + rng.standard_normal(len(motion_nm))) / step_nm)
+    assert np.count_nonzero(np.diff(reading_nm) == 0.0) > 20
+    assert find_invalid_readings(reading_nm, motion_nm) == ()
+
+
 def test_a_row_with_an_invalid_drive_is_bridged_in_both_channels(tmp_path):
     field, reading_um = swept_um("preisach")
     drive, invalid = np.array(field), np.arange(100, len(field), 61)
