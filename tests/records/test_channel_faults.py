@@ -10,79 +10,66 @@ import piezoid
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
 from piezoid.records.collection import collect
+from piezoid.records.inspection import ColumnSummary, inspect_files
 from piezoid.records.recording import Recording
-from piezoid.records.sample_statistics import (
-    clipped_samples,
-    is_noise_hidden,
-    noise_rms,
-    step_size,
-)
+from tests.records.tables import HEADINGS, quantities_of, table
 
-PHASE = 2 * np.pi * np.arange(20000) / 4000
-SINE = np.sin(PHASE)
-
-
-@pytest.mark.parametrize("noise", [1e-5, 1e-3, 1e-2])
-def test_noise_on_a_smooth_signal_is_measured(noise, rng):
-    assert noise_rms(SINE + rng.normal(0, noise, len(SINE))) == pytest.approx(noise, rel=0.05)
+TIME_s = np.arange(20000) / 1000.0
+SINE = np.sin(2 * np.pi * np.arange(20000) / 4000)
+NOISE = np.random.default_rng(3).standard_normal(20000)
+# To nine tenths of half the sampling rate, through a resonance.
+PER_SAMPLE = np.linspace(0.0, 0.45, 20000)
+CHIRP = 0.003 + 1.0 / (1.0 + ((PER_SAMPLE - 0.26) / 0.03) ** 2)
+CHIRP *= np.sin(np.pi * PER_SAMPLE * np.arange(20000))
 
 
-@pytest.mark.parametrize(("per_sample", "is_hidden"), [(1e-3, False), (0.2, True)])
-def test_a_fast_signal_hides_the_noise(per_sample, is_hidden, rng):
-    fast = np.sin(2 * np.pi * per_sample * np.arange(20000))
-    assert is_noise_hidden(fast + rng.normal(0, 1e-2, len(fast))) is is_hidden
-
-
-def test_a_chirp_through_a_resonance_hides_the_noise(rng):
-    t = np.linspace(0.0, 1.0, 20000)
-    per_sample = 0.45 * t  # to nine tenths of half the sampling rate
-    amplitude = 0.003 + 1.0 / (1.0 + ((per_sample - 0.26) / 0.03) ** 2)
-    chirp = amplitude * np.sin(np.pi * per_sample * 20000 * t)
-    assert is_noise_hidden(chirp + rng.normal(0, 2e-3, len(chirp)))
-    ramp = t + rng.normal(0, 2e-3, len(t))
-    ramp[:5000] = 0.0  # a sensor that is frozen at first
-    assert not is_noise_hidden(ramp)
-
-
-def test_spikes_are_no_noise_and_a_continuous_signal_has_no_step(rng):
-    values = SINE + rng.normal(0, 1e-3, len(SINE))
-    values[::500] += 1
-    assert noise_rms(values) == pytest.approx(1e-3, rel=0.05)
-    assert step_size(SINE + rng.normal(0, 1e-3, len(SINE))) == 0
-
-
-@pytest.mark.parametrize("step", [1 / 128, 0.02])
-def test_a_converter_step_is_measured(step):
-    assert step_size(step * np.round(SINE / step)) == pytest.approx(step, rel=1e-6)
-
-
-def test_the_share_of_clipped_samples_is_measured(rng):
-    noisy = SINE + rng.normal(0, 1e-4, len(SINE))
-    clipped = np.clip(noisy, -0.9, 0.9)
-    assert clipped_samples(clipped).mean() == pytest.approx(
-        np.mean(np.abs(noisy) >= 0.9), rel=0.02
-    )
+def inspected(folder: Path, drive_V: Array, reading: Array) -> tuple[ColumnSummary, ...]:
+    time_s = TIME_s[: len(drive_V)]
+    (inspection,) = inspect_files([table(folder, HEADINGS, time_s, drive_V, reading)])
+    return inspection.columns
 
 
 @pytest.mark.parametrize(
-    "values",
+    ("reading_um", "facts"),
+    [
+        (SINE + 1e-5 * NOISE, {"noise_rms": 1e-11, "step": 0.0, "clipped": 0.0}),
+        (SINE + 1e-2 * NOISE, {"noise_rms": 1e-8, "step": 0.0, "clipped": 0.0}),
+        (SINE + 1e-3 * NOISE + (np.arange(20000) % 500 == 0), {"noise_rms": 1e-9}),
+        (np.sin(0.4 * np.pi * np.arange(20000)) + 1e-2 * NOISE, {"noise_rms": None}),
+        (CHIRP + 2e-3 * NOISE, {"noise_rms": None}),
+        # The constant quarter lowers the estimate.
+        (np.where(TIME_s < 5.0, 0.0, 0.05 * TIME_s + 2e-3 * NOISE), {"noise_rms": 1.28e-9}),
+        (np.round(128.0 * SINE) / 128.0, {"step": 1e-6 / 128.0}),
+        (0.02 * np.round(SINE / 0.02), {"step": 0.02e-6}),
+        (np.clip(SINE, -0.9, 0.9), {"clipped": np.mean(np.abs(SINE) >= 0.9)}),
+    ],
+    ids=[
+        *("little noise", "much noise", "spikes", "fast signal", "chirp", "frozen at first"),
+        *("fine converter", "coarse converter", "clipped"),
+    ],
+)
+def test_an_inspection_states_noise_step_and_clipped_share(reading_um, facts, tmp_path):
+    summary = inspected(tmp_path, 50.0 * SINE, reading_um)[2]
+    for name, value in facts.items():
+        expected = None if value is None else pytest.approx(value, rel=0.05)
+        assert getattr(summary, name) == expected, name
+
+
+@pytest.mark.parametrize(
+    "drive_V",
     [
         SINE,
         np.round(SINE, 2),
-        np.round(SINE, 4),
         np.concatenate([np.maximum(SINE, 0)[:6000], np.zeros(3000)]),
         np.repeat([0.0, 1, 2, 3, 2, 1, 0], 500),
         np.repeat([0.0, 1, 0, 1], 500),
         np.abs(np.arange(-5000, 5000) % 2000 - 1000) / 1000,
         np.zeros(100),
     ],
-    ids=[
-        *("sine", "coarse sine", "fine sine", "bursts from rest"),
-        *("staircase", "steps", "triangle", "dead"),
-    ],
+    ids=["sine", "coarse sine", "bursts from rest", "staircase", "steps", "triangle", "dead"],
 )
-def test_drives_with_constant_parts_are_not_clipped(values):
-    assert not clipped_samples(values, idle_value=0.0).any()
+def test_drives_with_constant_parts_are_not_clipped(drive_V, tmp_path):
+    assert inspected(tmp_path, drive_V, NOISE[: len(drive_V)])[1].clipped == 0.0
 
 
 def recording_of(tmp_path: Path, reading_um: Array, drive_V: Array) -> Recording:
@@ -126,7 +113,7 @@ def test_invalid_readings_and_steps_of_the_drive_are_no_overflow(invalid_um, rng
     pairs = ((reading_um, drive_V), (answer_um, steps_V), (delayed_um, steps_V))
     for displacement_um, voltage_V in pairs:
         recording = recording_of(tmp_path, displacement_um, voltage_V)
-        assert "wrapped" not in {problem.quantity for problem in recording.statements}
+        assert "wrapped" not in quantities_of(recording)
 
 
 TRIANGLE_V = 5.0 * np.abs(np.arange(6000) % 2000 - 1000) / 1000 + 0.123
@@ -145,7 +132,7 @@ LEVEL_um = 8.0 / 4096
 )
 def test_a_command_logged_as_displacement_is_refused(commanded_um, tmp_path):
     recording = recording_of(tmp_path, commanded_um, TRIANGLE_V)
-    assert "not_measured" in {s.quantity for s in recording.statements}
+    assert "not_measured" in quantities_of(recording)
     with pytest.raises(RecordingError, match="nothing was measured"):
         piezoid.fit(recording)
 
@@ -159,4 +146,4 @@ def test_a_linear_stage_with_noise_or_a_single_branch_is_a_measurement(rng, tmp_
         (1.7 * TRIANGLE_V[:1000], TRIANGLE_V[:1000]),
     ):
         recording = recording_of(tmp_path, reading_um, drive_V)
-        assert "not_measured" not in {s.quantity for s in recording.statements}
+        assert "not_measured" not in quantities_of(recording)

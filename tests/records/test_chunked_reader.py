@@ -15,7 +15,7 @@ from piezoid.records.lab import Lab
 from piezoid.records.readers import READERS
 from piezoid.records.recording import Recording
 from tests.records.formats import RATE_Hz
-from tests.records.tables import lab_with, table
+from tests.records.tables import HEADINGS, lab_with, table
 
 IN_CHUNKS = (
     "run.csv", "run.csv.gz", "run.tsv", "german.csv", "run.txt", "run.h5", "run.parquet",
@@ -26,7 +26,6 @@ TIME_s = np.arange(SAMPLES) / 1000
 VOLTAGE_V = 50 + 40 * np.sin(2 * np.pi * 7 * TIME_s)
 RESPONSE = 3 * np.sin(2 * np.pi * 7 * TIME_s - 0.1) + 0.02 * TIME_s
 ROWS = 1024  # of the smallest chunk
-HEADINGS = "time [s],voltage [V],position [um]"
 
 
 def read_one(path: Path, lab: Lab | None = None, rows: int = ROWS) -> Recording:
@@ -125,8 +124,9 @@ def test_a_damaged_line_is_named_by_its_number(tmp_path):
     lines = path.read_text().split("\n")
     lines[1500] = "broken,by,hand"
     path.write_text("\n".join(lines))
-    locations = {problem.place for problem in read_one(path, rows=50).statements}
-    assert {f"line 1501, column {k}" for k in (1, 2, 3)} <= locations
+    for recording in (collect([path])[0], read_one(path, rows=50)):
+        locations = {problem.place for problem in recording.statements}
+        assert {f"line 1501, column {k}" for k in (1, 2, 3)} <= locations
 
 
 def test_dates_and_formats_without_chunks_are_refused(write):
@@ -138,7 +138,7 @@ def test_dates_and_formats_without_chunks_are_refused(write):
 
 def test_an_endless_line_is_refused(tmp_path):
     path = tmp_path / "run.csv"
-    path.write_text("time [s],voltage [V],position [um]\n0,1,2\n1,2,3\n" + "9" * 3_000_000)
+    path.write_text(HEADINGS + "\n0,1,2\n1,2,3\n" + "9" * 3_000_000)
     with pytest.raises(UnreadableFileError, match="more than a million characters"):
         read_one(path, rows=50)
 

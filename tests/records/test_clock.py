@@ -48,19 +48,6 @@ def test_jitter_is_reported_with_its_size(share, rng):
     assert clock.sampling_rate_Hz == pytest.approx(RATE_Hz, rel=1e-4)
 
 
-def test_single_missing_samples_are_bridged_and_longer_gaps_are_breaks():
-    clock = clock_of(np.delete(TIME_s, [100, 101, 700, *range(2000, 2600)]))
-    assert clock.sampling_rate_Hz == RATE_Hz
-    assert clock.breaks == (100, 1997)
-    assert clock.bridged == (698,)
-    (problem,) = clock.statements
-    assert (problem.quantity, problem.place, problem.value) == ("gap", "row 101", 603)
-    assert "1 of single samples, bridged" in problem.text
-    clock = clock_of(np.delete(TIME_s, [700, 702]))
-    assert clock.bridged == (700, 701)
-    assert clock.statements[0].value == 2
-
-
 @pytest.mark.parametrize("share", [0.004, 0.015, 0.06])
 @pytest.mark.parametrize("digits", [15, 4, 3])
 def test_many_missing_samples_keep_the_rate_and_are_counted(share, digits, rng):

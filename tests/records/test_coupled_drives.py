@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 import piezoid
+from piezoid.identification.fit import unfitted_stage
 from piezoid.numerics.arrays import Array
 from piezoid.records.checks.coupled_drives import check_coupled_drives
 from piezoid.records.lab import Coupled, Lab
 from piezoid.records.recording import Recording
 from tests.laws import LAWS
+from tests.records.tables import quantities_of, statements_of
 
 RATE_Hz = 2000.0
 TIME_s = np.arange(16_000) / RATE_Hz
@@ -40,30 +42,30 @@ def stage(gains: Array, law: str, *, drives_V: dict[str, Array] | None = None) -
     )
 
 
-def statements_of(recording: Recording) -> list[str]:
-    return [s.text for s in recording.statements if s.quantity == "coupled_drives"]
+COUPLED = "coupled_drives"
 
 
 @pytest.mark.parametrize("law", ["preisach", "dahl", "plays"])
 def test_only_comparable_gains_are_reported_with_the_line_to_write(law):
     gains = np.array([[8.0, 4.0, -5.0], [4.0, 8.0, 5.0], [4.0, -4.0, 8.0]])
-    (text,) = statements_of(stage(gains, law))
-    assert text.endswith('[coupled] axes = ["x", "y", "z"]')
-    assert "x by the drive of y 50 %" in text
-    assert not statements_of(stage(8.0 * np.eye(3) + 0.5, law))
+    (statement,) = statements_of(stage(gains, law), COUPLED)
+    assert statement.text.endswith('[coupled] axes = ["x", "y", "z"]')
+    assert "x by the drive of y 50 %" in statement.text
+    assert COUPLED not in quantities_of(stage(8.0 * np.eye(3) + 0.5, law))
 
 
 def test_a_coupled_pair_is_reported_unless_lab_toml_declares_it():
     gains = np.array([[8.0, 5.0, 0.0], [5.0, 8.0, 0.0], [0.0, 0.0, 8.0]])
     recording = stage(gains, "duhem")
-    (text,) = statements_of(recording)
-    assert text.endswith('[coupled] axes = ["x", "y"]')
+    (statement,) = statements_of(recording, COUPLED)
+    assert statement.text.endswith('[coupled] axes = ["x", "y"]')
     assert not check_coupled_drives(recording, Lab(coupled=Coupled(axes=("x", "y"))))
 
 
 def test_proportional_drives_are_not_reported():
     drives_V = {axis: triangle_V(1.0) * gain for axis, gain in (("x", 1.0), ("y", 0.7))}
-    assert not statements_of(stage(np.full((2, 2), 4.0), "plays", drives_V=drives_V))
+    recording = stage(np.full((2, 2), 4.0), "plays", drives_V=drives_V)
+    assert COUPLED not in quantities_of(recording)
 
 
 def test_coupling_is_detected_with_modes_and_multisines():
@@ -78,12 +80,10 @@ def test_coupling_is_detected_with_modes_and_multisines():
             displacement_m=dict(zip(drives_V, displacement_m, strict=True)),
             sampling_rate_Hz=RATE_Hz,
         )
-        assert bool(statements_of(recording)) is is_coupled
+        assert (COUPLED in quantities_of(recording)) is is_coupled
 
 
 def test_a_fit_states_the_line_for_lab_toml():
-    from piezoid.identification.fit import unfitted_stage
-
     recording = stage(np.array([[8.0, 4.0, 4.0], [4.0, 8.0, 4.0], [4.0, 4.0, 8.0]]), "plays")
     assert any("[coupled] axes" in text for text in unfitted_stage([recording], Lab()).remarks)
     declared = Lab(coupled=Coupled(axes=("x", "y", "z")))

@@ -19,6 +19,7 @@ from piezoid.records.readers import read_table
 from tests.records.formats import DESCRIBED, UNDESCRIBED
 from tests.records.messy.writers import igor, jpk
 from tests.records.responses import write_cells
+from tests.records.tables import HEADINGS, ROWS
 
 FUZZED: dict[str, Callable[[Path], object]] = {
     **DESCRIBED,
@@ -153,21 +154,9 @@ def test_pickled_objects_are_never_run(name, tmp_path):
     assert pickle.dumps(trap)
 
 
-def test_a_damaged_row_is_named_by_its_line(tmp_path):
-    rows = [f"{k / 1000},{k % 7},{k % 5}" for k in range(100)]
-    rows[41] = "0.041,oops,3"
-    path = tmp_path / "run.csv"
-    path.write_text("time [s],voltage [V],position [um]\n" + "\n".join(rows) + "\n")
-    (problem,) = read_table(path).statements
-    assert problem.place == "line 43, column 2"
-
-
-ROWS = "".join(f"{k / 1000},{k % 7},{k % 5}\n" for k in range(40))
-
-
 def table_with_stamps(stamps: list[str]) -> str:
     rows = (f"{at},{k % 7},{k % 5}\n" for k, at in enumerate(stamps))
-    return "time [s],voltage [V],position [um]\n" + "".join(rows)
+    return f"{HEADINGS}\n" + "".join(rows)
 
 
 @pytest.mark.parametrize(

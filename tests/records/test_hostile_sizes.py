@@ -15,10 +15,9 @@ from piezoid.records.inspection import inspect_files
 from piezoid.records.readers import read_table, reader
 from piezoid.records.readers.numpy_files import NPY
 from piezoid.records.readers.reader import library_errors, open_source, text_of
-from tests.records.tables import refusal_of
+from tests.records.tables import HEADINGS, ROWS, refusal_of
 
-ROWS = "".join(f"{k / 1000},{k % 7},{k % 5}\n" for k in range(60))
-HEADED = "time [s],voltage [V],position [um]\n"
+HEADED = HEADINGS + "\n"
 
 
 # A naive parser needs from half a minute to days for each of these small texts.

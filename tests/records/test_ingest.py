@@ -12,7 +12,15 @@ from piezoid.records.collection import collect
 from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Acquisition, Lab, RecordingEntry, Sensor, read_lab
 from piezoid.records.recording import Quantity
-from tests.records.tables import RESPONSE, VOLTAGE_V, RATE_Hz, TIME_s, lab_with, table
+from tests.records.tables import (
+    RESPONSE,
+    VOLTAGE_V,
+    RATE_Hz,
+    TIME_s,
+    lab_with,
+    statements_of,
+    table,
+)
 
 
 def test_units_are_converted_to_si(tmp_path):
@@ -146,9 +154,7 @@ def test_a_unit_of_lab_toml_that_contradicts_the_heading_is_stated_with_both(
     lab = lab_with(
         columns={"time": 1, "voltage": 2, "displacement": 3}, units={"displacement": unit}
     )
-    statements = [
-        s for s in collect([path], lab)[0].statements if s.quantity == "unit_contradicts_heading"
-    ]
+    statements = statements_of(collect([path], lab)[0], "unit_contradicts_heading")
     assert len(statements) == is_stated
     assert all("um in its heading, lab.toml nm" in s.text for s in statements)
 
@@ -211,14 +217,6 @@ def test_entries_select_time_ranges_and_may_not_contradict_the_clock(tmp_path):
     )
     lab = Lab(recordings=entries)
     assert [r.samples for r in collect([path], lab).recordings] == [101, 200]
-
-
-def test_unknown_columns_are_ignored(tmp_path):
-    path = table(
-        tmp_path, "time [s],voltage [V],pos [um],setpoint [um],force [N],monitor [V]",
-        TIME_s, VOLTAGE_V, RESPONSE, RESPONSE + 1, RESPONSE + 2, RESPONSE + 3,
-    )  # fmt: skip
-    assert len(collect([path])[0].channels) == 2
 
 
 def test_a_missing_column_of_lab_toml_is_refused(tmp_path):

@@ -8,6 +8,7 @@ from piezoid.errors import LabFileError
 from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, read_lab
 from piezoid.verification.criteria import limits_from_toml
+from tests.records.tables import HEADINGS, ROWS
 
 EVERYTHING = """
 [rig]
@@ -153,8 +154,7 @@ def test_hostile_limits_are_refused_with_a_short_message(form):
 @pytest.mark.parametrize("name", ["loop.csv", "x" * 5000])
 def test_an_entry_about_an_impossible_file_matches_none(name, tmp_path):
     (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
-    rows = "".join(f"{k / 1000},{k % 7},{k % 5}\n" for k in range(60))
-    (tmp_path / "run.csv").write_text("time [s],voltage [V],position [um]\n" + rows)
+    (tmp_path / "run.csv").write_text(f"{HEADINGS}\n{ROWS}")
     (tmp_path / "lab.toml").write_text(f'[[recording]]\nfile = "{name}"\n')
     lab = read_lab(tmp_path / "lab.toml")
     assert lab.entries_of(tmp_path / "run.csv") == ()

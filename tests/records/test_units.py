@@ -84,7 +84,8 @@ def test_names_and_units_determine_quantity_and_axis(label, quantity, axis):
 
 
 @pytest.mark.parametrize(
-    "label", ["setpoint [um]", "position error [nm]", "Bias (V)", "Amplitude (m)", "segment"]
+    "label",
+    ["setpoint [um]", "position error [nm]", "Bias (V)", "Amplitude (m)", "segment", "force [N]"],
 )
 def test_other_quantities_are_not_read(label):
     assert meaning_of(heading_of(label)).is_read is False

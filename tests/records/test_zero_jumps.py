@@ -12,6 +12,7 @@ from piezoid.records.baseline_steps import baseline_steps
 from piezoid.records.recording import Recording
 from piezoid.statement import Statement
 from tests.laws import LAWS, recorded, triangles
+from tests.records.tables import statements_of
 
 FIELD = triangles(8, 300, 0.04)
 NOISE_um = 0.008
@@ -22,8 +23,8 @@ def recording_with(folder: Path, law: str, added_um: Array, field: Array = FIELD
     return recorded(folder, field, 10.0 * LAWS[law](field) + added_um + noise_um)
 
 
-def jumps_of(recording: Recording) -> tuple[Statement, ...]:
-    return tuple(p for p in recording.statements if p.quantity == "zero_jump")
+def jumps_of(recording: Recording) -> list[Statement]:
+    return statements_of(recording, "zero_jump")
 
 
 def zero_steps(*steps: tuple[int, float], ramp: int = 1) -> Array:

@@ -6,8 +6,10 @@ from pathlib import Path
 from piezoid.errors import PiezoidError
 from piezoid.records.inspection import Inspection, inspect_files
 from piezoid.records.lab import Lab, read_lab
-from tests.records.messy.files import FILES
+from tests.records.messy import characters, clocks, formats, quantities, tables
 from tests.records.messy.writers import Messy, lines, text
+
+FILES = (*characters.FILES, *tables.FILES, *clocks.FILES, *formats.FILES, *quantities.FILES)
 
 
 def inspect_messy(messy: Messy, folder: Path, entry: str = "") -> tuple[Inspection, ...]:
