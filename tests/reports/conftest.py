@@ -1,11 +1,9 @@
-"""Pages that many tests share."""
+"""A page that many tests share."""
 
 import pytest
 
 from tests.reports.known_page import page_of
 from tests.reports.known_stage import axis_model, recording
-
-REASON = "sweep.csv: the loop opens the wrong way by 3.1 % of the range"
 
 
 @pytest.fixture(scope="session")
@@ -14,9 +12,3 @@ def page() -> str:
     recordings = (recording(), recording("up.csv", "y"), recording("down.csv", "y", noise_m=2e-8))
     axes = (axis_model("x"), axis_model("y", ("up.csv", "down.csv")))
     return page_of(*axes, recordings=recordings)
-
-
-@pytest.fixture(scope="session")
-def page_of_wrong_class() -> str:
-    """A stage whose only axis the model class does not fit."""
-    return page_of(axis_model(reason=REASON))

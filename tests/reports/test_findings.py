@@ -105,11 +105,12 @@ def test_every_axis_has_its_findings_and_an_effect_is_described_once():
     assert page.count("axis z is not diagnosed") == 1
 
 
-def test_confounded_effects_are_a_limit_with_their_experiment():
+def test_confounded_effects_are_marked_and_a_limit_with_their_experiment():
     diagnosis = diagnosed(finding("delay", rivals=("lag",), experiment="Record a chirp."))
     page = render_diagnosis(stage_model(axis_model()), [recording()], diagnosis)
     limits = page.partition('id="limits"')[2].partition("</section>")[0]
     assert limits.count("Record a chirp.") == page.count("Record a chirp.") == 1
+    assert "delay (not separable from lag)" in [e.text for e in Anatomy(page).all("td")]
 
 
 def test_a_lag_and_a_delay_are_the_same_for_slow_loops():
@@ -216,8 +217,3 @@ def test_an_interval_that_includes_zero_is_stated():
     size = Size(value=153.0, unit="nm, rms", ci95=(0.0, 258.0))
     page = page_of(replace(finding("loop_shape"), size=size))
     assert any("the effect may be absent" in e.text for e in page.all("p", "prose"))
-
-
-def test_a_confounded_finding_is_marked_in_the_table():
-    page = page_of(finding("delay", rivals=("lag",)))
-    assert "delay (not separable from lag)" in [e.text for e in page.all("td")]

@@ -1,14 +1,20 @@
-"""Sections of the report: registration, intervals, limits."""
+"""Sections of the report: registration, intervals, limits, error budget."""
 
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
+import pytest
+
 import piezoid_reports.sections
 from piezoid.calibration.stage_statements import stage_statements
 from piezoid.statement import select
-from piezoid_reports.sections import SECTIONS
+from piezoid_reports.page import Page
+from piezoid_reports.parts import Waterfall
+from piezoid_reports.sections import SECTIONS, error_budget
 from tests.reports.anatomy import Anatomy
+from tests.reports.known_diagnosis import diagnosed, finding
 from tests.reports.known_page import page_of
 from tests.reports.known_stage import axis_model, recording, stage_model
 
@@ -90,3 +96,28 @@ def test_intervals_contradicted_by_the_held_out_error_are_not_printed():
     assert values["width of the full loop"] == "5.10 µm (no usable interval)"
     assert values["predicted position at the end of the range, 95 %"] == "no usable interval"
     assert "± 7.2" not in page
+
+
+def test_bars_of_a_budget_are_contiguous_and_end_with_the_noise():
+    diagnosis = diagnosed(finding("creep"))
+    page = Page(model=stage_model(axis_model()), diagnoses=(diagnosis,))
+    section = error_budget.render(page)
+    assert section is not None
+    (chart,) = section.parts
+    assert isinstance(chart, Waterfall)
+    total, *bars, noise = chart.bars
+    assert total.end_m == diagnosis.baseline.rms_m
+    assert noise.end_m == pytest.approx(diagnosis.noise_floor_rms_m)
+    end_m = [total.end_m, *(bar.start_m for bar in bars)]
+    assert [bar.end_m for bar in bars] == pytest.approx(end_m[:-1])
+    sizes_m = [np.sqrt(bar.end_m**2 - bar.start_m**2) for bar in bars]
+    expected_m = [
+        p.rms_m for p in diagnosis.budget if p.part != "noise" and p.rms_m > 0.04 * total.end_m
+    ]
+    assert sizes_m == pytest.approx(expected_m)
+
+
+def test_a_diagnosis_without_a_budget_has_no_section():
+    diagnosis = replace(diagnosed(), budget=())
+    page = Page(model=stage_model(axis_model()), diagnoses=(diagnosis,))
+    assert error_budget.render(page) is None
