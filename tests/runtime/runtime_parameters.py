@@ -23,6 +23,12 @@ WORKED = {
     "last": 0.0,
 }
 
+CREEP = {
+    "relaxation_count": 2,
+    "relaxation_rate": np.array([0.02, 0.003]),
+    "relaxation_share": np.array([0.015, 0.01]),
+}
+
 
 def started(parameters, volts=0.0, measured=0.0, precision="double"):
     """Return a controller that started from a voltage and a reading."""

@@ -5,12 +5,9 @@ import pytest
 
 from piezoid.runtime.controller import Status
 from tests.runtime.observer_design import observer_parameters
-from tests.runtime.runtime_parameters import WIDE, WORKED, hysteresis, started
+from tests.runtime.runtime_parameters import CREEP, WIDE, WORKED, hysteresis, started
 from tests.runtime.runtime_reference import dead_zones, follow
 
-RATES = np.array([0.02, 0.003])
-SHARES = np.array([0.015, 0.01])
-CREEP = {"relaxation_count": 2, "relaxation_rate": RATES, "relaxation_share": SHARES}
 # 300 Hz, numerator damping 0.2, denominator 0.8, at 20 kHz; unit gain at rest.
 NOTCH = np.array([1, -1.954340001, 0.9630520957, -1.8517145433, 0.8599691522])
 NOTCH = np.r_[NOTCH[:3] * (1 + NOTCH[3:].sum()) / NOTCH[:3].sum(), NOTCH[3:]]
@@ -32,14 +29,15 @@ def biquad(section, x):
 
 def test_the_controller_compensates_creep():
     """The stage creeps by the same ladder, so its displacement equals the reference."""
+    rates, shares = CREEP["relaxation_rate"], CREEP["relaxation_share"]
     controller = started(hysteresis(WORKED, **CREEP))
     reference = 2.0 * np.sign(np.sin(np.linspace(0.01, 12, 1000)))
     z, x, displacement, instantaneous = WORKED["z"], np.zeros(2), np.empty(1000), np.empty(1000)
     for k, reference_m in enumerate(reference):
         z = follow(controller.step(reference_m, 0.0), WORKED["r"], z)
         instantaneous[k] = dead_zones(float(WORKED["w"] @ z), WORKED["knot"], WORKED["weight"])
-        displacement[k] = instantaneous[k] + SHARES @ x
-        x = x + RATES * (instantaneous[k] - x)
+        displacement[k] = instantaneous[k] + shares @ x
+        x = x + rates * (instantaneous[k] - x)
     assert np.abs(displacement - reference).max() < 1e-13
     assert np.abs(instantaneous - reference).max() > 0.02
 

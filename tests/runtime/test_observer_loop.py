@@ -5,19 +5,12 @@ import pytest
 
 from piezoid.runtime.controller import Status
 from tests.runtime.observer_design import LinearPlant, observer_parameters
-from tests.runtime.runtime_parameters import WIDE, WORKED, hysteresis, started
+from tests.runtime.runtime_parameters import CREEP, WIDE, WORKED, hysteresis, started
 from tests.runtime.runtime_reference import dead_zones, follow
 
 
 def observer(**overrides):
     return {**WIDE, "method": "dob", **observer_parameters(), **overrides}
-
-
-CREEP = {
-    "relaxation_count": 2,
-    "relaxation_rate": np.array([0.02, 0.003]),
-    "relaxation_share": np.array([0.015, 0.01]),
-}
 
 
 class HysteresisPlant(LinearPlant):

@@ -53,13 +53,6 @@ def padded(parameter, value):
     return array
 
 
-@pytest.mark.parametrize("precision", ["double", "float"])
-@pytest.mark.parametrize("values", [LATERAL, tunnelling()])
-def test_valid_parameters_are_accepted(values, precision):
-    assert refused_name(values, precision) is None
-    library(precision).pack(complete(values))
-
-
 @pytest.mark.parametrize("values", [LATERAL, tunnelling()])
 @pytest.mark.parametrize("parameter", [p for p in PARAMETERS if p.name not in SEALED], ids=str)
 def test_every_parameter_out_of_its_bounds_is_named(parameter, values):
