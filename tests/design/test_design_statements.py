@@ -25,7 +25,7 @@ from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.store import write_model
-from piezoid.statement import Level
+from piezoid.statement import Level, Statement
 from tests.cli.calls import invoke
 from tests.design.designed import known_design
 from tests.reports.known_diagnosis import diagnosed, finding
@@ -54,11 +54,24 @@ def fast_design() -> Design:
     return replace(known_design(), axes=(limited,))
 
 
-def test_a_loop_without_a_known_resonance_asks_for_a_chirp():
+def bandwidth_statement(design: Design, model: piezoid.ActuatorModel) -> Statement:
+    (statement,) = (f for f in design_statements(design, model) if f.quantity == "bandwidth")
+    return statement
+
+
+def test_a_loop_without_a_known_resonance_asks_for_a_chirp_with_band_amplitude_and_rate():
     axis = replace(fitted()["x"], bandwidth=UNKNOWN)
     limit_Hz = bandwidth_limit_Hz(fast_design().axis("x"), axis)
     assert limit_Hz == pytest.approx(200.0 / 60.0)  # lowest possible resonance over its peak
-    assert levels_of(fast_design(), axis)["bandwidth"] is Level.ACTION
+    statement = bandwidth_statement(fast_design(), model_of(axis))
+    assert statement.level is Level.ACTION
+    amplitude_V = 0.02 * (axis.voltage_V[1] - axis.voltage_V[0])
+    for number in (
+        f"up to {with_unit(RATE_Hz / 3.0, 'Hz', 2)}",
+        f"about {with_unit(amplitude_V, 'V', 2)}",
+        f"sampled at {with_unit(RATE_Hz, 'Hz', 2)}",
+    ):
+        assert number in statement.text
 
 
 def test_the_bandwidth_limit_states_the_knowledge_of_the_resonance():
@@ -70,10 +83,8 @@ def test_the_bandwidth_limit_states_the_knowledge_of_the_resonance():
         "use a faster recorder": replace(UNKNOWN, stated_Hz=RATE_Hz),
     }
     for words, verdict in verdicts.items():
-        axis = replace(fitted()["x"], bandwidth=verdict)
-        facts = design_statements(fast_design(), model_of(axis))
-        (text,) = (fact.text for fact in facts if fact.quantity == "bandwidth")
-        assert words in text
+        model = model_of(replace(fitted()["x"], bandwidth=verdict))
+        assert words in bandwidth_statement(fast_design(), model).text
 
 
 def test_a_plan_states_the_chirp_that_it_does_not_write(tmp_path):
@@ -87,24 +98,11 @@ def test_a_plan_states_the_chirp_that_it_does_not_write(tmp_path):
     result = invoke("plan", tmp_path, "--rate", RATE_Hz)
     assert result.exit_code == 0, result.output
     output = " ".join(result.output.split())
-    (limit,) = (f.text for f in design_statements(design, model) if f.quantity == "bandwidth")
+    limit = bandwidth_statement(design, model).text
     assert "Record a small chirp" in limit
     assert output.startswith(limit)
     highest = with_unit(MULTISINE_BAND * RATE_Hz, "Hz", 2)
     assert f"they end at {highest}" in output.removeprefix(limit)
-
-
-def test_the_chirp_is_stated_with_band_amplitude_and_a_rate_that_resolves_it():
-    axis = replace(fitted()["x"], bandwidth=UNKNOWN)
-    facts = design_statements(fast_design(), model_of(axis))
-    (text,) = (fact.text for fact in facts if fact.quantity == "bandwidth")
-    amplitude_V = 0.02 * (axis.voltage_V[1] - axis.voltage_V[0])
-    for number in (
-        f"up to {with_unit(RATE_Hz / 3.0, 'Hz', 2)}",
-        f"about {with_unit(amplitude_V, 'V', 2)}",
-        f"sampled at {with_unit(RATE_Hz, 'Hz', 2)}",
-    ):
-        assert number in text
 
 
 @pytest.mark.parametrize(("noise_m", "is_visible"), [(1e-11, True), (1e-7, False)])
@@ -122,7 +120,7 @@ def test_the_chirp_beyond_an_identified_mode_avoids_it_and_ends_in_the_noise(noi
     specification = lateral_task(axis, RATE_Hz, forms=("inverse",)).specification
     (axis_design,) = fast_design().axes
     design = replace(fast_design(), axes=(replace(axis_design, specification=specification),))
-    (limit,) = (f for f in design_statements(design, model_of(axis)) if f.quantity == "bandwidth")
+    limit = bandwidth_statement(design, model_of(axis))
     assert limit.level is (Level.ACTION if is_visible else Level.NOTE)
     assert ("Record a small chirp" in limit.text) == is_visible
     if not is_visible:

@@ -10,7 +10,6 @@ from piezoid.design.design import SCHEMA, Design, design_from_json
 from piezoid.design.design_stage import SpecificationText, design_stage
 from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.design.lateral_task import LateralTask, lateral_task, plant_family, unseen
-from piezoid.design.specification import slowest_Hz
 from piezoid.digests import seal, unseal
 from piezoid.errors import DesignError, LabFileError, ParameterFileError
 from piezoid.export.export_stage import export_stage
@@ -98,9 +97,6 @@ def test_the_plant_has_mode_and_phase_of_identified_dynamics():
     sampled = response(nominal.B, nominal.A, np.array([100.0]), RATE_Hz)[0]
     expected = dynamics.response([100.0])[0] * np.exp(-2j * np.pi * 100.0 * 0.5 / RATE_Hz)
     assert np.angle(sampled / expected) == pytest.approx(0.0, abs=1e-3)
-    members = {m.label: m for m in family.members}
-    slow, fast = (members[f"high gain, {speed}, sharp"] for speed in ("slow", "fast"))
-    assert slowest_Hz(slow) < 300.0 < slowest_Hz(fast)
 
 
 def one_mode(*, frequency_Hz: float, damping: float, delay_s: float) -> LinearDynamics:
@@ -209,14 +205,13 @@ def test_a_drive_recorded_outside_the_range_of_the_converter_is_refused():
         design_stage(stage(), model_digest=DIGEST, lab=lab)
 
 
-def test_the_default_design_holds_its_margins_and_is_read_back(default):
+def test_the_default_design_holds_its_margins_and_is_guaranteed(default):
     loop = default.axis("x").recommended
     assert loop.method == "mpi_dob"
     assert loop.worst_modulus_margin >= 0.5
     assert (loop.worst_delay_margin_s or np.inf) >= 1.0 / RATE_Hz
     assert loop.certificate is not None
     assert loop.certificate.is_guaranteed
-    assert design_from_json(default.to_json()).to_json() == default.to_json()
 
 
 def test_a_delay_longer_than_the_states_of_the_controller_is_designed():

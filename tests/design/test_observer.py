@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from benchmarks.varied_chains import plant_from_chain
 from piezoid.design.observer import (
     DisturbanceObserver,
-    disturbance_model,
     linear_controller,
 )
 from piezoid.design.plant import Plant, Section
@@ -96,23 +95,6 @@ def test_the_pole_of_a_fast_sensor_keeps_its_value(sensor_Hz):
     expected = from_roots(np.concatenate(requested))
     closed = closed_loop_polynomial(plant, c.R, c.S)
     np.testing.assert_allclose(closed[: len(expected)], expected, atol=1e-5)
-
-
-def test_an_oscillator_removes_a_sine_at_its_frequency():
-    plant = plant_from_chain(lateral_chain())
-    feedback, observer = printed_observer_poles()
-    resonant = place_observer(
-        plant,
-        feedback_poles=feedback,
-        observer_poles=np.concatenate([observer, poles((100.0, 0.7))]),
-        disturbance=disturbance_model(RATE_Hz, (100.0,)),
-    )
-    sensitivity = [
-        abs(sensitivities(plant, c.R, c.S, np.array([100.0])).Syp[0])
-        for c in map(linear_controller, (resonant, example()[1]))
-    ]
-    assert sensitivity[0] <= 1e-8
-    assert sensitivity[1] > 0.5
 
 
 def test_the_four_published_tunings_have_their_published_margins():

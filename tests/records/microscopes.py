@@ -39,24 +39,8 @@ def write_ibw(
         step_unit.encode().ljust(4, b"\0"),
         *(0, 0, 0.0, 0.0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, b"\0", b"\0", 0, 0, 0, 0, 0, 0),
     )
-    sizes = (
-        320 + len(data),
-        0,
-        len(note_bytes),
-        0,
-        0,
-        0,
-        0,
-        0,
-        0,
-        len(label_bytes),
-        0,
-        0,
-        0,
-        0,
-        0,
-    )
-    head = struct.pack(f"{order}hh15i", 5, 0, *sizes)
+    sizes = {0: 320 + len(data), 2: len(note_bytes), 9: len(label_bytes)}
+    head = struct.pack(f"{order}hh15i", 5, 0, *(sizes.get(k, 0) for k in range(15)))
     path.write_bytes(head + wave + data + note_bytes + label_bytes)
 
 

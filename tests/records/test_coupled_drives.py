@@ -59,7 +59,10 @@ def test_a_coupled_pair_is_reported_unless_lab_toml_declares_it():
     recording = stage(gains, "duhem")
     (statement,) = statements_of(recording, COUPLED)
     assert statement.text.endswith('[coupled] axes = ["x", "y"]')
-    assert not check_coupled_drives(recording, Lab(coupled=Coupled(axes=("x", "y"))))
+    assert f"{recording.name}: {statement.text}" in unfitted_stage([recording], Lab()).remarks
+    declared = Lab(coupled=Coupled(axes=("x", "y")))
+    assert not check_coupled_drives(recording, declared)
+    assert not any("[coupled]" in text for text in unfitted_stage([recording], declared).remarks)
 
 
 def test_proportional_drives_are_not_reported():
@@ -81,10 +84,3 @@ def test_coupling_is_detected_with_modes_and_multisines():
             sampling_rate_Hz=RATE_Hz,
         )
         assert (COUPLED in quantities_of(recording)) is is_coupled
-
-
-def test_a_fit_states_the_line_for_lab_toml():
-    recording = stage(np.array([[8.0, 4.0, 4.0], [4.0, 8.0, 4.0], [4.0, 4.0, 8.0]]), "plays")
-    assert any("[coupled] axes" in text for text in unfitted_stage([recording], Lab()).remarks)
-    declared = Lab(coupled=Coupled(axes=("x", "y", "z")))
-    assert not any("[coupled]" in text for text in unfitted_stage([recording], declared).remarks)

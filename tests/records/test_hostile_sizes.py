@@ -20,24 +20,46 @@ from tests.records.tables import HEADINGS, ROWS, refusal_of
 HEADED = HEADINGS + "\n"
 
 
-# A naive parser needs from half a minute to days for each of these small texts.
-@pytest.mark.parametrize(
-    "text",
-    [
-        "# A = x" + " " * 60_000 + "y\n# DIM = 3\n# SEPARATOR = 44\n# END_HEADER\n" + ROWS,
-        "a(" * 50_000 + "\n" + ROWS.replace(",", " "),
-        "a[" * 50_000 + "\n" + ROWS.replace(",", " "),
-        "LabVIEW Measurement\t\n" + "***End_of_Header***\n" * 30_000,
-        HEADED + "".join(f"{k},{k % 7},{k % 5}{',9' * (k % 5 == 0)}\n" for k in range(20_000)),
-        HEADED + "".join(f"{k},{k % 7},{'x' if k % 5 == 0 else 1}\n" for k in range(60_000)),
-    ],
-    ids=["blanks", "round brackets", "square brackets", "header ends", "wide rows", "texts"],
-)
-def test_a_text_that_provokes_backtracking_is_answered(text, tmp_path):
+def with_stamps(*stamps: float) -> str:
+    return HEADED + "".join(f"{at},{k % 7},{k % 5}\n" for k, at in enumerate(stamps))
+
+
+def with_stray(stamp_s: float) -> str:
+    return with_stamps(*(stamp_s if k == 20 else k / 1000 for k in range(40)))
+
+
+# A naive parser needs from half a minute to days for some of these small texts.
+HOSTILE = {
+    "blanks": "# A = x" + " " * 60_000 + "y\n# DIM = 3\n# SEPARATOR = 44\n# END_HEADER\n" + ROWS,
+    "round brackets": "a(" * 50_000 + "\n" + ROWS.replace(",", " "),
+    "square brackets": "a[" * 50_000 + "\n" + ROWS.replace(",", " "),
+    "header ends": "LabVIEW Measurement\t\n" + "***End_of_Header***\n" * 30_000,
+    "wide rows": HEADED
+    + "".join(f"{k},{k % 7},{k % 5}{',9' * (k % 5 == 0)}\n" for k in range(20_000)),
+    "texts": HEADED + "".join(f"{k},{k % 7},{'x' if k % 5 == 0 else 1}\n" for k in range(60_000)),
+    "a line without breaks": "1," * 100_000,
+    "a number without end": "9" * 200_000 + ",1,2\n" + ROWS,
+    "blank lines": "\n" * 200_000,
+    "denormal stamps": with_stamps(*(k * 5e-324 for k in range(40))),
+    "a stray stamp": with_stray(1e30),
+    "a stray stamp below zero": with_stray(-1e30),
+    "mostly rows of other lengths": "".join(f"{k},{k}{f',{k}' * (k > 60)}\n" for k in range(100)),
+}
+REASONS = {
+    "a line without breaks": "100001 columns",
+    "blank lines": "no row of numbers",
+    "denormal stamps": "the steps of a clock",
+    "mostly rows of other lengths": "rows hold text or too",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_text_is_answered(name, tmp_path):
     path = tmp_path / "run.dat"
-    path.write_text(text)
+    path.write_text(HOSTILE[name])
     (inspection, *_) = inspect_files([path])
     assert inspection.refusal or inspection.sampling_rate_Hz
+    assert REASONS.get(name, "") in (inspection.refusal or "")
 
 
 @pytest.mark.parametrize(

@@ -143,14 +143,6 @@ def test_an_ambiguous_monitor_is_not_guessed(tmp_path):
     assert "scale = { voltage = ... }" in caught.value.remedy
 
 
-def test_another_unit_of_the_displacement_is_recognised(tmp_path):
-    text(lines())(tmp_path / "clean.csv")
-    scaled(1, 1, 1e3)(tmp_path / "nm_as_um.csv")
-    inspections = inspect_files([tmp_path / "clean.csv", tmp_path / "nm_as_um.csv"])
-    (text_of_misfit,) = (p.text for p in inspections[1].statements if p.quantity == "does_not_fit")
-    assert text_of_misfit.endswith("another unit of the displacement.")
-
-
 def test_a_chirp_and_a_small_loop_are_consistent_with_a_sweep(rng):
     rate_Hz = 10000.0
     time_s = np.arange(0, 3, 1 / rate_Hz)

@@ -49,23 +49,9 @@ def test_a_file_has_its_channels_and_units_and_the_reason_of_its_refusal(name, r
     assert re.search(REASONS.get(name, "^$"), inspection.refusal or "")
 
 
-def test_the_clock_of_an_oscilloscope_is_its_increment(realdata):
-    (inspection,) = inspect_files([realdata / "formats" / "DS2072A-6.csv"])
-    assert inspection.sampling_rate_Hz == pytest.approx(200e3)
-
-
 def test_segments_without_headers_of_their_own_are_found(realdata):
     table = read_table(realdata / "formats" / "long_single_header_multi_ch.lvm")
     assert table.segment_starts == (8192,)
-
-
-def test_bytes_that_are_not_utf_8_are_read(realdata):
-    table = read_table(realdata / "formats" / "with_comments.lvm")
-    assert [column.label for column in table.columns][1:3] == [
-        "Pressão ABS. (MPa)",
-        "Temperatura (°C)",
-    ]
-    assert table.si("Temperatura")[0] == pytest.approx(273.15 + 5.479238)
 
 
 FLEXURE = RecordingEntry(
