@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.varied_chains import Chain, family_from_chains, plant_from_chain, varied
+from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.plant import Plant, PlantFamily, Section
 from piezoid.design.rst import closed_loop_target, place_poles, section_poles
 from piezoid.design.specification import Specification, default_specification
@@ -14,6 +15,15 @@ from piezoid.numerics.polynomial import from_roots, roots_of
 RATE_Hz = 20e3
 LATERAL_m_per_V = 15 * 235e-9
 NEPER_PER_V = 18.0 * 10.246  # 1 eV
+SECTOR = HysteresisBounds(
+    form="affine",
+    gain_m_per_V=LATERAL_m_per_V,
+    slope_min=0.85,
+    slope_max=1.15,
+    error_m=1e-7,
+    reach_V=3.0,
+    conditions=("bounds for tests",),
+)
 LOOPS = ((300.0, 0.9), (1e3, 0.9), (2e3, 0.7), (3e3, 0.6))  # Hz and damping of targets
 
 

@@ -9,7 +9,6 @@ from scipy.signal import cont2discrete
 from benchmarks.varied_chains import Chain, family_from_chains, varied
 from piezoid.design.certificate import Certificate
 from piezoid.design.design import AxisDesign, LoopDesign
-from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.lateral import damped_mode, describe_mode, design_lateral, raise_bandwidth
 from piezoid.design.plant import PlantFamily, Section
 from piezoid.design.rst import ringing_mode
@@ -17,7 +16,7 @@ from piezoid.design.specification import Specification
 from piezoid.errors import TemplateError
 from piezoid.export.export_stage import observer_values
 from piezoid.numerics.arrays import Array
-from tests.design.rig import default_limits
+from tests.design.rig import SECTOR, default_limits
 from tests.design.test_runtime_agreement import LIMITS
 from tests.runtime.runtime_parameters import started
 
@@ -25,15 +24,7 @@ RATE_Hz = 20e3
 GAIN_m_per_V = 1e-6
 MODE_Hz, DAMPING = 700.0, 0.0125
 BANDWIDTH_Hz = 500.0
-SLOPES = HysteresisBounds(
-    form="inverse",
-    gain_m_per_V=GAIN_m_per_V,
-    slope_min=0.4,
-    slope_max=1.6,
-    error_m=1e-7,
-    reach_V=3.0,
-    conditions=("bounds for tests",),
-)
+SLOPES = replace(SECTOR, form="inverse", gain_m_per_V=GAIN_m_per_V, slope_min=0.4, slope_max=1.6)
 
 
 def family(spread: float = 0.1, mode_Hz: float = MODE_Hz, members: int = 9) -> PlantFamily:

@@ -1,4 +1,4 @@
-"""Designs of lateral and vertical axes: limits of every member, candidates, files."""
+"""Designs of axes: limits of every member, candidates, files, loops in scipy and control."""
 
 import json
 from dataclasses import replace
@@ -7,18 +7,20 @@ import numpy as np
 import pytest
 
 from piezoid.design.certificate import certify
-from piezoid.design.design import AxisDesign, Design, design_from_json
+from piezoid.design.design import AxisDesign, Design, LoopDesign, design_from_json
 from piezoid.design.feasibility import unmet
-from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.junction_task import design_vertical
 from piezoid.design.lateral import design_lateral, with_sector
 from piezoid.design.observer import linear_controller
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import margins, sensitivities
 from piezoid.design.tuning import tune_observer
+from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
+from tests.design.designed import known_design
 from tests.design.rig import (
+    SECTOR,
     LATERAL_m_per_V,
     RATE_Hz,
     lateral_family,
@@ -26,16 +28,6 @@ from tests.design.rig import (
     lateral_specification,
     vertical_family,
     vertical_specification,
-)
-
-SECTOR = HysteresisBounds(
-    form="affine",
-    gain_m_per_V=LATERAL_m_per_V,
-    slope_min=0.85,
-    slope_max=1.15,
-    error_m=1e-7,
-    reach_V=3.0,
-    conditions=("bounds for tests",),
 )
 
 
@@ -185,3 +177,46 @@ def test_a_design_comes_back_from_its_file_exactly(lateral, vertical):
     assert not read.axis("x").loops[0].R.flags.writeable
     with pytest.raises(KeyError, match="no axis 'w'"):
         read.axis("w")
+
+
+FREQUENCY_Hz = np.array([1.0, 30.0, 400.0, 3000.0])
+
+
+@pytest.fixture(scope="module")
+def loop() -> LoopDesign:
+    return known_design().axes[0].recommended
+
+
+def test_the_scipy_sensitivity_equals_that_of_the_margins(loop):
+    system = loop.to_scipy("sensitivity")
+    w = 2 * np.pi * FREQUENCY_Hz / RATE_Hz
+    _, response = system.freqresp(w)
+    expected = sensitivities(loop.members[0], loop.R, loop.S, FREQUENCY_Hz).Syp
+    assert np.allclose(response, expected, rtol=1e-6)
+    assert system.dt == pytest.approx(1.0 / RATE_Hz)
+
+
+def test_closed_loop_and_sensitivity_follow_from_the_other_parts(loop):
+    """The closed loop is prefilter R B / P, and sensitivity + R B / P = 1."""
+    w = 2 * np.pi * FREQUENCY_Hz / RATE_Hz
+    responses = {
+        part: loop.to_scipy(part).freqresp(w)[1]
+        for part in ("controller", "prefilter", "plant", "sensitivity", "closed_loop")
+    }
+    open_loop = responses["controller"] * responses["plant"]
+    assert np.allclose(responses["sensitivity"] * (1.0 + open_loop), 1.0, rtol=1e-6)
+    inner = open_loop * responses["sensitivity"]
+    assert np.allclose(responses["closed_loop"], responses["prefilter"] * inner, rtol=1e-6)
+
+
+def test_control_has_the_same_loop(loop):
+    control = pytest.importorskip("control")
+    system = loop.to_control("closed_loop")
+    w = 2 * np.pi * FREQUENCY_Hz
+    _, expected = loop.to_scipy("closed_loop").freqresp(w / RATE_Hz)
+    assert np.allclose(np.squeeze(control.frequency_response(system, w).complex), expected)
+
+
+def test_an_unknown_part_is_refused(loop):
+    with pytest.raises(DesignError, match=r"'motor' is not a part of a loop\. Needed: one of"):
+        loop.to_scipy("motor")

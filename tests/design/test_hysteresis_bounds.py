@@ -6,13 +6,7 @@ import pytest
 from piezoid.design.hysteresis_bounds import affine_bounds, inverse_bounds
 from piezoid.operators.dead_zone import LINEAR, DeadZones
 from piezoid.operators.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
-from tests.design.hysteretic import (
-    REACH_V,
-    ROUNDING_FACTOR,
-    curved,
-    hysteresis,
-    random_drives,
-)
+from tests.design.hysteretic import REACH_V, ROUNDING_FACTOR, curved, hysteresis, random_drives
 from tests.design.rig import LATERAL_m_per_V
 
 

@@ -7,12 +7,7 @@ import pytest
 
 from benchmarks.varied_chains import plant_from_chain
 from piezoid.design.feasibility import unmet
-from piezoid.design.sensitivity import (
-    Template,
-    delay_limit,
-    margins,
-    sensitivities,
-)
+from piezoid.design.sensitivity import Template, delay_limit, margins, sensitivities
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
 from tests.design.placed import plant_from_fraction
 from tests.design.rig import (

@@ -7,11 +7,7 @@ import pytest
 
 from benchmarks.varied_chains import plant_from_chain
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.specification import (
-    Specification,
-    slowest_Hz,
-    specifications_from_toml,
-)
+from piezoid.design.specification import Specification, slowest_Hz, specifications_from_toml
 from piezoid.errors import LabFileError
 from tests.design.rig import (
     LATERAL_m_per_V,

@@ -15,13 +15,7 @@ from piezoid_reports.page import Page
 from piezoid_reports.parts import Section, Table
 from piezoid_reports.quantities import number
 from piezoid_reports.sections import verification
-from piezoid_reports.sections.verification import (
-    MAX_VERDICTS,
-    SHADES,
-    STEPS,
-    motions,
-    spiral,
-)
+from piezoid_reports.sections.verification import MAX_VERDICTS, SHADES, STEPS, motions, spiral
 from tests.design.designed import known_design
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_page import page_of

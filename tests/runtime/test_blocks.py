@@ -1,4 +1,4 @@
-"""Creep, filters, converter and reference limits, each against its equation."""
+"""Creep, filters, converter, reference limits and feedforward, each against its equation."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ from piezoid.runtime.controller import Status
 from tests.runtime.observer_design import observer_parameters
 from tests.runtime.runtime_parameters import CREEP, WIDE, WORKED, hysteresis, started
 from tests.runtime.runtime_reference import dead_zones, follow
+from tests.verification.rig import lateral_parameters
 
 # 300 Hz, numerator damping 0.2, denominator 0.8, at 20 kHz; unit gain at rest.
 NOTCH = np.array([1, -1.954340001, 0.9630520957, -1.8517145433, 0.8599691522])
@@ -139,3 +140,39 @@ def test_a_reference_beyond_the_certified_step_is_reported_and_followed():
         np.array([0.5]), np.zeros(1)
     )
     assert list(uncertified.status) == [0]
+
+
+def controllers(precision="double", method="mpi_dob"):
+    values = lateral_parameters().for_method(method).values
+    return [started(values, precision=precision) for _ in range(2)]
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+@pytest.mark.parametrize("method", ["none", "mpi", "dob", "mpi_dob"])
+def test_a_table_of_zero_changes_no_bit(method, precision):
+    feedback, with_table = controllers(precision, method)
+    rng = np.random.default_rng(0)
+    references, readings = 1e-5 * rng.standard_normal((2, 500))
+    readings[100:110], references[300] = np.nan, np.inf
+    for reference, reading in zip(references.tolist(), readings.tolist(), strict=True):
+        voltage_V, with_table_V = (
+            feedback.step(reference, reading),
+            with_table.step(reference, reading, 0.0),
+        )
+        assert (voltage_V, np.signbit(voltage_V)) == (with_table_V, np.signbit(with_table_V))
+        assert feedback.status == with_table.status
+
+
+def test_a_table_is_added_within_the_limits():
+    feedback, with_table = controllers()
+    assert with_table.step(0.0, 0.0, 0.5) == pytest.approx(feedback.step(0.0, 0.0) + 0.5, abs=2e-4)
+    for value_V in (1e9, -1e300):
+        assert abs(with_table.step(0.0, 0.0, value_V)) <= 10.0
+        assert Status.VOLTAGE_LIMITED in with_table.status
+
+
+@pytest.mark.parametrize("bad_V", [np.nan, np.inf, -np.inf])
+def test_an_invalid_table_value_is_ignored_and_reported(bad_V):
+    feedback, with_table = controllers()
+    assert with_table.step(1e-6, 0.0, bad_V) == feedback.step(1e-6, 0.0)
+    assert Status.BAD_REFERENCE in with_table.status
