@@ -12,10 +12,12 @@ from tests.records.messy.writers import (
     columns,
     grouped,
     lines,
+    raw,
     text,
     with_rows,
 )
 
+LINES = "\n".join(lines()).encode()
 SMALL = ("time [s]", "voltage [mV]", "position [nm]")
 
 
@@ -46,10 +48,6 @@ def _prefixed(line: str) -> str:
     return ",".join([*cells, f"{1e3 * value:.3f}m" if abs(value) < 5 else displacement])
 
 
-def _with_zeros(content: bytes, offset: int, count: int) -> bytes:
-    return content[:offset] + bytes(count) + content[offset + count :]
-
-
 FILES: tuple[Messy, ...] = (
     Messy("bom.csv", "a byte mark in front", text(lines(), encoding="utf-8-sig")),
     Messy("utf16.csv", "UTF-16 with its mark", text(lines(), encoding="utf-16")),
@@ -66,13 +64,7 @@ FILES: tuple[Messy, ...] = (
     Messy("crlf.csv", "line ends of Windows", text(lines(), end="\r\n")),
     Messy("mac.csv", "line ends of an old Mac", text(lines(), end="\r")),
     Messy("blank_lines.csv", "an empty line between all rows", text(lines(), end="\n\n")),
-    Messy(
-        "packed.csv.gz",
-        "compressed",
-        lambda path: (
-            path.write_bytes(gzip.compress("\n".join(lines()).encode(), mtime=0)) and None
-        ),
-    ),
+    Messy("packed.csv.gz", "compressed", raw(gzip.compress(LINES, mtime=0))),
     Messy("semicolons.csv", "semicolons and decimal commas", text(lines(";", ","))),
     Messy("tabs.dat", "tabs and decimal commas", text(lines("\t", ","))),
     Messy("bars.txt", "`|` between the fields", text(lines(" | "))),
@@ -160,9 +152,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "zeros.csv",
         "zero bytes in its middle, of a computer that stopped",
-        lambda path: (
-            path.write_bytes(_with_zeros("\n".join(lines()).encode(), 3000, 256)) and None
-        ),
+        raw(LINES[:3000] + bytes(256) + LINES[3256:]),
     ),
     Messy(
         "prefixes.csv",

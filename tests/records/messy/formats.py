@@ -24,6 +24,7 @@ from tests.records.messy.writers import (
     matlab_table,
     merged_cells,
     plain_sheet,
+    raw,
     second_sheet,
     structured,
     text,
@@ -35,10 +36,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "run.json",
         "JSON",
-        lambda path: (
-            path.write_text(json.dumps(dict(zip(NAMES, columns().T.tolist(), strict=True))))
-            and None
-        ),
+        raw(json.dumps(dict(zip(NAMES, columns().T.tolist(), strict=True))).encode()),
     ),
     Messy(
         "web.xls",
@@ -55,7 +53,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "old.xls",
         "a workbook of Excel 97",
-        lambda path: path.write_bytes(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600)) and None,
+        raw(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600)),
     ),
     Messy(
         "curve.jpk-force",
@@ -76,7 +74,7 @@ FILES: tuple[Messy, ...] = (
     Messy(
         "scope.wfm",
         "a waveform as a Rigol oscilloscope stores it",
-        lambda path: path.write_bytes(b"\xa5\xa5\x00\x00" + bytes(380)) and None,
+        raw(b"\xa5\xa5\x00\x00" + bytes(380)),
     ),
     Messy(
         "complex.mat",

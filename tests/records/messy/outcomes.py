@@ -12,6 +12,13 @@ from tests.records.messy.writers import Messy, lines, text
 FILES = (*characters.FILES, *tables.FILES, *clocks.FILES, *formats.FILES, *quantities.FILES)
 
 
+def write_messy(name: str, folder: Path) -> Path:
+    """Write the messy file of a name and return its path."""
+    (messy,) = (m for m in FILES if m.name == name)
+    messy.write(folder / name)
+    return folder / name
+
+
 def inspect_messy(messy: Messy, folder: Path, entry: str = "") -> tuple[Inspection, ...]:
     """Write a file, and a lab.toml if there is an entry, and inspect the file."""
     path = folder / messy.name

@@ -74,11 +74,15 @@ def lines(
     return [separator.join(names), *(separator.join(row) for row in text)]
 
 
-def text(rows: Sequence[str], *, end: str = "\n", encoding: str = "utf-8") -> Write:
+def raw(content: bytes) -> Write:
     def write(path: Path) -> None:
-        path.write_bytes((end.join(rows) + end).encode(encoding))
+        path.write_bytes(content)
 
     return write
+
+
+def text(rows: Sequence[str], *, end: str = "\n", encoding: str = "utf-8") -> Write:
+    return raw((end.join(rows) + end).encode(encoding))
 
 
 def scaled(
