@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import piezoid
 from piezoid.diagnosis.diagnosis import BudgetPart, NotDetected, Size
 from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.diagnosis.effects import effect_named
@@ -142,17 +143,9 @@ def test_findings_are_listed_without_recordings_or_model():
 
 def test_creep_is_drawn_over_the_time_since_the_drive_stopped():
     drive_V = np.concatenate([np.linspace(0, 5, 100), np.full(400, 5.0)])
-    hold = Recording(
-        name="hold.csv",
-        digest="sha256:" + "0" * 64,
-        axis="x",
-        sampling_rate_Hz=100.0,
-        channels=(
-            Channel(quantity=Quantity.VOLTAGE, axis="x", values=drive_V, label="u"),
-            Channel(quantity=Quantity.DISPLACEMENT, axis="x", values=drive_V * 1e-6, label="y"),
-        ),
+    hold = piezoid.from_arrays(
+        voltage_V=drive_V, displacement_m=1e-6 * drive_V, sampling_rate_Hz=100.0
     )
-
     log_time, weight = effect_named("creep").shows.along(hold)
     assert np.isnan(log_time[:100]).all()
     assert log_time[199] == pytest.approx(0.0, abs=0.01)
