@@ -102,7 +102,7 @@ def search_all(view: View, executor: Executor) -> SearchResult:
 
 
 def _search_with_best_clock(view: View, executor: Executor) -> Outcome:
-    """Search with the drive held or not, and with slips only if the error is clearly larger without.
+    """Search with the drive held or not, and with slips only if they clearly reduce the error.
 
     Beside effects that are not selected yet, a drive that moves between samples is not recognised,
     and a resonance at a rising speed looks like slips of the clock.
