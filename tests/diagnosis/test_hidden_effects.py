@@ -56,9 +56,10 @@ ONE_SPEED = {
     "waves": np.linspace(0.2, 1.0, len(TIME_s)) * np.sin(2.0 * np.pi * 0.7 * TIME_s),
 }
 SPEEDS = ONE_SPEED | {"fast": triangle(5.3, 1.0, 0.4)}
+TWO_SPEEDS = {"loops": ONE_SPEED["loops"], "fast": SPEEDS["fast"]}
 WITH_SLOW = SPEEDS | {"slow": triangle(0.35, 0.4, 0.9)}
 FASTER = {"loops": ONE_SPEED["loops"], "fast": triangle(9.3, 1.0, 0.4)}
-WITH_TONES = ONE_SPEED | {"tones": TONES / 30.0}
+WITH_TONES = {"waves": ONE_SPEED["waves"], "tones": TONES / 30.0}
 
 
 def response_of(law: str, drive: Array, turns: tuple[float, ...]) -> Array:
@@ -157,7 +158,7 @@ STAGES: Mapping[str, Callable[[], tuple[Recording, ...]]] = {
     "mains_interference": lambda: recorded(
         ONE_SPEED, lambda _, __, x: x + 4e-3 * np.sin(2.0 * np.pi * 50.0 * TIME_s + len(_))
     ),
-    "rate_dependence": lambda: recorded(SPEEDS, lagged_hysteresis),
+    "rate_dependence": lambda: recorded(TWO_SPEEDS, lagged_hysteresis),
     # Loop shape partly absorbs a filter behind friction, so the gain is stated for plays.
     "resonance": lambda: recorded(WITH_TONES, ringing, law="sum of plays"),
     "sensor_periodic_error": lambda: recorded(
@@ -207,7 +208,7 @@ def test_only_the_hidden_effect_is_named_with_its_interval_and_gain(name):
 @pytest.mark.usefixtures("plays_alone", "one_order")
 def test_a_healthy_stage_has_no_findings_and_a_bound_on_every_effect():
     """Bouc-Wen ceramic with loop shape: test_budget.py."""
-    diagnosis = diagnose(recorded(WITH_SLOW))
+    diagnosis = diagnose(recorded(SPEEDS))
     assert causes(diagnosis) == ()
     listed = {absent.effect for absent in diagnosis.not_detected} | set(diagnosis.names)
     assert listed == {effect.name for effect in EFFECTS}

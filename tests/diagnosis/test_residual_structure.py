@@ -52,7 +52,7 @@ def diagnosed(index: int, hidden: str = "", percent: float = 0.0, truth: str = "
         uncatalogued={hidden: percent} if hidden else None,
     )
     recordings, lab = read_campaign(campaign)
-    return diagnose(recordings if is_in_samples else thinned(recordings, 10), lab=lab)
+    return diagnose(recordings if is_in_samples else thinned(recordings, 20), lab=lab)
 
 
 def with_hidden(hidden: str) -> Diagnosis:

@@ -211,7 +211,7 @@ def test_a_slip_in_fast_motion_does_not_add_a_delay():
     """Slow motion does not show the slip; for all other effects the fast half is delayed."""
     recordings, lab = read_campaign(draw_stage(stage("duhem", "single", 0, 2_100_000)))
     selected = [r for r in recordings if r.name in ("sweep.csv", "chirp.csv")]
-    outcome = search(with_fewer_rows(view_on(selected, axis="x", lab=lab), 3))
+    outcome = search(with_fewer_rows(view_on(selected, axis="x", lab=lab), 12))
     assert (set(outcome.faults), outcome.causes) == ({"timestamp_fault"}, ())
 
 
