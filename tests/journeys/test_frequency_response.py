@@ -44,7 +44,7 @@ def play_displacement_m(drive_V: Array) -> Array:
 
 
 def write_sweep(path: Path, rng: np.random.Generator) -> None:
-    time_s = np.arange(1800) / 100.0
+    time_s = np.arange(4500) / 250.0
     size = np.interp(time_s, [0.0, 6.0, 12.0, 18.0], [1.0, 1.0, 0.6, 0.3])
     drive_V = 50.0 - 45.0 * size * np.cos(2.0 * np.pi * (0.3 + 0.04 * time_s) * time_s)
     reading_m = play_displacement_m(drive_V) + 2e-9 * rng.standard_normal(len(drive_V))
