@@ -39,12 +39,12 @@ def fitted(recording: Path, lab_text: str, folder: Path, *, every: int = 1) -> A
     return fit(thinned(collect([recording], lab).recordings, every), lab=lab)["x"]
 
 
-@pytest.mark.usefixtures("one_order")
+@pytest.mark.usefixtures("plays_alone", "one_order")
 def test_the_actuator_in_its_steady_state_is_modelled_near_the_noise(realdata, tmp_path):
     recording = realdata / "actuator_150V" / "hysteresis_v_150_1hz.csv"
     model = fitted(recording, ACTUATOR, tmp_path, every=4)
     assert model.verdict.applies
-    assert model.quality.held_out_rms_percent < 0.16  # a simple additive model leaves 0.31
+    assert model.quality.held_out_rms_percent < 0.145  # a simple additive model leaves 0.31
     noise_percent = 100 * model.quality.noise_rms_m / model.quality.range_m
     assert noise_percent == pytest.approx(0.12, abs=0.01)
 
@@ -54,7 +54,8 @@ def test_the_flexure_with_its_drifting_zero_is_modelled(realdata, tmp_path):
     recording = realdata / "flexure" / "Model_Vi_Do.dat"
     model = fitted(recording, FLEXURE, tmp_path)
     assert model.verdict.applies
-    assert model.quality.held_out_rms_percent < 0.35  # a simple additive model leaves 0.54
+    # a simple additive model leaves 0.54, plays without loop shape 0.29
+    assert model.quality.held_out_rms_percent < 0.22
     assert {"excluded", "baseline_drift"} <= {fact.quantity for fact in fit_statements(model)}
 
 
