@@ -17,7 +17,7 @@ CHANGED = $(shell { git diff --name-only $(BASE); git ls-files --others --exclud
   sed -nE 's#^(piezoid|tests)/([a-z_]+)/.*#tests/\2#p; s#^(cli|datasets|reports)/.*#tests/\1#p' | sort -u)
 QUICK = $(wildcard $(or $(ROOM:%=tests/%),$(CHANGED)))
 
-# Containers often set it: every command would then compile the package again.
+# Containers often disable bytecode: every command would then compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test quick check docs format benchmark clean

@@ -150,7 +150,8 @@ class Null:
 
             power = b' (C'C - C'Q Q'C)^-1 b,    b = C'r
 
-        values    (rows of the part,)
+        values    (rows,)  of the part
+        rows      of the part
         duration  rows after which the step ends; None: it lasts until the end of the part
         """
         basis = solve_triangular(self.factor, (self.all_columns[rows] / self.scale).T, lower=True)

@@ -254,7 +254,7 @@ def _drop_doubtful_causes(
         max_error_m = CLEARLY_WORSE * errors.final_m
         tested = [c for c in tested if errors.without_m[c.effect.name] <= max_error_m]
     held_out_m, explained_m = quality.held_out_rms_m, quality.explained_rms_m
-    if tested:  # the final model may have no loop shape, or a stronger regularisation in sample
+    if tested:  # compare at equal regularisation: that of the final model may be stronger
         with_all_m = errors_with_loop_shape_m(model, driven)
         held_out_m = min(held_out_m, with_all_m.held_out)
         explained_m = min(explained_m, with_all_m.explained)

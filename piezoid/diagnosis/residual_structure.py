@@ -238,8 +238,8 @@ def _unselected_tangents(outcome: Outcome, view: View, selected: str = "") -> li
     """Return the tangents of tested effects but one, at the rows of a view.
 
     A tangent that explains no more than its placebo is no explanation. With all tangents, a tone
-    of 2.83 periods in a period of the drive had its frequency on two of nine stages, with these on
-    all nine.
+    of 2.83 periods in a period of the drive was located by its frequency on one of nine stages,
+    with these on all nine.
     """
     return [
         test.trial.columns

@@ -4,6 +4,7 @@ Seeds are fixed; PIEZOID_SEED=... draws the hidden structures and the healthy st
 """
 
 import os
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, Finding
 from piezoid.diagnosis.residual_structure import locate_structure
+from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnoses, write_diagnosis
 from piezoid.diagnosis.selection import search, search_all
 from piezoid.digests import unseal
@@ -77,16 +79,34 @@ def test_structure_outside_the_catalogue_is_something_else_with_its_coordinate(h
     assert diagnosis.unexplained.rms_m > diagnosis.noise_floor_rms_m
 
 
-@pytest.mark.parametrize("law", ["bouc_wen", "dahl"])
-def test_a_tone_near_a_harmonic_of_the_drive_is_located_by_its_frequency(law):
-    """Beside tangents that explain no more than their placebos, the distance fitted better."""
+def with_tone(law: str) -> View:
+    """Return a sweep whose reading has a tone near the third harmonic of the drive."""
     drive = triangles(6, 500)
     noise = np.random.default_rng(0).standard_normal(len(drive))
     tone = 0.02 * np.sin(2.0 * np.pi * 2.83 * np.arange(len(drive)) / 500.0)
     reading_m = 1e-5 * (LAWS[law](drive) + tone + 8e-4 * noise)
-    view = view_of_recordings([single_axis_recording("sweep", 500.0, 5.0 * drive, reading_m)])
-    unexplained, (structure,) = locate_structure(search(view))
+    return view_of_recordings([single_axis_recording("sweep", 500.0, 5.0 * drive, reading_m)])
+
+
+@pytest.mark.parametrize("law", ["bouc_wen", "dahl"])
+def test_a_tone_near_a_harmonic_of_the_drive_is_located_by_its_frequency(law):
+    """Beside tangents that explain no more than their placebos, the distance fitted better."""
+    unexplained, (structure,) = locate_structure(search(with_tone(law)))
     assert unexplained.coordinate == structure.score.coordinate == "frequency"
+
+
+def test_spikes_of_a_subtracted_curve_are_no_outliers(monkeypatch):
+    view = with_tone("dahl")
+    unexplained, (structure,) = locate_structure(search(view))
+    (curve,) = structure.curve
+    spiky = replace(structure, curve=(curve + 0.2 * (np.arange(len(curve)) % 300 == 150),))
+    monkeypatch.setattr(
+        "piezoid.diagnosis.selection.locate_structure", lambda _: (unexplained, [spiky])
+    )
+    monkeypatch.setattr("piezoid.diagnosis.selection.MAX_SECOND_RATIO", 100.0)
+    result = search_all(view, SERIAL)
+    assert result.structure is spiky
+    assert "outliers" not in result.outcome.faults
 
 
 @pytest.mark.usefixtures("one_order")

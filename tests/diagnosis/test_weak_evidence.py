@@ -12,6 +12,7 @@ from piezoid.diagnosis.diagnosis import SOMETHING_ELSE
 from piezoid.diagnosis.residual_structure import SensorRangeEnd
 from piezoid.identification.fit import fit
 from piezoid.identification.loop_shape_blocks import Errors
+from piezoid.identification.loop_shape_columns import zero_loop_shape
 from piezoid.numerics.executor import SERIAL
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
@@ -72,6 +73,26 @@ def test_a_doubtful_cause_is_named_only_if_the_model_needs_it(
     reasons = [a.reason for a in diagnosis.not_detected if a.effect == "gain_change"]
     assert len(reasons) == (not is_named)
     assert all("the model predicts left-out data about as well" in reason for reason in reasons)
+
+
+def test_a_cause_is_compared_with_loop_shape_at_equal_regularisation(monkeypatch):
+    """The final model is regularised more strongly, so that its errors are no reference."""
+    recordings, _, selection = changed_gain()
+    plays = selection.errors.model
+    final = replace(plays, loop_shape=zero_loop_shape(plays))
+    error_m = final.quality.rms_m
+
+    def errors_m(axis, _):
+        ratio = 0.1 if axis.extensions == plays.extensions else 0.2
+        return Errors(explained=ratio * error_m, held_out=ratio * error_m)
+
+    monkeypatch.setattr(diagnose_module, "evidence_p_value", lambda _: 0.0)
+    monkeypatch.setattr(diagnose_module, "MAX_TESTED_STRENGTH", np.inf)
+    monkeypatch.setattr(diagnose_module, "errors_with_loop_shape_m", errors_m)
+    reduced, _ = diagnose_module._drop_doubtful_causes(
+        selection, lambda _: final, recordings, SERIAL
+    )
+    assert "gain_change" in {cause.effect.name for cause in reduced.result.outcome.causes}
 
 
 def test_an_end_of_the_range_that_the_model_explains_is_not_named(monkeypatch):
