@@ -44,6 +44,7 @@ from piezoid.identification.loop_shape_regression import (
     residual_of,
     with_numbers,
     with_sensor_numbers,
+    with_static_response,
 )
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import BLOCKS, IN_SAMPLE, FitQuality, with_noise_bound
@@ -175,6 +176,7 @@ def _compared(axis: AxisModel, recordings: Sequence[Recording]) -> _Comparison |
                 for piece in pieces
             )
             columns = columns_of(solution.model, pieces, reference)
+            solution = with_static_response(solution, pieces, columns)
         estimate = with_sensor_numbers(solution, pieces, columns)
         if estimate.shift <= MAX_SHIFT and gain <= ENOUGH**2:
             break
@@ -267,6 +269,7 @@ def _next_estimate(
         )
         coefficient = regression.change @ ridge.mean(total + penalty)
         solution = _solution(present, columns, regression, ridge, coefficient)
+        solution = with_static_response(solution, pieces, columns)
         step_m = half_range_m(present.model) * regression.design[:, jump] @ coefficient[jump]
         simulated_m = residual_of(solution, pieces, columns) - step_m
         before = _mean_square(regression.error_m - step_m, solution)

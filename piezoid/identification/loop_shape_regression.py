@@ -40,6 +40,8 @@ class Estimate:
     model       with loop shape, lag and extensions
     weights     (histories,) of every piece
     zeros       (knots,) of every piece, m
+    static_m    (samples,) of every piece: static response of the model with the fitted memory
+    changes_m   (rows of the path, histories) of every piece: its changes by other histories, m
     wide        (columns,)  coefficients of the wide class, of unscaled columns
     coefficient (columns,)  of all columns of the last regression
     shift       rms change of the reading by the last step of lag and extensions, over the residual
@@ -55,6 +57,8 @@ class Estimate:
     model: AxisModel
     weights: tuple[Array, ...]
     zeros: tuple[Array, ...]
+    static_m: tuple[Array, ...]
+    changes_m: tuple[Array, ...]
     wide: Array
     coefficient: Array
     shift: float
@@ -69,11 +73,17 @@ class Estimate:
 
 def first_estimate(axis: AxisModel, pieces: Sequence[PieceRows], columns: Columns) -> Estimate:
     """Return the estimate with zero loop shape."""
-    rows = len(columns.values)
+    rows, model = len(columns.values), replace(axis, loop_shape=zero_loop_shape(axis))
+    weights = tuple(np.zeros(path.plays_m.shape[1] - 1) for path in columns.paths)
     return Estimate(
-        model=replace(axis, loop_shape=zero_loop_shape(axis)),
-        weights=tuple(np.zeros(path.plays_m.shape[1] - 1) for path in columns.paths),
+        model=model,
+        weights=weights,
         zeros=tuple(np.array(piece.start.zero_m) for piece in pieces),
+        static_m=_static_m(model, pieces),
+        changes_m=tuple(
+            np.zeros((len(path.drive), len(weight)))
+            for path, weight in zip(columns.paths, weights, strict=True)
+        ),
         wide=np.zeros(len(columns.scale)),
         coefficient=np.zeros(0),
         shift=0.0,
@@ -87,11 +97,30 @@ def first_estimate(axis: AxisModel, pieces: Sequence[PieceRows], columns: Column
     )
 
 
+def with_static_response(
+    estimate: Estimate, pieces: Sequence[PieceRows], columns: Columns
+) -> Estimate:
+    """Simulate the static response of the model of an estimate, and its changes by histories."""
+    shape = estimate.model.loop_shape
+    assert shape is not None
+    return replace(
+        estimate,
+        static_m=_static_m(estimate.model, pieces),
+        changes_m=tuple(path.changes_m(shape) for path in columns.paths),
+    )
+
+
+def _static_m(axis: AxisModel, pieces: Sequence[PieceRows]) -> tuple[Array, ...]:
+    return tuple(
+        axis.static_m(piece.drive_V, piece.start.memory_V, piece.where.rate_Hz) for piece in pieces
+    )
+
+
 def residual_of(estimate: Estimate, pieces: Sequence[PieceRows], columns: Columns) -> Array:
     """Simulate an estimate and return its error at the rows of all pieces, (rows,) m."""
     errors_m = []
     for k, piece in enumerate(pieces):
-        static_m, _, _ = static_response_of(estimate, k, piece, columns)
+        static_m = _history_m(estimate, k, piece, columns) + estimate.static_m[k]
         start = replace(piece.start, zero_m=estimate.zeros[k])
         errors_m.append(
             piece.measured_m[piece.rows] - reading_of(estimate.model, piece, start, static_m)
@@ -99,23 +128,10 @@ def residual_of(estimate: Estimate, pieces: Sequence[PieceRows], columns: Column
     return np.concatenate(errors_m)
 
 
-def static_response_of(
-    estimate: Estimate, k: int, piece: PieceRows, columns: Columns
-) -> tuple[Array, Array, Array]:
-    """Simulate the static response of piece k and the contribution of its histories.
-
-    returned  static response and share of the weighted histories, (samples,) each; changes of the
-              response by every history, (rows of the path, histories), all m
-    """
-    axis, weight, path = estimate.model, estimate.weights[k], columns.paths[k]
-    if estimate.variance:
-        assert axis.loop_shape is not None
-        changes_m = path.changes_m(axis.loop_shape)
-    else:  # the first estimate has no histories
-        changes_m = np.zeros((len(path.drive), len(weight)))
-    history_m = path.interpolated(changes_m @ weight[:, None], piece.where.samples)[:, 0]
-    static_m = axis.static_m(piece.drive_V, piece.start.memory_V, piece.where.rate_Hz)
-    return history_m + static_m, history_m, changes_m
+def _history_m(estimate: Estimate, k: int, piece: PieceRows, columns: Columns) -> Array:
+    """Return the contribution of the weighted histories to the static response, (samples,)."""
+    change_m = estimate.changes_m[k] @ estimate.weights[k][:, None]
+    return columns.paths[k].interpolated(change_m, piece.where.samples)[:, 0]
 
 
 def reading_of(
@@ -144,7 +160,7 @@ def with_sensor_numbers(
     positions_m, readings_m, masks = [], [], np.split(estimate.use, np.cumsum(estimate.rows)[:-1])
     for k, piece in enumerate(pieces):
         zero_m = zero_of(replace(piece.start, zero_m=estimate.zeros[k]), piece.where.samples)
-        static_m, _, _ = static_response_of(estimate, k, piece, columns)
+        static_m = _history_m(estimate, k, piece, columns) + estimate.static_m[k]
         rows = piece.rows[masks[k]]
         positions_m.append(axis.forward.position(static_m, piece.where, zero_m)[rows])
         readings_m.append(piece.measured_m[rows])
@@ -347,14 +363,15 @@ def _tables_of_piece(
     """
     axis, rows, path = estimate.model, len(piece.rows), columns.paths[k]
     scale_m, start = half_range_m(axis), replace(piece.start, zero_m=estimate.zeros[k])
-    static_m, history_m, changes_m = static_response_of(estimate, k, piece, columns)
+    history_m = _history_m(estimate, k, piece, columns)
+    static_m = history_m + estimate.static_m[k]
     reading_m = reading_of(axis, piece, start, static_m)
     first = sum(estimate.rows[:k])
     of_class, histories = np.zeros((rows, 0)), np.zeros((rows, 0))
     if has_class:
         of_class = columns.values[first : first + rows]
     if estimate.variance:  # not in the first regression
-        histories = path.filtered(changes_m, axis, piece) / abs(scale_m)
+        histories = path.filtered(estimate.changes_m[k], axis, piece) / abs(scale_m)
         if has_class:
             change = path.column_changes(estimate.weights[k], columns.plays, abs(scale_m))
             of_class = of_class + path.filtered(change, axis, piece) / columns.scale
