@@ -192,10 +192,20 @@ def _find_best_start(lines: list[str], share: float, declared: TextFormat) -> Ta
     # Commas separate and mark decimals if the numbers are in quotes.
     if declared.separator == declared.decimal == ",":
         layouts = [Layout(separator=",", decimal=",", fields=0, paired=True)]
+    possible_rows = {
+        row: line
+        for row, line in enumerate(lines)
+        if row >= (declared.heading_row or 0)
+        and len(line) <= MAX_LINE
+        and any(map(str.isdigit, line))
+        and not _COMMENT.match(line)
+    }
     best: TableStart | None = None
     best_score = (0, False)
     for layout in layouts:
-        rows = _numeric_rows(lines, layout, share, declared.heading_row or 0)
+        if best_score == (len(possible_rows), True):  # no other layout can have more rows
+            break
+        rows = _numeric_rows(possible_rows, layout, share)
         if not rows:
             continue
         fields = Counter(rows.values()).most_common(1)[0][0]
@@ -226,24 +236,17 @@ def _find_best_start(lines: list[str], share: float, declared: TextFormat) -> Ta
     return best
 
 
-def _numeric_rows(lines: list[str], layout: Layout, share: float, above: int) -> dict[int, int]:
+def _numeric_rows(lines: dict[int, str], layout: Layout, share: float) -> dict[int, int]:
     """Return the number of fields of each row with at least a share of numeric fields."""
     separator, fields_of_row = layout.separator, {}
-    for row, line in enumerate(lines):
-        if row < above or len(line) > MAX_LINE or not line.strip() or _COMMENT.match(line):
-            continue
+    for row, line in lines.items():
         if separator and separator not in line and separator != ",":
             continue
         fields = cells_of(line, layout)
         values = [number_of(f, layout.decimal, grouped=layout.grouped) for f in fields if f]
         numbers = sum(value is not None for value in values)
         is_whole = numbers == len(values) if share == 1 else numbers > 1
-        if (
-            numbers
-            and is_whole
-            and numbers >= share * len(values)
-            and any(map(str.isdigit, "".join(fields)))
-        ):
+        if numbers and is_whole and numbers >= share * len(values):
             fields_of_row[row] = len(fields)
     return fields_of_row
 
