@@ -29,16 +29,17 @@ def reversals_of(voltage_V: Array, noise_V: float) -> tuple[int, ...]:
     turns: list[int] = []
     high = low = 0
     direction = 0
-    for k, value in enumerate(voltage_V.tolist()):
-        if value > voltage_V[high]:
+    values_V = voltage_V.tolist()
+    for k, value in enumerate(values_V):
+        if value > values_V[high]:
             high = k
-        if value < voltage_V[low]:
+        if value < values_V[low]:
             low = k
-        if direction >= 0 and voltage_V[high] - value > noise_V:
+        if direction >= 0 and values_V[high] - value > noise_V:
             if direction > 0 or high > 0:
                 turns.append(high)
             direction, low, high = -1, k, k
-        elif direction <= 0 and value - voltage_V[low] > noise_V:
+        elif direction <= 0 and value - values_V[low] > noise_V:
             if direction < 0 or low > 0:
                 turns.append(low)
             direction, low, high = 1, k, k
