@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import least_squares, lsq_linear, nnls
 
 from piezoid.identification.hysteresis.coordinates import Shape, vector_of
-from piezoid.identification.hysteresis.gauss_newton import Task, rms_of, simulate
+from piezoid.identification.hysteresis.gauss_newton import Task, residuals, rms_of
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.search import (
     Settings,
@@ -131,11 +131,6 @@ def start_of(piece: Piece, shape: Shape) -> tuple[Array, Task]:
 
 def by_least_squares(theta: Array, task: Task) -> float:
     """Return the rms residual of SciPy's trust region with a Jacobian by differences."""
-    (piece,) = task.pieces
-
-    def residual(x: Array) -> Array:
-        return simulate(x, task, 0, piece) - piece.response
-
     bounds = task.coordinates.bounds(task.longest_lag_s)
-    optimum = least_squares(residual, theta, bounds=bounds, ftol=1e-5)
+    optimum = least_squares(lambda x: next(residuals(x, task)), theta, bounds=bounds, ftol=1e-5)
     return rms_of(optimum.x, task)

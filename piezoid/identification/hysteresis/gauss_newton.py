@@ -141,21 +141,21 @@ class HysteresisFit:
     converged: bool
     kkt_gap: float
 
-    @property
+    @cached_property
     def operator(self) -> Scaled:
         """The fitted operator in scaled units."""
         return operator_of(self.theta, self.task.coordinates)
 
     def simulate(self, index: int, piece: Piece) -> Array:
         """Simulate a piece with the fitted parameters, memory and zero of one piece of the fit."""
-        return simulate(self.theta, self.task, index, piece)
+        return simulate(self.theta, self.operator, self.task, index, piece)
 
     def starts(self, scales: Scales) -> tuple[PieceStart, ...]:
         """Return the initial states and zeros of all pieces in SI units."""
         stretch_V = envelope_stretch(self.operator) * scales.voltage_V
         starts = []
         for index, piece in enumerate(self.task.pieces):
-            run, _ = run_of(self.theta, self.task, index, piece)
+            run, _ = run_of(self.theta, self.operator, self.task, index, piece)
             memory = run.forward.memory(float(run.drive[0]), run.memory_slope)
             zero = self.theta[self.task.coordinates.offset_slice(index)]
             start = PieceStart(
@@ -226,6 +226,7 @@ class _Point:
         initial memory any more, and only the other columns are gathered.
         """
         task, is_free = self.task, self.is_free
+        operator = operator_of(self.theta, task.coordinates)
         shared = task.coordinates.common
         shared = shared[is_free[shared]]
         common = empty_triangle(len(shared) + 1)
@@ -237,7 +238,7 @@ class _Point:
             columns = int(np.count_nonzero(is_used))
             early, later = empty_triangle(columns), empty_triangle(columns - memory)
             end = memory  # rows of the block that depend on the memory; 0 once it is forgotten
-            for _, rows in rows_of(self.theta, task, index):
+            for _, rows in rows_of(self.theta, operator, task, index):
                 block = rows if is_used.all() else rows.T[is_used].T
                 if end:
                     with_memory = np.flatnonzero(block[:, :memory].any(axis=1))
@@ -274,25 +275,34 @@ def rms_of(theta: Array, task: Task) -> float:
 
 def residuals(theta: Array, task: Task) -> Iterator[Array]:
     """Yield model minus measurement at the fitted rows of each piece, (rows,)."""
+    operator = operator_of(theta, task.coordinates)
     for index, (piece, sample) in enumerate(zip(task.pieces, task.samples, strict=True)):
-        yield simulate(theta, task, index, piece, sample) - piece.response[sample]
+        yield simulate(theta, operator, task, index, piece, sample) - piece.response[sample]
 
 
 def simulate(
-    theta: Array, task: Task, index: int, piece: Piece, samples: Samples | None = None
+    theta: Array,
+    operator: Scaled,
+    task: Task,
+    index: int,
+    piece: Piece,
+    samples: Samples | None = None,
 ) -> Array:
     """Return the output of the model over a piece, (samples,).
 
-    index    of the piece of the task whose memory and zero are used
-    samples  (rows,)  samples to return, increasing; None: all
+    operator  of ``theta``, the same for all pieces
+    index     of the piece of the task whose memory and zero are used
+    samples   (rows,)  samples to return, increasing; None: all
     """
     sample = np.arange(len(piece.drive)) if samples is None else samples
-    run, zero = run_of(theta, task, index, piece)
+    run, zero = run_of(theta, operator, task, index, piece)
     position = _knot_position(sample, piece, len(zero))
     return np.asarray(run.reading_at(sample) + np.interp(position, range(len(zero)), zero))
 
 
-def rows_of(theta: Array, task: Task, index: int) -> Iterator[tuple[Samples, Array]]:
+def rows_of(
+    theta: Array, operator: Scaled, task: Task, index: int
+) -> Iterator[tuple[Samples, Array]]:
     """Yield samples and linearised rows of a piece, in chunks of fitted rows.
 
     The rows are (rows, plays + knots + shared + 1), column-major: derivatives by the parameters of
@@ -300,7 +310,7 @@ def rows_of(theta: Array, task: Task, index: int) -> Iterator[tuple[Samples, Arr
     sensor like the output.
     """
     piece, plays = task.pieces[index], task.coordinates.shape.plays
-    run, zero = run_of(theta, task, index, piece)
+    run, zero = run_of(theta, operator, task, index, piece)
     knots = np.arange(len(zero))
     for sample, block in run.rows(task.samples[index], len(knots)):
         position = _knot_position(sample, piece, len(knots))
@@ -321,7 +331,9 @@ def column_indices(coordinates: Coordinates, index: int) -> Samples:
     return np.asarray(np.r_[memory, offsets, coordinates.common])
 
 
-def run_of(theta: Array, task: Task, index: int, piece: Piece) -> tuple[Run, Array]:
+def run_of(
+    theta: Array, operator: Scaled, task: Task, index: int, piece: Piece
+) -> tuple[Run, Array]:
     """Return the simulation of a piece, and the knots of the zero that is added to its reading.
 
     The reading with extensions may depend on the position: then the constant zero is part of the
@@ -330,8 +342,7 @@ def run_of(theta: Array, task: Task, index: int, piece: Piece) -> tuple[Run, Arr
     index  of the piece of the task whose memory and zero are used
     """
     coordinates, rate_Hz = task.coordinates, piece.sampling_rate_Hz
-    operator, lag = operator_of(theta, coordinates), coordinates.shape.lag
-    lag_s, sensor_Hz = operator.lag_s, task.sensor_pole_Hz
+    lag, lag_s, sensor_Hz = coordinates.shape.lag, operator.lag_s, task.sensor_pole_Hz
     if sensor_Hz is not None and lag == "delay":
         time_s = 1.0 / (2 * np.pi * sensor_Hz)
         if time_s * rate_Hz < FAST_POLE:

@@ -114,10 +114,10 @@ def jackknife(theta: Array, task: Task) -> Jackknife:
     blocks = sum(len(edge) - 1 for edge in edges)
     normals = np.zeros((blocks, coordinates.total, coordinates.total))  # J_c'J_c
     gradients = np.zeros((blocks, coordinates.total))  # J_c'e_c
-    first = 0
+    first, operator = 0, operator_of(theta, coordinates)
     for index in range(len(task.pieces)):
         columns = column_indices(coordinates, index)
-        for sample, rows in rows_of(theta, task, index):
+        for sample, rows in rows_of(theta, operator, task, index):
             block = first + np.searchsorted(edges[index][1:-1], sample, side="right")
             for c in np.unique(block):
                 tangent, residual = rows[block == c, :-1], rows[block == c, -1]
