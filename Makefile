@@ -55,8 +55,8 @@ format: $(READY)
 
 benchmark: $(READY)
 	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[benchmarks]'
-	$(BIN)/python -m pytest benchmarks -q --benchmark-columns=min,median,rounds
-	$(BIN)/python -m benchmarks.ratios build/benchmarks
+	$(BIN)/python -m pytest benchmarks -q
+	$(BIN)/python -m benchmarks.ratios
 	$(BIN)/python -m benchmarks.streamed_fit 1e6 1e7
 	$(BIN)/python -m benchmarks.fleet_summary 1000 10000 100000
 	$(BIN)/python -m benchmarks.batch_client

@@ -25,11 +25,7 @@ from piezoid_datasets.virtual_lab.rig import Rig
 from piezoid_datasets.virtual_lab.signals import Array
 
 SLOW_Hz, MIDDLE_Hz = 1000.0, 2000.0
-Made = Callable[[float, np.random.Generator], Array]
-
-
-def _sweep(rate_Hz: float, _: np.random.Generator) -> Array:
-    return drives.decaying_sweep(rate_Hz, 0.4, 12)
+Shape = Callable[[float, np.random.Generator], Array]
 
 
 def _swells(rate_Hz: float, _: np.random.Generator) -> Array:
@@ -38,63 +34,49 @@ def _swells(rate_Hz: float, _: np.random.Generator) -> Array:
     return np.concatenate((falling, repeated))
 
 
-def _levels(rate_Hz: float, rng: np.random.Generator) -> Array:
-    return drives.random_levels(rate_Hz, 0.7, 60, rng)
-
-
-def _staircase(rate_Hz: float, rng: np.random.Generator) -> Array:
-    return drives.staircase(rate_Hz, 0.05, 3.0, 30, rng)
-
-
-def _rates(rate_Hz: float, _: np.random.Generator) -> Array:
-    return drives.rates(rate_Hz, ((2.3, 2), (11.0, 10), (61.0, 60)))
-
-
-def _chirp(rate_Hz: float, _: np.random.Generator) -> Array:
-    return drives.chirp(rate_Hz, 5.0, 900.0, 1.6, 0.1)
-
-
-MADE: tuple[tuple[str, float | None, Made], ...] = (
-    ("sweep", SLOW_Hz, _sweep),
+# Name, sampling rate (None: the clock of the converter), and shape of a recording.
+PLANS: tuple[tuple[str, float | None, Shape], ...] = (
+    ("sweep", SLOW_Hz, lambda rate_Hz, _: drives.decaying_sweep(rate_Hz, 0.4, 12)),
     ("swells", MIDDLE_Hz, _swells),
-    ("levels", SLOW_Hz, _levels),
-    ("staircase", SLOW_Hz, _staircase),
-    ("rates", None, _rates),
-    ("chirp", None, _chirp),
+    ("levels", SLOW_Hz, lambda rate_Hz, rng: drives.random_levels(rate_Hz, 0.7, 60, rng)),
+    ("staircase", SLOW_Hz, lambda rate_Hz, rng: drives.staircase(rate_Hz, 0.05, 3.0, 30, rng)),
+    ("rates", None, lambda rate_Hz, _: drives.rates(rate_Hz, ((2.3, 2), (11.0, 10), (61.0, 60)))),
+    ("chirp", None, lambda rate_Hz, _: drives.chirp(rate_Hz, 5.0, 900.0, 1.6, 0.1)),
 )
 
 
 def plans(samples: int) -> tuple[Plan, ...]:
     """Return six plans that go on until they have so many samples."""
 
-    def plan(name: str, given_Hz: float | None, made: Made) -> Plan:
+    def plan(name: str, stated_Hz: float | None, shape_of: Shape) -> Plan:
         def shape(rig: Rig, rng: np.random.Generator) -> Shapes:
-            rate_Hz = given_Hz or rig.clock_Hz
-            parts = [made(rate_Hz, rng)]
+            rate_Hz = stated_Hz or rig.clock_Hz
+            parts = [shape_of(rate_Hz, rng)]
             while sum(map(len, parts)) < samples:
-                parts.append(made(rate_Hz, rng))
+                parts.append(shape_of(rate_Hz, rng))
             return rate_Hz, np.concatenate(parts)[:samples], {}
 
         return Plan(name=name, shape=shape)
 
-    return tuple(plan(*row) for row in MADE)
+    return tuple(plan(*row) for row in PLANS)
 
 
 def main(seed: int, effects: tuple[str, ...], samples: int, threads: int) -> None:
     """Draw, write, read and diagnose one campaign."""
     campaign = draw_campaign(seed, effects=effects, plans=plans(samples))
     recordings, lab = read_campaign(campaign)
-    begun_s, used_s = time.perf_counter(), time.process_time()
+    start_s, start_cpu_s = time.perf_counter(), time.process_time()
 
     def report(step: str) -> None:
-        print(f"{time.perf_counter() - begun_s:7.1f} s  {step}", flush=True)
+        print(f"{time.perf_counter() - start_s:7.1f} s  {step}", flush=True)
 
     diagnosis = diagnose(recordings, lab=lab, progress=report, threads=threads)
     report("done")
     print(
         f"{campaign.answer.truth}: hidden {', '.join(effects) or 'nothing'}, "
         f"named {', '.join(diagnosis.names) or 'nothing'}; "
-        f"{time.perf_counter() - begun_s:.1f} s, processor {time.process_time() - used_s:.1f} s, "
+        f"{time.perf_counter() - start_s:.1f} s, "
+        f"processor {time.process_time() - start_cpu_s:.1f} s, "
         f"remaining {1e9 * diagnosis.envelope_rms_m:.3g} nm, "
         f"noise {1e9 * diagnosis.noise_floor_rms_m:.3g} nm"
     )

@@ -1,11 +1,10 @@
 """Relative processor times of all stages within one run, and their growth.
 
-    python -m benchmarks.ratios [FOLDER] [--samples N] [--parts kernels programs chain campaigns]
+    python -m benchmarks.ratios [--samples N] [--parts kernels programs loop]
 
-Prints the table of docs/measured/speed.md, which explains the columns, and writes growth.svg and
-growth.png into FOLDER. Alternatives of kernels and programs must give the same result, that of the
-fit of one shape no better one. The model has 16 plays and 12 dead zones. The chain uses the
-bundled axis, the campaigns simulated recordings of its stage.
+Prints the table of docs/measured/speed.md, which explains the columns. Alternatives of kernels and
+programs must give the same result, that of the fit of one shape no better one. The model has 16
+plays and 12 dead zones. The closed loop is that of the bundled axis x.
 
 numba is installed by `pip install piezoid[benchmarks]`; its figures are missing otherwise. Times
 include child processes. On a busy machine the figures scatter by a third.
@@ -15,14 +14,11 @@ import argparse
 import os
 from collections.abc import Sequence
 from importlib.util import find_spec
-from pathlib import Path
 
 # Waiting threads use processor time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from benchmarks.speed.campaign import bundled_axis
-from benchmarks.speed.chain_rows import chain_of, chain_rows, loop_growths, step_growths
-from benchmarks.speed.growth_figure import draw
+from benchmarks.speed.closed_loop import bundled_loop, loop_growths, loop_row
 from benchmarks.speed.kernel_rows import kernel_growths, kernel_rows
 from benchmarks.speed.loops import NO_NUMBA
 from benchmarks.speed.machine import NO_COMPILER, has_compiler
@@ -37,7 +33,6 @@ from benchmarks.speed.stopwatch import Growth, Stopwatch
 from benchmarks.speed.table import Row, table
 
 TICKS = 20_000  # a second of the closed loop
-LENGTHS, NUMBERS = (2000, 4000, 8000), (1, 2, 4)
 Result = tuple[list[Row], list[Growth]]
 
 
@@ -53,24 +48,18 @@ def programs(watch: Stopwatch, samples: int) -> Result:
     return rows, program_growths(watch, samples // 4)
 
 
-def chain(watch: Stopwatch, _: int) -> Result:
-    """Time every step of the bundled axis from its recordings to the report."""
-    steps = chain_of(watch, bundled_axis(), TICKS)
-    return chain_rows(watch, steps), loop_growths(watch, steps.loop)
+def loop(watch: Stopwatch, _: int) -> Result:
+    """Time the closed loop of the bundled axis."""
+    bundled = bundled_loop(TICKS)
+    return [loop_row(watch, bundled)], loop_growths(watch, bundled)
 
 
-def campaigns(watch: Stopwatch, _: int) -> Result:
-    """Time the steps on simulated recordings of several lengths."""
-    return [], step_growths(watch, LENGTHS, NUMBERS)
-
-
-PARTS = {part.__name__: part for part in (kernels, programs, chain, campaigns)}
+PARTS = {part.__name__: part for part in (kernels, programs, loop)}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the table and draw the figure."""
+    """Print the table."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("folder", nargs="?", type=Path, default=Path("build/benchmarks"))
     parser.add_argument("--samples", type=int, default=200_000)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--patience", type=float, default=0.3, help="seconds for each function")
@@ -82,8 +71,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     watch = Stopwatch(patience_s=options.patience)
     results = [PARTS[part](watch, options.samples) for part in options.parts]
     growths = [growth for _, part_growths in results for growth in part_growths]
-    options.folder.mkdir(parents=True, exist_ok=True)
-    print("figure:", *draw(growths, options.folder))
     print(table([row for rows, _ in results for row in rows], growths))
 
 

@@ -22,7 +22,7 @@ WIDTHS = (4, 8, 16, 32, 64)
 class Kernel:
     """A function of piezoid, a NumPy loop for a slice of the samples, and compiled loops.
 
-    compiled  by name; each returns None without its compiler
+    compiled  by name; each returns None without numba
     """
 
     piezoid: Callable[[], Array]
@@ -56,24 +56,17 @@ def kernels_of(u_V: Array) -> dict[str, Kernel]:
             compiled={
                 "numba": lambda: loops.numba_bank(u_V, thresholds_V(), "C"),
                 "numba, in columns": lambda: loops.numba_bank(u_V, thresholds_V(), "F"),
-                "C": lambda: machine.c_bank(u_V, thresholds_V()),
             },
         ),
         FORWARD: Kernel(
             piezoid=lambda: operator.run(u_V, memory)[0],
             numpy_loop=lambda part: loops.numpy_forward(u_V[part], operator),
-            compiled={
-                "numba": lambda: loops.numba_forward(u_V, operator),
-                "C": lambda: machine.c_forward(u_V, operator),
-            },
+            compiled={"numba": lambda: loops.numba_forward(u_V, operator)},
         ),
         INVERSE: Kernel(
             piezoid=lambda: operator.inverse_run(y_m, memory)[0],
             numpy_loop=lambda part: loops.numpy_inverse(y_m[part], operator),
-            compiled={
-                "numba": lambda: loops.numba_inverse(y_m, operator),
-                "C": lambda: machine.c_inverse(y_m, operator),
-            },
+            compiled={"numba": lambda: loops.numba_inverse(y_m, operator)},
         ),
     }
 

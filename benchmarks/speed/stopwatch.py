@@ -13,7 +13,7 @@ class Growth:
     """Processor time of one stage against one size.
 
     stage     as in the table
-    quantity  ``samples``, ``plays`` or ``recordings``
+    quantity  ``samples`` or ``plays``
     size      increasing values of the quantity
     time_s    processor time at each size
     """

@@ -5,14 +5,14 @@ from dataclasses import dataclass, field
 
 from benchmarks.speed.stopwatch import Growth
 
-SIZES = ("samples", "plays", "recordings")
+SIZES = ("samples", "plays")
 HEADINGS = (
     "stage",
     "sample loop",
     "compiled loop",
     "general solver",
     "itself",
-    "grows with samples, plays, recordings",
+    "grows with samples, plays",
 )
 
 
@@ -22,7 +22,7 @@ class Row:
 
     loop      time of a NumPy loop over the samples (closed loop: calls from Python) over that of
               the stage
-    compiled  times of loops in compiled languages over that of the stage, by name
+    compiled  times of loops compiled by numba over that of the stage, by name
     solvers   times of general solvers over that of the stage, by name
     bounds    time of the stage over that of an operation that limits it, by name
     """
@@ -40,10 +40,7 @@ def short(value: float | None) -> str:
 
 
 def table(rows: Sequence[Row], growths: Sequence[Growth]) -> str:
-    """Return the table as Markdown, with rows for stages that have only a growth."""
-    compared = {row.stage for row in rows}
-    further = dict.fromkeys(growth.stage for growth in growths if growth.stage not in compared)
-    rows = [*rows, *(Row(stage=stage) for stage in further)]
+    """Return the table as Markdown."""
     lines = [HEADINGS, ["---"] * len(HEADINGS), *(_cells(row, growths) for row in rows)]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
