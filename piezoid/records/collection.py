@@ -116,16 +116,13 @@ def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:
                     try:
                         recordings += ingest_parts(table, declared, entry)
                     except UnitError as error:
-                        raise _proposing_axis(error, recordings) from None
+                        remedy = with_axis(error.remedy, [r.axis for r in recordings])
+                        raise UnitError(
+                            error.found, needed=error.needed, remedy=remedy, **error.numbers
+                        ) from None
     return Collection(
         recordings=tuple(recordings), sweeps=tuple(sweeps), responses=tuple(responses)
     )
-
-
-def _proposing_axis(error: UnitError, recordings: Iterable[Recording]) -> UnitError:
-    """Return a refusal of columns that proposes the axis of the recordings read before."""
-    remedy = with_axis(error.remedy, [recording.axis for recording in recordings])
-    return UnitError(error.found, needed=error.needed, remedy=remedy, **error.numbers)
 
 
 def is_over_height(table: RawTable) -> bool:

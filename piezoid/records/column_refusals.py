@@ -91,13 +91,9 @@ def refuse_missing_units(
     if not any(quantity is Quantity.VOLTAGE for _, quantity, _ in columns):
         problem += "; no column is a drive voltage by its heading"
     labels = {name_of(quantity): column for column, quantity, _ in columns}
-    raise ambiguous_columns(table, problem, template=entry_template(table, _axis_of(lab), labels))
-
-
-def _axis_of(lab: Lab) -> str:
-    """Return the axis of the other recordings in lab.toml if they have the same; else x."""
-    axes = {entry.axis for entry in lab.recordings if entry.axis is not None}
-    return axes.pop() if len(axes) == 1 else "x"
+    template = entry_template(table, labels)
+    axes = [entry.axis for entry in lab.recordings if entry.axis is not None]
+    raise ambiguous_columns(table, problem, template=with_axis(template, axes))
 
 
 def ambiguous_columns(
@@ -126,9 +122,7 @@ def ambiguous_columns(
     )
 
 
-def entry_template(
-    table: RawTable, axis: str = "x", known: Mapping[str, Column] = MappingProxyType({})
-) -> str:
+def entry_template(table: RawTable, known: Mapping[str, Column] = MappingProxyType({})) -> str:
     """Return the ``[[recording]]`` entry to complete for this file, as TOML.
 
     known  columns whose headings name their quantity, by name; of these only units are missing
@@ -144,12 +138,15 @@ def entry_template(
     unit = "counts" if is_counted else "..."
     for name in ("voltage", "displacement"):
         column = known.get(name)
-        reference = '"..."' if column is None else _reference_to(column, table)
+        reference = '"..."'
+        if column is not None:  # by its number if the heading is not unique
+            is_unique = table.find(column.label) is column
+            reference = toml_string(column.label) if is_unique else str(column.number)
         columns.append(f"{name} = {reference}")
         if column is None or column.heading.unit is None:
             units.append(f'{name} = "{unit}"')
     lines = [
-        f"axis = {toml_string(axis)}",
+        'axis = "x"',
         f"columns = {{ {', '.join(columns)} }}",
         f"units = {{ {', '.join(units)} }}",
     ]
@@ -174,9 +171,3 @@ def with_axis(text: str, axes: Collection[str]) -> str:
         text,
         flags=re.MULTILINE,
     )
-
-
-def _reference_to(column: Column, table: RawTable) -> str:
-    """Return the heading of a column as TOML, or its number if the heading is not unique."""
-    is_unique = table.find(column.label) is column
-    return toml_string(column.label) if is_unique else str(column.number)

@@ -29,7 +29,6 @@ from piezoid.statement import Statement, finding
 
 QUANTITIES = {quantity.name.lower(): quantity for quantity in Quantity}
 _LOOP_QUANTITIES = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
-_MAX_COLUMNS, _MAX_VALUES = 8, 3  # in a message
 # Counters that overflow: their bits, and their ticks if the column is in another unit.
 _BITS, _TICKS_s = (16, 24, 32), (1e-3, 1e-6)
 _MAX_MISS = 2.5  # intervals between a stamp at an overflow and the end of the counter
