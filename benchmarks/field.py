@@ -27,10 +27,9 @@ from benchmarks.outsiders.lateral import (
     spiral_error,
 )
 from benchmarks.outsiders.simulators import NAMES, RATE_Hz, drive, load_simulator, seed_range
-from piezoid.design.design import design_from_json
-from piezoid.export.parameter_file import AxisParameters, from_json
-from piezoid.identification.store import read_model
+from piezoid.export.parameter_file import AxisParameters
 from piezoid.verification.scenarios import constant_angular_velocity
+from piezoid_cli.stage_files import StageFolder
 
 NOISE_SEED = 7
 
@@ -75,9 +74,9 @@ def rows_of(name: str, seed: int, parent: Path) -> Iterator[Row]:
         evaluate_stage(name, seed, parent)
     if not (folder / "params.json").exists():
         return
-    design = design_from_json((folder / "design.json").read_bytes(), "design.json").axes[0]
-    axis = from_json((folder / "params.json").read_bytes(), "params.json").axes[0]
-    model = read_model((folder / "model.json").read_bytes(), "model.json")[axis.axis]
+    stage = StageFolder(folder)
+    design, axis = stage.design.axes[0], stage.parameters.axes[0]
+    model = stage.model[axis.axis]
     bandwidths_Hz = {loop.method: loop.bandwidth_Hz for loop in design.loops}
     compensators = [
         Compensator(

@@ -25,9 +25,8 @@ from matplotlib.figure import Figure
 from benchmarks.outsiders.lateral import approach, reference_range
 from benchmarks.outsiders.simulators import PythonController, RATE_Hz, drive, load_simulator
 from piezoid.errors import PiezoidError
-from piezoid.export.parameter_file import AxisParameters, from_json
+from piezoid.export.parameter_file import AxisParameters
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.store import read_model
 from piezoid.learning.learn import Learned, first_table, next_table
 from piezoid.numerics.arrays import Array
 from piezoid.records.frames import from_arrays
@@ -37,6 +36,7 @@ from piezoid.verification.plant import AxisPlant, lateral_plant
 from piezoid.verification.scenarios import raster
 from piezoid.verification.verify_stage import plant_of
 from piezoid_cli.calibration import calibrate
+from piezoid_cli.stage_files import StageFolder
 from piezoid_datasets.virtual_lab.campaign import draw_campaign, member_named
 from piezoid_datasets.virtual_lab.stage import Run, Stage, record
 from piezoid_datasets.virtual_lab.truths import ZOO
@@ -204,11 +204,11 @@ def closed_loop_cases(name: str, seed: int, folder: Path, draws: int) -> Iterato
             stage=f"{name} {seed}", law=law, shape="-", frequency_Hz=0.0, refused="does not ship"
         )
         return
-    model = read_model((folder / "model.json").read_bytes(), "model.json")
-    shipped = from_json((folder / "params.json").read_bytes(), "params.json").axes[0]
-    plant = plant_of(shipped, model, Lab())
+    stage = StageFolder(folder)
+    shipped = stage.parameters.axes[0]
+    plant = plant_of(shipped, stage.model, Lab())
     bench = closed_loop_bench(name, seed, dict(shipped.values))
-    yield from runs(f"{name} {seed}", law, model, plant, shipped, bench, draws)
+    yield from runs(f"{name} {seed}", law, stage.model, plant, shipped, bench, draws)
 
 
 def open_loop_cases(law: str, seed: int, folder: Path, draws: int) -> Iterator[Case]:

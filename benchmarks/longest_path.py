@@ -30,8 +30,9 @@ from scipy.sparse import lil_matrix
 
 from piezoid.errors import RuntimeLibraryError
 from piezoid.export.bundle import bundle
-from piezoid.export.parameter_file import ParameterFile, from_json
+from piezoid.export.parameter_file import ParameterFile
 from piezoid.verification.rebuild import build_for_cortex_m4, emulate, run_program
+from piezoid_cli.stage_files import StageFolder
 
 _FUNCTION = re.compile(r"^[0-9a-f]+ <([^>]+)>:$")
 _SOURCE = re.compile(r"piezoid_runtime\.c:(\d+)")
@@ -397,7 +398,7 @@ def main() -> None:
     print("| stage, axis | instructions, typical | largest observed | longest path | its cycles |")
     print("| --- | --- | --- | --- | --- |")
     for folder in map(Path, sys.argv[1:]):
-        file = from_json((folder / "params.json").read_bytes(), str(folder / "params.json"))
+        file = StageFolder(folder).parameters
         proof = emulate(file)
         if not proof.is_built:
             sys.exit(proof.build)

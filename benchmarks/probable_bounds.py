@@ -17,13 +17,10 @@ import numpy as np
 
 from benchmarks.outsiders.lateral import LIMITED, evaluate_stage, largest_error_m
 from benchmarks.outsiders.simulators import NAMES, load_simulator, seed_range
-from piezoid.design.design import design_from_json
-from piezoid.export.parameter_file import from_json
-from piezoid.identification.store import read_model
-from piezoid.records.lab import read_lab
 from piezoid.verification.bounds import error_bounds
 from piezoid.verification.verification import ErrorBound
 from piezoid.verification.verify_stage import stage_plants
+from piezoid_cli.stage_files import StageFolder
 
 RUNS = 20  # at each speed
 
@@ -53,13 +50,11 @@ def coverage_of(name: str, seed: int, parent: Path) -> Iterator[BoundCoverage]:
         evaluate_stage(name, seed, parent)
     if not (folder / "params.json").exists():
         return
-    lab = read_lab(folder / "recordings" / "lab.toml")
-    model = read_model((folder / "model.json").read_bytes(), "model.json")
-    design = design_from_json((folder / "design.json").read_bytes(), "design.json")
-    file = from_json((folder / "params.json").read_bytes(), "params.json")
-    plants, family_plants = stage_plants(file, model, lab)
+    stage = StageFolder(folder, folder / "recordings" / "lab.toml")
+    file, model = stage.parameters, stage.model
+    plants, family_plants = stage_plants(file, model, stage.lab)
     simulator = load_simulator(name)
-    for index, bound in enumerate(error_bounds(file, design, model, plants, family_plants)):
+    for index, bound in enumerate(error_bounds(file, stage.design, model, plants, family_plants)):
         rng = np.random.default_rng([seed, index])
         errors_m = (
             largest_error_m(

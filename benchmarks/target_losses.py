@@ -9,24 +9,17 @@ states in its README: the worst over the plants that the recordings of the stage
 import sys
 from pathlib import Path
 
-from piezoid.design.design import design_from_json
 from piezoid.errors import PiezoidError
-from piezoid.export.parameter_file import from_json
-from piezoid.identification.store import read_model
-from piezoid.records.lab import read_lab
 from piezoid.targets.targets import inputs_of, target_files
-from piezoid_cli.stage_files import content_of
+from piezoid_cli.stage_files import StageFolder
 
 TARGETS = ("pid", "nanonis", "waveform")
 
 
 def losses(folder: Path) -> list[tuple[str, str]]:
     """Return target and statement for every axis of a stage."""
-    design = design_from_json(content_of(folder / "design.json"), "design.json")
-    model = read_model(content_of(folder / "model.json"), "model.json")
-    file = from_json(content_of(folder / "params.json"), "params.json")
-    path = folder / "lab.toml"
-    inputs = inputs_of(file, model, design, read_lab(path) if path.exists() else None)
+    stage = StageFolder(folder)
+    inputs = inputs_of(stage.parameters, stage.model, stage.design, stage.lab)
     rows = []
     for target in TARGETS:
         try:

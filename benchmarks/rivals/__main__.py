@@ -246,7 +246,7 @@ def main() -> None:
             cells = (f"{np.median(column):.3f} ({column.max():.2f})" for column in columns)
             print(
                 f"| {name} | {models[name].parameters} | {' | '.join(cells)} | "
-                f"{counts[name]:.0f} |"
+                f"{counts.get(name, np.nan):.0f} |"
             )
     print("\n| inverse, by law | " + " | ".join(classes) + " |")
     print("| --- |" + " --- |" * len(classes))
