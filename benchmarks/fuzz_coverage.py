@@ -13,7 +13,7 @@ import resource
 import subprocess
 import sys
 import tempfile
-import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -65,13 +65,15 @@ def fuzz_target(name, options):
     read(path)
     limit = fuzz_readers.used_bytes() + fuzz_readers.MEMORY_bytes
     resource.setrlimit(resource.RLIMIT_AS, (limit,) * 2)
-    tally, start_s = fuzz_readers.Tally(), time.monotonic()
+    tally = fuzz_readers.Tally()
+    TALLIES.mkdir(parents=True, exist_ok=True)
 
     def test(content):
         path.write_bytes(content)
         fuzz_readers.count_answer(read, path, content, tally)
         if tally.inputs % INTERVAL == 0:
-            _write_tally(name, tally, time.monotonic() - start_s)
+            tally.peak_bytes = fuzz_readers.peak_bytes()
+            (TALLIES / f"{name}.json").write_text(json.dumps(asdict(tally)))
 
     pool = POOLS / name
     pool.mkdir(parents=True, exist_ok=True)
@@ -85,26 +87,12 @@ def fuzz_target(name, options):
     atheris.Fuzz()
 
 
-def _write_tally(name, tally, elapsed_s):
-    TALLIES.mkdir(parents=True, exist_ok=True)
-    peak_bytes = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    record = {
-        "inputs": tally.inputs,
-        "refused": tally.refused,
-        "slowest_s": tally.slowest_s,
-        "peak_bytes": peak_bytes,
-        "broken": dict(tally.broken),
-        "took_s": elapsed_s,
-    }
-    (TALLIES / f"{name}.json").write_text(json.dumps(record))
-
-
 def main():
     """Run every target, or the requested ones, for SECONDS each; print a row for each."""
     if sys.argv[1] == "--one":
         fuzz_target(sys.argv[2], sys.argv[3:])
         return
-    from benchmarks import fuzz_targets
+    from benchmarks import fuzz_readers, fuzz_targets
 
     with tempfile.TemporaryDirectory() as folder:
         names = list(fuzz_targets.targets(Path(folder), None))
@@ -119,20 +107,15 @@ def main():
         )  # fmt: skip
         covered = re.findall(r"cov: (\d+)", process.stderr) or ["0"]
         try:
-            tally = json.loads((TALLIES / f"{name}.json").read_text())
+            tally = fuzz_readers.Tally(**json.loads((TALLIES / f"{name}.json").read_text()))
         except FileNotFoundError:
             print(f"{name:16} ended early:\n{process.stderr[-2000:]}", flush=True)
             is_broken = True
             continue
-        inputs += tally["inputs"]
-        is_broken |= bool(tally["broken"]) or process.returncode != 0
-        print(
-            f"{name:16}{tally['inputs']:9}{tally['refused']:9}{covered[-1]:>9}"
-            f"{tally['slowest_s']:8.2f} s{tally['peak_bytes'] / 2**20:6.0f} MB",
-            flush=True,
-        )
-        for failure, count in tally["broken"].items():
-            print(f"    {count} times {failure}", flush=True)
+        tally.answers = int(covered[-1])  # here the covered lines
+        inputs += tally.inputs
+        is_broken |= bool(tally.broken) or process.returncode != 0
+        tally.print_row(name)
         if process.returncode:
             print(
                 f"    the process ended with {process.returncode}: {process.stderr[-800:]}",

@@ -42,10 +42,20 @@ class Tally:
 
     inputs: int = 0
     refused: int = 0
+    answers: int = 0
     slowest_s: float = 0.0
     peak_bytes: int = 0
-    answers: int = 0
     broken: Counter[str] = field(default_factory=Counter)
+
+    def print_row(self, name: str) -> None:
+        """Print the row of a target, and a line for each broken rule."""
+        print(
+            f"{name:16}{self.inputs:9}{self.refused:9}{self.answers:9}"
+            f"{self.slowest_s:8.2f} s{self.peak_bytes / 2**20:6.0f} MB",
+            flush=True,
+        )
+        for failure, count in sorted(self.broken.items(), key=lambda item: -item[1]):
+            print(f"    {count} times {failure}", flush=True)
 
 
 def fuzz(
@@ -67,8 +77,7 @@ def fuzz(
         if answer not in answers and len(pool) < POOL:
             answers.add(answer)
             pool.append(content)
-    tally.peak_bytes = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    tally.answers = len(answers)
+    tally.peak_bytes, tally.answers = peak_bytes(), len(answers)
     return tally
 
 
@@ -113,6 +122,11 @@ def _store_failure(name: str, content: bytes, tally: Tally, failure: str) -> Non
 def memory_disk() -> str | None:
     """Return a folder in memory, or None if the system has none."""
     return "/dev/shm" if Path("/dev/shm").is_dir() else None
+
+
+def peak_bytes() -> int:
+    """Return the peak memory of this process."""
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def used_bytes() -> int:
@@ -163,13 +177,7 @@ def main() -> None:
             tally = fuzz_in_process(name, first, read, seconds, seed)
             inputs += tally.inputs
             is_broken |= bool(tally.broken)
-            print(
-                f"{name:16}{tally.inputs:9}{tally.refused:9}{tally.answers:9}"
-                f"{tally.slowest_s:8.2f} s{tally.peak_bytes / 2**20:6.0f} MB",
-                flush=True,
-            )
-            for failure, count in tally.broken.most_common():
-                print(f"    {count} times {failure}", flush=True)
+            tally.print_row(name)
     print(f"{inputs} inputs in {time.monotonic() - start_s:.0f} s")
     sys.exit(int(is_broken))
 
