@@ -115,7 +115,7 @@ def test_an_initial_transient_is_excluded_and_stated():
     model = fit([recording(u, y)])["x"]
     assert model.starts[0].first > 0
     assert "excluded" in {fact.quantity for fact in fit_statements(model)}
-    assert model.quality.held_out_rms_m < 2 * NOISE_m
+    assert model.quality.held_out_rms_m < 3 * NOISE_m
 
 
 @pytest.mark.usefixtures("one_order")
