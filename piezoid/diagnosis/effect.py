@@ -337,6 +337,7 @@ class Effect:
     other_side          the same cause on the other side of the hysteresis
     between_recordings  the same cause if it acts between two recordings
     fault               detection, for faults of the data
+    is_sensor_error     whether the effect is an error of the reading along the motion of the stage
     size                (view, parameters, coefficients) -> size in ``unit``; None: rms in percent
     note                (parameters) -> meaning of the parameters, for the explanation
     at_rest             (data) -> contribution at constant drive, (rows, columns), or why these
@@ -375,6 +376,7 @@ class Effect:
     other_side: "Effect | None" = None
     between_recordings: "Effect | None" = None
     fault: FaultTest | None = None
+    is_sensor_error: bool = False
     size: Callable[[View, Parameters, Array], float] | None = None
     note: Callable[[Parameters], str] | None = None
     at_rest: Callable[[ConstantDriveData], Array | str] | None = None

@@ -77,14 +77,22 @@ def with_effects(
     on_response = [effect for effect in effects if effect.effect.drive_filter is None]
     if not on_response:
         return view
+    on_sensor = [effect for effect in on_response if effect.effect.is_sensor_error]
+    on_stage = [effect for effect in on_response if effect not in on_sensor]
     ringing_source = without_ringing(view, on_response)
     source, last_rms = view, view.rms
     if start is not None:
         source, last_rms = replace(view, static_override=start.static), start.rms
     for _ in range(MAX_ROUNDS):
         offset = filter_offset(source, on_response)
-        columns = effect_columns(source, on_response, ringing_source)
-        source = view = replace(view, offset=offset, selected=columns)
+        columns = effect_columns(source, on_stage, ringing_source)
+        sensor_columns = effect_columns(source, on_sensor, ringing_source)
+        source = view = replace(
+            view,
+            offset=offset,
+            selected=np.hstack([columns, sensor_columns]),
+            sensor_columns=sensor_columns.shape[1],
+        )
         if abs(view.rms / last_rms - 1.0) < SETTLED:
             break
         last_rms = view.rms

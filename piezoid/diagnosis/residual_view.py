@@ -29,6 +29,8 @@ class View:
 
     selected         (rows, columns)  of selected effects, part of the null
     offset           (rows,)          change of the response by selected filters
+    sensor_columns   number of the last selected columns that are errors of the reading: the stage
+                     does not move by them
     half_stroke_m    half the range of the displacement: 1 in scaled units
     voltage_V        half the range of the drive
     rest_drive       drive at 0 V, in half ranges from its middle
@@ -45,6 +47,7 @@ class View:
     half_stroke_m: float
     voltage_V: float
     rest_drive: float
+    sensor_columns: int = 0
     static_override: tuple[Array, ...] | None = None
     continuous: tuple[tuple[Array, Array], ...] = ()
     one_speed: bool = False
@@ -91,6 +94,22 @@ class View:
         if self.static_override is not None:
             return self.static_override
         return tuple(self.nuisance.static(k, self.weight) for k in range(len(self.tracks)))
+
+    @Once
+    def motion(self) -> tuple[Array, ...]:
+        """Return the static response of every track with all selected effects but sensor errors.
+
+        At every sample; the contributions of the effects are interpolated between rows.
+        """
+        count = self.selected.shape[1] - self.sensor_columns
+        coefficients = self.null.coefficients[self.nuisance.columns.shape[1] :]
+        added = self.offset + self.selected[:, :count] @ coefficients[:count]
+        if not np.any(added):
+            return self.static
+        return tuple(
+            static + np.interp(np.arange(len(static)), track.rows, added[self.track_rows(k)])
+            for k, (track, static) in enumerate(zip(self.tracks, self.static, strict=True))
+        )
 
     @property
     def rms(self) -> float:
@@ -264,5 +283,6 @@ def with_tracks(view: View, tracks: Sequence[Track]) -> View:
         nuisance=nuisance,
         selected=np.zeros((rows, 0)),
         offset=np.zeros(rows),
+        sensor_columns=0,
         static_override=None,
     )

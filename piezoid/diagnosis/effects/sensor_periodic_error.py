@@ -45,17 +45,36 @@ PEAK_WIDTH = 0.6  # periods on either side of a peak
 PERIODS_IN_TRACK = 3.0  # that show an error
 ROUNDS, DAMPING = 5, 0.8  # of fitting the error and correcting the position by it
 MEAN_SAMPLES, MEAN_s = 9, 0.02  # of readings that are averaged, so that hum cancels
+MIN_MOTION = 1e-4  # of a period, in one sample: rest ends the average after 10,000 samples
 PLANNED_PERIODS = 60.0  # in the stroke
 
 
-def _position(view: View, k: int, error: Array) -> Array:
-    """Return the position of a track, from averaged readings without the error, (samples,)."""
-    static, track = view.static[k], view.tracks[k]
-    deviation = track.response - static - error
-    count = max(MEAN_SAMPLES, round(MEAN_s * track.rate_Hz))
-    total = np.cumsum(np.pad(deviation, (count // 2 + 1, count // 2), mode="edge"))
-    mean = (total[count:] - total[:-count]) / count
-    return np.asarray(static + mean[: len(deviation)])
+def _position(view: View, k: int, error: Array, period: float = 0.0) -> Array:
+    """Return the position of a track, from averaged readings without the error, (samples,).
+
+    period  of the error [half strokes], over which readings are averaged: correcting a position
+            sample by sample diverges where the error is steeper than the motion
+    """
+    motion, track = view.motion[k], view.tracks[k]
+    deviation = track.response - motion - error
+    if period > 0.0:
+        weight = np.abs(np.gradient(motion)) + MIN_MOTION * period
+        deviation = _mean_along(np.cumsum(weight), weight, deviation, period)
+    count = float(max(MEAN_SAMPLES, round(MEAN_s * track.rate_Hz)))
+    samples = np.arange(1.0, len(deviation) + 1.0)
+    return motion + _mean_along(samples, np.ones(len(samples)), deviation, count)
+
+
+def _mean_along(distance: Array, weight: Array, values: Array, length: float) -> Array:
+    """Return the means of values over a distance around each sample, or the nearest inside.
+
+    distance  (samples,)  cumulative sum of the weights
+    """
+    length = min(length, float(distance[-1]))
+    start = np.clip(distance - 0.5 * (weight + length), 0.0, distance[-1] - length)
+    edges, total = np.append(0.0, distance), np.append(0.0, np.cumsum(weight * values))
+    sums = np.interp(start + length, edges, total) - np.interp(start, edges, total)
+    return np.asarray(sums / length)
 
 
 def _reading_at_rows(view: View, k: int) -> Array:
@@ -78,16 +97,16 @@ def _columns(view: View, periods: float) -> Array:
     orders [Kepler's equation].
     """
     columns = []
-    for k, (track, static) in enumerate(zip(view.tracks, view.static, strict=True)):
+    for k, (track, motion) in enumerate(zip(view.tracks, view.motion, strict=True)):
         if np.ptp(_reading_at_rows(view, k)) * periods / 2.0 < PERIODS_IN_TRACK:
             continue
-        deviation, error = track.response - static, np.zeros(len(static))
+        deviation, error = track.response - motion, np.zeros(len(motion))
         for _ in range(ROUNDS):
-            waves = _harmonics(_position(view, k, error), periods)
+            waves = _harmonics(_position(view, k, error, 2.0 / periods), periods)
             rows = np.column_stack([waves[track.rows], np.ones(len(track.rows))])
             coefficients = np.linalg.lstsq(rows, deviation[track.rows], rcond=None)[0]
             error += DAMPING * (waves @ coefficients[:-1] - error)
-        waves = _harmonics(_position(view, k, error)[track.rows], periods)
+        waves = _harmonics(_position(view, k, error, 2.0 / periods)[track.rows], periods)
         columns += [view.track_column(k, wave) for wave in waves.T]
     return np.column_stack(columns) if columns else np.zeros((len(view.response), 0))
 
@@ -195,6 +214,7 @@ EFFECT = Effect(
     tangent=Tangent(columns=_tangent, advised=("slow_ramp",)),
     trials=_trials,
     columns=lambda view, parameters: _columns(view, parameters["periods"]),
+    is_sensor_error=True,
     size=_size,
     inject=inject,
     extend=extend,
