@@ -21,7 +21,7 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.blocked_regression import CrossValidated, compare_nulls, paired_z
+from piezoid.diagnosis.blocked_regression import CrossValidated, compare_nulls
 from piezoid.diagnosis.diagnosis import Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.nuisance_search import with_bouc_wen_of
@@ -33,7 +33,7 @@ from piezoid.diagnosis.refinement import (
     without_ringing,
 )
 from piezoid.diagnosis.residual_view import View
-from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screen_trials
+from piezoid.diagnosis.score_test import Placebo, ScoreTest, null_of, score_test, screen_trials
 from piezoid.numerics.arrays import Array
 
 MINIMUM_Z = 3.3  # standard errors, one-sided 0.0005: a false name is worse than a missing one
@@ -43,11 +43,11 @@ MIN_LENGTH = 0.15  # of the longest column: smallest part orthogonal to the null
 MAX_DEVIATION = 0.35  # of the fitted time, in one recording
 QUANTILE = 2.0  # of Student's distribution for some sixty blocks, of a size
 DEVIATION_Z = 4.0  # standard errors of such a deviation
-# An effect is better than its placebo if its gain is larger by this factor, or if its rms above
-# the noise is smaller by the second factor and its loss by so many standard errors.
+# An effect beats its placebo if its gain beside the placebo is larger by this factor than the gain
+# of the placebo beside it, and significant. On 34 stages of two simulators the true effects that
+# beat it had 2.9 to 14 standard errors, the false ones that the error alone did not exclude 2.5.
 MIN_GAIN_RATIO = 1.6
-MAX_EXCESS_RATIO = 0.9
-PLACEBO_Z = 2.5
+PLACEBO_Z = 2.8
 EQUAL_ERROR = 1.005  # ratio of errors up to which a Bouc-Wen state is as good
 NOISE_UNCERTAINTY = 0.03  # of the noise power
 # Smallest ratio of the size of a named effect to the structure of the residual. On 200 stages of
@@ -65,20 +65,23 @@ class Candidate:
 
     selected  the effect with its parameters
     cv        cross-validated gain
-    placebo   cross-validated gain of its best placebo, None if it has no placebo
+    placebo   its best placebo, None if it has no placebo
     share     rms of its contribution beyond the null, of the whole stroke
     physical  whether its parameters are physically possible
     without   the view with the other effects
     view      the view with this effect as well
+    strength_beside_loop_shape  ``strength`` in the final model, whose class of hysteresis is
+              wider; 0 if the effect was not tested there
     """
 
     selected: SelectedEffect
     cv: CrossValidated
-    placebo: CrossValidated | None
+    placebo: Placebo | None
     share: float
     physical: bool
     without: View
     view: View
+    strength_beside_loop_shape: float = 0.0
 
     @property
     def effect(self) -> Effect:
@@ -100,9 +103,12 @@ class Candidate:
 
         Its null distribution is that of healthy stages of other laws (``null_distribution``).
         """
-        noise = self.view.noise
-        structure = sqrt(max(self.view.rms**2 - noise**2, NOISE_UNCERTAINTY * noise**2))
-        return 2.0 * self.share / max(structure, 1e-300)
+        return strength_of(2.0 * self.share, self.view.rms, self.view.noise)
+
+    @property
+    def evidence(self) -> float:
+        """Return the larger strength: the class of the search may be too narrow for the stage."""
+        return max(self.strength, self.strength_beside_loop_shape)
 
     @property
     def is_significant(self) -> bool:
@@ -116,18 +122,14 @@ class Candidate:
 
     @property
     def beats_placebo(self) -> bool:
-        """Whether the gain is clearly larger than the placebo's, or the error clearly smaller.
+        """Whether the effect explains clearly more beside its placebo than the placebo beside it.
 
-        Where both gains are large, their ratio cannot be: a gain change between two recordings
-        reduced the error by 0.51, its placebo by 0.49.
+        What both explain is no evidence: a drive that is a ramp explains as much backwards.
         """
-        if self.placebo is None or self.cv.gain > MIN_GAIN_RATIO * self.placebo.gain:
+        if self.placebo is None:
             return True
-        excess, placebo_excess = (
-            max(cv.rms**2 - self.view.noise**2, 0.0) for cv in (self.cv, self.placebo)
-        )
-        is_certain = paired_z(self.placebo.loss, self.cv.loss) > PLACEBO_Z
-        return is_certain and excess < MAX_EXCESS_RATIO**2 * placebo_excess
+        effect, placebo = self.placebo.effect_beside, self.placebo.beside_effect
+        return effect.z > PLACEBO_Z and effect.gain > MIN_GAIN_RATIO * placebo.gain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -179,6 +181,12 @@ class Outcome:
         return None if is_repaired else self.faults.get(QUANTISATION)
 
 
+def strength_of(effect: float, rms: float, noise: float) -> float:
+    """Return the rms of an effect over that of the structure of the residual beside it."""
+    structure = sqrt(max(rms**2 - noise**2, NOISE_UNCERTAINTY * noise**2))
+    return effect / max(structure, 1e-300)
+
+
 def exceeds_structure(share: float, rms: float, noise: float) -> bool:
     """Tell whether an effect is not small beside the residual structure of the nuisance class.
 
@@ -200,7 +208,7 @@ def evaluate(selected: SelectedEffect, view: View, without: View, *, test: Score
     without  the view with the others
     test     score test of the effect on ``without``, for its placebos and physical limits
     """
-    effect = selected.effect
+    effect, placebo = selected.effect, test.placebo
     if not selected.adds_columns:
         cv = compare_nulls(without.null, view.null)
         share = sqrt(max(without.rms**2 - view.rms**2, 0.0)) / 2.0
@@ -214,13 +222,14 @@ def evaluate(selected: SelectedEffect, view: View, without: View, *, test: Score
         if np.any(columns):  # else the refitted static response already contains the contribution
             trial = replace(test.trial, columns=columns, parameters=selected.parameters)
             null = null_of(effect, without)
-            refitted = screen_trials(effect, null, [trial], one_speed=view.one_speed)
-            cv, share = refitted.cv, refitted.share
+            trials = [trial] if placebo is None else [trial, placebo.trial]
+            refitted = screen_trials(effect, null, trials, one_speed=view.one_speed)
+            cv, placebo, share = refitted.cv, refitted.placebo, refitted.share
             is_physical = refitted.physical and selected.within_limits
     return Candidate(
         selected=selected,
         cv=cv,
-        placebo=test.placebo,
+        placebo=placebo,
         share=share,
         physical=is_physical,
         without=without,

@@ -13,7 +13,7 @@ from math import sqrt
 import numpy as np
 
 from piezoid.diagnosis.budget import RemainingErrors, with_budget
-from piezoid.diagnosis.candidate import Outcome
+from piezoid.diagnosis.candidate import Outcome, strength_of
 from piezoid.diagnosis.closed_loop_recordings import with_creep_of_holds
 from piezoid.diagnosis.constant_drive import diagnose_at_rest
 from piezoid.diagnosis.diagnosis import SOMETHING_ELSE, Diagnosis, HeldOut, fraction_explained
@@ -238,42 +238,52 @@ def _drop_doubtful_causes(
     stay: the healthy stages contain no evidence for an initial state, and non-congruence has a
     test of its own.
 
-    The final model decides whether the causes are named, because the class of the refits may be
-    too narrow: on a LuGre stage with a true drift the refits were better without it (121 and
-    186 nm), and the final model was worse (81 and 17 nm).
+    The final model decides whether the causes are named, because the class of the search and the
+    refits may be too narrow: on a LuGre stage with a true drift the refits were better without it
+    (121 and 186 nm), and the final model was worse (81 and 17 nm). Evidence that is weak beside
+    the residual of the search may be strong beside that of the final model.
 
     complete  (selection) -> its final model
     """
     final, outcome, errors = complete(selection), selection.result.outcome, selection.errors
     quality, model = final.quality, final.without_loop_shape()
     causes = [cause for cause in outcome.causes if cause.effect.structural is None]
-    doubtful = [cause for cause in causes if evidence_p_value(cause.strength) > ALPHA]
+    weak = [cause for cause in causes if evidence_p_value(cause.strength) > ALPHA]
     driven = driven_recordings(selection.repaired(recordings), model.axis)
-    tested = [c for c in causes if c not in doubtful and c.strength < MAX_TESTED_STRENGTH]
+    tested = [cause for cause in causes if cause.strength < MAX_TESTED_STRENGTH]
     if model is final:  # without loop shape
         max_error_m = CLEARLY_WORSE * errors.final_m
-        tested = [c for c in tested if errors.without_m[c.effect.name] <= max_error_m]
+        tested = [c for c in tested if c in weak or errors.without_m[c.effect.name] <= max_error_m]
     held_out_m, explained_m = quality.held_out_rms_m, quality.explained_rms_m
     if tested:  # compare at equal regularisation: that of the final model may be stronger
         with_all_m = errors_with_loop_shape_m(model, driven)
         held_out_m = min(held_out_m, with_all_m.held_out)
         explained_m = min(explained_m, with_all_m.explained)
+    doubtful, supported = [], {}
     for cause in tested:
         remaining = cause.effect.without(model, driven[0])
         if remaining is None:
+            doubtful += [cause] if cause in weak else []
             continue
         executor.report(f"fitting loop shape without {words(cause.effect.name)}")
         errors_m = errors_with_loop_shape_m(remaining, driven)
-        is_no_worse = errors_m.held_out <= MIN_INCREASE * held_out_m
-        if is_no_worse and errors_m.explained <= MIN_INCREASE * explained_m:
+        added_m = sqrt(max(errors_m.explained**2 - explained_m**2, 0.0))
+        strength = strength_of(added_m, explained_m, quality.noise_rms_m)
+        supported[cause] = replace(cause, strength_beside_loop_shape=strength)
+        predicts_as_well = errors_m.held_out <= MIN_INCREASE * held_out_m
+        fits_as_well = errors_m.explained <= MIN_INCREASE * explained_m
+        is_still_weak = cause in weak and evidence_p_value(strength) > ALPHA
+        if (predicts_as_well and fits_as_well) or is_still_weak:
             doubtful.append(cause)
     if doubtful:
         result = replace(selection.result, outcome=without_causes(outcome, doubtful))
         reduced = replace(selection, result=result, errors=selection.attribute(result))
         reduced_final = complete(reduced)
         if reduced_final.quality.held_out_rms_m <= CLEARLY_WORSE * quality.held_out_rms_m:
-            return reduced, reduced_final
-    return selection, final
+            selection, final = reduced, reduced_final
+    outcome = selection.result.outcome
+    outcome = replace(outcome, causes=tuple(supported.get(c, c) for c in outcome.causes))
+    return replace(selection, result=replace(selection.result, outcome=outcome)), final
 
 
 def _prefer_named_effects(

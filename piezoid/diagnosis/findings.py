@@ -158,7 +158,7 @@ def effect_finding(cause: Candidate, outcome: Outcome, errors: ModelErrors) -> F
         held_out_gain=held_out_gain(before_m, after_m),
         held_out_rms_before_m=before_m,
         held_out_rms_after_m=after_m,
-        p_value=evidence_p_value(cause.strength),
+        p_value=evidence_p_value(cause.evidence),
         rms_percent=100.0 * share,
         size=size,
         not_separable_from=(
@@ -262,7 +262,7 @@ def _bounded(test: ScoreTest, outcome: Outcome) -> NotDetected:
     change = significant(-100.0 * test.cv.gain, 2)
     placebo = ""
     if test.placebo is not None:
-        placebo = f", its placebo by {significant(-100.0 * test.placebo.gain, 2)} %"
+        placebo = f", its placebo by {significant(-100.0 * test.placebo.cv.gain, 2)} %"
     return NotDetected(
         effect=effect.name,
         upper_bound_m=bound_m,

@@ -251,7 +251,7 @@ def refit_shortlist(state: SelectionState, executor: Executor) -> list[Candidate
         for test in tests
         if test.placebo is None
         or test.trial.free
-        or test.cv.gain > MIN_PLACEBO_RATIO * test.placebo.gain
+        or test.placebo.effect_beside.gain > MIN_PLACEBO_RATIO * test.placebo.beside_effect.gain
     ]
     candidates = _refit_effects([t for t in tests if t.total_gain > first_gain], state, executor)
     if best_candidate(candidates) is None:

@@ -246,7 +246,7 @@ def _unselected_tangents(outcome: Outcome, view: View, selected: str = "") -> li
         for name, test in outcome.score_tests.items()
         if name != selected
         and len(test.trial.columns) == len(view.response)
-        and (test.placebo is None or test.cv.gain > test.placebo.gain)
+        and (test.placebo is None or test.cv.gain > test.placebo.cv.gain)
     ]
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from piezoid.diagnosis.blocked_regression import CrossValidated, Null
 from piezoid.diagnosis.effect import Effect, Trial
 from piezoid.diagnosis.residual_view import View
+from piezoid.numerics.arrays import Array
 
 MIN_FILTER_SHARE = 0.05  # smallest coefficient of a filter's tangent
 # of the length of a column: smallest part orthogonal to the null that separates a lag from a loop
@@ -20,12 +21,31 @@ TINY = 1e-12  # of a column: numerically zero
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Placebo:
+    """The best placebo of an effect, and what each of the two explains beside the other.
+
+    A drive backwards is a good placebo of a drive, but that of a ramp is its negative. Only the
+    parts that the other cannot explain tell them apart.
+
+    trial          the placebo
+    cv             its cross-validated gain
+    effect_beside  that of the effect beside the placebo
+    beside_effect  that of the placebo beside the effect
+    """
+
+    trial: Trial
+    cv: CrossValidated
+    effect_beside: CrossValidated
+    beside_effect: CrossValidated
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ScoreTest:
     """Result of the best trial of an effect.
 
     trial       the best trial with a physically possible coefficient; if none has, the best trial
     cv          its cross-validated gain
-    placebo     cross-validated gain of the best placebo; None if there is no placebo
+    placebo     the best placebo; None if there is no placebo
     share       rms of its contribution beyond the null, of the whole stroke
     bound       upper bound of this share, one-sided 95 %
     floor       share that corresponds to the smallest coefficient of the trial
@@ -38,7 +58,7 @@ class ScoreTest:
     effect: Effect
     trial: Trial
     cv: CrossValidated
-    placebo: CrossValidated | None
+    placebo: Placebo | None
     share: float
     bound: float
     floor: float
@@ -82,7 +102,7 @@ def screen_trials(
         columns = orthogonal[:, first:stop]
         cv = null.cross_validated(columns, projected=True)
         if not trial.physical:
-            placebos.append(cv)
+            placebos.append((trial, cv))
             continue
         physical.append((trial, cv, columns))
         centred = trial.columns[:, 0] - trial.columns[:, 0].mean()
@@ -109,7 +129,7 @@ def screen_trials(
         effect=effect,
         trial=trial,
         cv=cv,
-        placebo=max(placebos, key=lambda cv: cv.gain, default=None),
+        placebo=_best_placebo(null, trial, placebos),
         share=added_rms / 2.0,
         bound=(added_rms + 1.645 * error) / 2.0,
         floor=trial.minimum_coefficient * float(np.sqrt(np.mean(columns[:, 0] ** 2))) / 2.0,
@@ -117,4 +137,23 @@ def screen_trials(
         physical=bool(possible),
         separable=bool(separable),
         total_gain=cv.gain,
+    )
+
+
+def _best_placebo(
+    null: Null, trial: Trial, placebos: Sequence[tuple[Trial, CrossValidated]]
+) -> Placebo | None:
+    if not placebos:
+        return None
+    placebo, cv = max(placebos, key=lambda pair: pair[1].gain)
+
+    def gain_beside(columns: Array, others: Array) -> CrossValidated:
+        extra = others if null.extra is None else np.hstack([null.extra, others])
+        return replace(null, extra=extra).cross_validated(columns)
+
+    return Placebo(
+        trial=placebo,
+        cv=cv,
+        effect_beside=gain_beside(trial.columns, placebo.columns),
+        beside_effect=gain_beside(placebo.columns, trial.columns),
     )

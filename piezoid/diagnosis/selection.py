@@ -270,10 +270,10 @@ def compare_models(
 ) -> tuple[list[Candidate], Confounded, list[Candidate]]:
     """Evaluate every selected effect beside the others, and find its confounded effects.
 
-    Effects that may not be named are dismissed one by one, the smallest gain first. An effect
+    Effects that are not significant are dismissed one by one, the smallest gain first. An effect
     detected in step responses is evaluated on these, where the drive is filtered.
 
-    Returns effects that may be named, their confounded effects, and the dismissed effects.
+    Returns significant effects, their confounded effects, and the dismissed effects.
     """
     dismissed: list[Candidate] = []
     while True:
@@ -294,7 +294,7 @@ def compare_models(
             candidate = evaluate(refined, with_effect, without, test=test)
             candidates.append(candidate)
             confounded[name] = _find_confounded(candidate, view, remaining, executor)
-        rejected = [c for c in candidates if not c.may_be_named]
+        rejected = [c for c in candidates if not c.is_significant]
         if not rejected:
             return candidates, confounded, dismissed
         weakest = min(rejected, key=lambda candidate: candidate.cv.gain)

@@ -47,24 +47,26 @@ def changed_gain():
 
 
 @pytest.mark.parametrize(
-    ("is_weak", "max_ratio", "error_without_m", "is_named"),
+    ("evidence_p_value", "max_ratio", "error_without_m", "is_named"),
     [
-        (False, 10.0, 0.0, False),
-        (True, 10.0, np.inf, False),
-        (True, 0.0, np.inf, True),
+        (lambda _: 0.0, 10.0, 0.0, False),
+        (lambda _: 1.0, 10.0, np.inf, False),
+        (lambda _: 1.0, 0.0, np.inf, True),
+        (lambda strength: float(np.isfinite(strength)), 10.0, np.inf, True),
     ],
     ids=[
         "loop shape fits as well without",
         "weak evidence, the model does as well without",
         "weak evidence, the model needs it",
+        "evidence that is weak in the search and strong beside loop shape",
     ],
 )
 def test_a_doubtful_cause_is_named_only_if_the_model_needs_it(
-    is_weak, max_ratio, error_without_m, is_named, monkeypatch
+    evidence_p_value, max_ratio, error_without_m, is_named, monkeypatch
 ):
     recordings, model, selection = changed_gain()
     errors_m = Errors(explained=error_without_m, held_out=error_without_m)
-    monkeypatch.setattr(diagnose_module, "evidence_p_value", lambda _: float(is_weak))
+    monkeypatch.setattr(diagnose_module, "evidence_p_value", evidence_p_value)
     monkeypatch.setattr(diagnose_module, "errors_with_loop_shape_m", lambda *_: errors_m)
     monkeypatch.setattr(diagnose_module, "CLEARLY_WORSE", max_ratio)
     monkeypatch.setattr(diagnose_module, "_select_effects", lambda *_, **__: selection)
