@@ -240,8 +240,8 @@ def _drop_doubtful_causes(
 
     The final model decides whether the causes are named, because the class of the search and the
     refits may be too narrow: on a LuGre stage with a true drift the refits were better without it
-    (121 and 186 nm), and the final model was worse (81 and 17 nm). Evidence that is weak beside
-    the residual of the search may be strong beside that of the final model.
+    (121 and 186 nm), and the final model was worse (81 and 17 nm). Evidence that is weak in the
+    search may be strong in the final model, whose residual is smaller.
 
     complete  (selection) -> its final model
     """
@@ -269,7 +269,7 @@ def _drop_doubtful_causes(
         errors_m = errors_with_loop_shape_m(remaining, driven)
         added_m = sqrt(max(errors_m.explained**2 - explained_m**2, 0.0))
         strength = strength_of(added_m, explained_m, quality.noise_rms_m)
-        supported[cause] = replace(cause, strength_beside_loop_shape=strength)
+        supported[cause] = replace(cause, strength_with_loop_shape=strength)
         predicts_as_well = errors_m.held_out <= MIN_INCREASE * held_out_m
         fits_as_well = errors_m.explained <= MIN_INCREASE * explained_m
         is_still_weak = cause in weak and evidence_p_value(strength) > ALPHA

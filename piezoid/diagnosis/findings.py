@@ -250,7 +250,9 @@ def _bounded(test: ScoreTest, outcome: Outcome) -> NotDetected:
     elif test.cv.gain >= effect.minimum_gain and test.cv.z >= MINIMUM_Z:
         if not test.physical:
             dismissal = ": not named, because this size is physically impossible"
-        elif not exceeds_structure(test.share, final.rms, final.noise):
+        elif effect.structural is not None and not exceeds_structure(
+            test.share, final.rms, final.noise
+        ):
             dismissal = (
                 ": not named, because structure that no hysteresis class explains is as large"
             )

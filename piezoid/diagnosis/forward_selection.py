@@ -241,8 +241,9 @@ def initial_states_explain(individual: View, view: View, min_rms: float) -> bool
 def refit_shortlist(state: SelectionState, executor: Executor) -> list[Candidate]:
     """Refit the effects with the largest gains, and other effects only if none is significant.
 
-    An effect is refitted if its tangent explains enough, and as much as its placebo. Tangents of
-    refined parameters are off by factors and are not compared with their placebos.
+    An effect is refitted if its tangent explains enough, and as much that its placebo does not
+    explain as the reverse. Tangents of refined parameters are off by factors and are not compared
+    with their placebos.
     """
     tests = [t for t in state.score_tests.values() if t.physical and t.total_gain > MIN_GAIN]
     first_gain = FIRST_GAIN * max((test.total_gain for test in tests), default=0.0)
@@ -251,7 +252,8 @@ def refit_shortlist(state: SelectionState, executor: Executor) -> list[Candidate
         for test in tests
         if test.placebo is None
         or test.trial.free
-        or test.placebo.effect_beside.gain > MIN_PLACEBO_RATIO * test.placebo.beside_effect.gain
+        or test.placebo.effect_given_placebo.gain
+        > MIN_PLACEBO_RATIO * test.placebo.placebo_given_effect.gain
     ]
     candidates = _refit_effects([t for t in tests if t.total_gain > first_gain], state, executor)
     if best_candidate(candidates) is None:

@@ -22,21 +22,21 @@ TINY = 1e-12  # of a column: numerically zero
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Placebo:
-    """The best placebo of an effect, and what each of the two explains beside the other.
+    """The best placebo of an effect, with the gains of each with the other in the model.
 
-    A drive backwards is a good placebo of a drive, but that of a ramp is its negative. Only the
-    parts that the other cannot explain tell them apart.
+    The placebo of a drive is the drive backwards; for a ramp the two are equal but for the sign.
+    Only what one explains and the other does not tells them apart.
 
-    trial          the placebo
-    cv             its cross-validated gain
-    effect_beside  that of the effect beside the placebo
-    beside_effect  that of the placebo beside the effect
+    trial                 the placebo
+    cv                    its cross-validated gain
+    effect_given_placebo  gain of the effect with the placebo in the model
+    placebo_given_effect  gain of the placebo with the effect in the model
     """
 
     trial: Trial
     cv: CrossValidated
-    effect_beside: CrossValidated
-    beside_effect: CrossValidated
+    effect_given_placebo: CrossValidated
+    placebo_given_effect: CrossValidated
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,13 +147,13 @@ def _best_placebo(
         return None
     placebo, cv = max(placebos, key=lambda pair: pair[1].gain)
 
-    def gain_beside(columns: Array, others: Array) -> CrossValidated:
-        extra = others if null.extra is None else np.hstack([null.extra, others])
+    def gain_given(columns: Array, conditioning: Array) -> CrossValidated:
+        extra = conditioning if null.extra is None else np.hstack([null.extra, conditioning])
         return replace(null, extra=extra).cross_validated(columns)
 
     return Placebo(
         trial=placebo,
         cv=cv,
-        effect_beside=gain_beside(trial.columns, placebo.columns),
-        beside_effect=gain_beside(placebo.columns, trial.columns),
+        effect_given_placebo=gain_given(trial.columns, placebo.columns),
+        placebo_given_effect=gain_given(placebo.columns, trial.columns),
     )

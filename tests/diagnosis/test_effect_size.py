@@ -15,6 +15,7 @@ from piezoid.diagnosis.effects import (
     amplifier_saturation,
     creep,
     cross_coupling,
+    delay,
     sensor_periodic_error,
 )
 from piezoid.diagnosis.refinement import SelectedEffect, initial_guess, refine, with_effects
@@ -181,6 +182,21 @@ def test_a_periodic_error_repeats_along_the_motion_by_all_effects():
     ideal_rms_m = ideal_view.rms * ideal_view.half_stroke_m
     assert with_effects(view, effects).rms * view.half_stroke_m < 1.2 * ideal_rms_m
     assert with_effects(view, effects[:1]).rms * view.half_stroke_m > 2.0 * ideal_rms_m
+
+
+def test_the_motion_is_the_response_of_the_model_without_zeros():
+    """A delay and a coupling move the stage; without sensor errors it is read as it moves."""
+    view = view_of_recordings([with_another_axis(recording(kind)) for kind in ("sweep", "waves")])
+    effects = [
+        SelectedEffect(effect=delay.EFFECT, parameters={"delay_s": 0.003}),
+        SelectedEffect(effect=cross_coupling.EFFECT, parameters={}),
+    ]
+    with_both = with_effects(view, effects)
+    assert np.ptp(with_both.offset) > 0.01
+    for k, track in enumerate(with_both.tracks):
+        residual = with_both.null.residual[with_both.track_rows(k)]
+        zero = track.response[track.rows] - residual - with_both.motion[k][track.rows]
+        assert np.ptp(zero) < 1e-6
 
 
 def test_a_coupling_to_a_ramp_is_significant_though_a_ramp_backwards_explains_as_much():
