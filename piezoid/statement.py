@@ -67,20 +67,44 @@ def finding(
     quantity: str,
     text: str,
     *,
+    level: Level = Level.NOTE,
     axis: str = "",
     place: str = "",
     recording: str = "",
     value: float | None = None,
     unit: str = "",
 ) -> Statement:
-    """Return a finding about recorded data, shown by the report and ``piezoid inspect``."""
+    """Return a finding, by default one that only the report and ``piezoid inspect`` show."""
     return Statement(
         kind=Kind.FINDING,
-        level=Level.NOTE,
+        level=level,
         quantity=quantity,
         text=text,
         axis=axis,
         place=place,
+        recording=recording,
+        value=value,
+        unit=unit,
+    )
+
+
+def limit(
+    level: Level,
+    quantity: str,
+    text: str,
+    *,
+    axis: str = "",
+    recording: str = "",
+    value: float | None = None,
+    unit: str = "",
+) -> Statement:
+    """Return a statement about a property that the data do not show, or a limit of a result."""
+    return Statement(
+        kind=Kind.LIMIT,
+        level=level,
+        quantity=quantity,
+        text=text,
+        axis=axis,
         recording=recording,
         value=value,
         unit=unit,

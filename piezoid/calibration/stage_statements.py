@@ -1,7 +1,6 @@
 """All statements about one stage, from its fit to the verification of its controllers."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 from piezoid.design.design import Design
 from piezoid.design.design_statements import design_statements
@@ -12,7 +11,7 @@ from piezoid.identification.fit_statements import fit_statements, sentence
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.raw_counts import record_in_counts
 from piezoid.records.recording import Recording
-from piezoid.statement import Kind, Level, Statement
+from piezoid.statement import Level, Statement, finding, limit
 from piezoid.verification.criteria import describe_failure
 from piezoid.verification.verification import Verification
 
@@ -49,10 +48,10 @@ def stage_statements(
     reasons = unshipped or {}
     statements = verification_statements(verification, stated=tuple(reasons.values()))
     for name, reason in reasons.items():
-        statements.append(_limit(Level.ACTION, "not_shipped", reason, name))
-    statements += [_limit(Level.ACTION, "not_diagnosed", text) for text in undiagnosed]
+        statements.append(limit(Level.ACTION, "not_shipped", reason, axis=name))
+    statements += [limit(Level.ACTION, "not_diagnosed", text) for text in undiagnosed]
     if undesigned:
-        statements.append(_limit(Level.ACTION, "not_designed", undesigned))
+        statements.append(limit(Level.ACTION, "not_designed", undesigned))
     of_recordings = {
         f"{recording.name}: {fact.text}": fact
         for recording in recordings
@@ -61,8 +60,8 @@ def stage_statements(
     for text in model.remarks:
         fact = of_recordings.pop(text, None)
         quantity = "recordings" if fact is None else fact.quantity
-        statements.append(_limit(Level.ACTION, quantity, text))
-    statements += [_limit(fact.level, fact.quantity, text) for text, fact in of_recordings.items()]
+        statements.append(limit(Level.ACTION, quantity, text))
+    statements += [limit(fact.level, fact.quantity, text) for text, fact in of_recordings.items()]
     for axis in model.axes.values():
         statements += record_in_counts(fit_statements(axis), axis.counted)
     for diagnosis in diagnoses:
@@ -71,7 +70,7 @@ def stage_statements(
         statements += record_in_counts(design_statements(design, model), model.counted)
     tip = model.tunnelling
     statements += [
-        _limit(TIP_LEVELS[result.confidence], "tunnelling", sentence(reason), "z")
+        limit(TIP_LEVELS[result.confidence], "tunnelling", sentence(reason), axis="z")
         for result in (() if tip is None else (tip.gap_law, tip.loop_plant))
         if result is not None
         for reason in result.reasons
@@ -81,7 +80,7 @@ def stage_statements(
             "The barriers from sweeps and closed loop disagree. Check the extension per volt and "
             "the calibration of the height."
         )
-        statements.append(_limit(Level.ACTION, "barrier", text, "z"))
+        statements.append(limit(Level.ACTION, "barrier", text, axis="z"))
     return tuple(dict.fromkeys(statements))
 
 
@@ -96,29 +95,26 @@ def verification_statements(
         return []
     failed = {describe_failure(v): v for v in verification.verdicts if not v.passed}
     statements = [
-        _finding(verdict.name, f"Failed: {failure}.", value=verdict.value, unit=verdict.unit)
+        finding(
+            verdict.name,
+            f"Failed: {failure}.",
+            level=Level.ACTION,
+            value=verdict.value,
+            unit=verdict.unit,
+        )
         for failure, verdict in failed.items()
         if not any(failure in text for text in stated)
     ]
     for proof in verification.proofs:
         if not proof.passed:
             text = f"{proof.differing} of {proof.samples} samples differ: {proof.build}."
-            statements.append(_finding("build", text))
+            statements.append(finding("build", text, level=Level.ACTION))
     for limit_proof in verification.limit_proofs:
         if not limit_proof.passed:
             text = (
                 f"Not proved to stay within its limits in {limit_proof.precision}: "
                 f"{limit_proof.verdict}."
             )
-            statements.append(_finding("limits", text, axis=limit_proof.axis))
+            axis = limit_proof.axis
+            statements.append(finding("limits", text, level=Level.ACTION, axis=axis))
     return statements
-
-
-def _limit(level: Level, quantity: str, text: str, axis: str = "") -> Statement:
-    return Statement(kind=Kind.LIMIT, level=level, quantity=quantity, text=text, axis=axis)
-
-
-def _finding(quantity: str, text: str, **details: Any) -> Statement:
-    return Statement(
-        kind=Kind.FINDING, level=Level.ACTION, quantity=quantity, text=text, **details
-    )

@@ -11,7 +11,7 @@ from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.dynamics.bandwidth import CHIRP_AMPLITUDE, CHIRP_SAMPLES, CLEAR_PEAK
 from piezoid.identification.loop_model import linear_part
 from piezoid.identification.model import AxisModel
-from piezoid.statement import Kind, Level, Statement
+from piezoid.statement import Level, Statement, limit
 
 _LINES = 1000
 # Motion over the sensor noise at which a chirp is visible: a chirp of 6 s with 79 nm at rest,
@@ -31,13 +31,13 @@ def design_statements(design: Design, model: ActuatorModel) -> tuple[Statement, 
     decoupling = "" if design.decoupling is None else design.decoupling.text
     for remark in design.remarks:
         level = Level.NOTE if remark == decoupling else Level.WARNING
-        statements.append(_statement("", level, "design", remark))
+        statements.append(limit(level, "design", remark))
     return tuple(sorted(statements, key=lambda statement: -statement.level))
 
 
 def bandwidth_limit_Hz(design: AxisDesign, axis: AxisModel) -> float | None:
     """Return the largest bandwidth that is tried, or None without a limit by unseen modes."""
-    is_guarded = any(limit.name == BEYOND for limit in design.specification.templates)
+    is_guarded = any(template.name == BEYOND for template in design.specification.templates)
     return unseen(axis).fastest_Hz if is_guarded else None
 
 
@@ -74,7 +74,7 @@ def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
                 f"recorder, at {with_unit(CHIRP_SAMPLES * stated_Hz, 'Hz', 3)} or more."
             )
         text += f"the stated {with_unit(stated_Hz, 'Hz', 3)} was not recorded. {record}"
-    return [_statement(design.axis, level, "bandwidth", text, bandwidth_Hz, "Hz")]
+    return [limit(level, "bandwidth", text, axis=design.axis, value=bandwidth_Hz, unit="Hz")]
 
 
 def _chirp(axis: AxisModel, end_Hz: float, start: str = "up ") -> str:
@@ -111,14 +111,14 @@ def _error_bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     certificate = design.recommended.certificate
     if certificate is None:
         text = "The error of the loop has no bound, because no bound of the hysteresis is known."
-        return [_statement(design.axis, Level.WARNING, "guaranteed_error", text)]
+        return [limit(Level.WARNING, "guaranteed_error", text, axis=design.axis)]
     if not certificate.is_guaranteed:
         gain = certificate.small_gain
         text = (
             f"Small gain is {significant(gain)}, not below 1: stability of the loop with "
             "hysteresis is not proven."
         )
-        return [_statement(design.axis, Level.WARNING, "small_gain", text, gain, "1")]
+        return [limit(Level.WARNING, "small_gain", text, axis=design.axis, value=gain, unit="1")]
     if useful_bound_m(certificate, axis) is not None:
         return []
     parts_m = error_parts_m(certificate)
@@ -130,18 +130,5 @@ def _error_bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:
         f"{with_unit(parts_m[largest], 'm')}, comes from {largest}. It adds up worst cases; "
         "piezoid verify --bounds computes the probable error."
     )
-    return [_statement(design.axis, Level.WARNING, "guaranteed_error", text, error_m, "m")]
-
-
-def _statement(
-    axis: str, level: Level, quantity: str, text: str, value: float | None = None, unit: str = ""
-) -> Statement:
-    return Statement(
-        kind=Kind.LIMIT,
-        level=level,
-        quantity=quantity,
-        text=text,
-        axis=axis,
-        value=value,
-        unit=unit,
-    )
+    warning = Level.WARNING
+    return [limit(warning, "guaranteed_error", text, axis=design.axis, value=error_m, unit="m")]

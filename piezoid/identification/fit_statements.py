@@ -3,13 +3,14 @@
 Report and terminal select and print these statements; they evaluate nothing themselves.
 """
 
+from dataclasses import replace
 from enum import StrEnum
 
 from piezoid.formatting import significant, with_unit
 from piezoid.identification.hysteresis.pieces import drifting_zeros
 from piezoid.identification.model import AxisModel
 from piezoid.records import drive_scope
-from piezoid.statement import Kind, Level, Statement
+from piezoid.statement import Level, Statement, limit
 
 # Uncompensated hysteresis of 10 to 15 % of the range is an error of about 3 % rms.
 GOOD_PERCENT = 0.5  # of the range, rms: a sixth of uncompensated hysteresis or less
@@ -71,31 +72,32 @@ def grade_of(axis: AxisModel) -> Grade:
 
 def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
     """Return the statements about one fitted axis, most important first."""
-    statements = []
+    statements, name = [], axis.axis
     if not axis.verdict.applies:
         text = (
             f"The hysteresis model does not apply: {axis.verdict.reason}. Check the columns, "
             "the unit of the time, and that both channels are sampled at the same instant; then "
             "sweep ten times slower."
         )
-        statements.append(_limit(axis, Level.ACTION, "model_class", text))
+        statements.append(limit(Level.ACTION, "model_class", text, axis=name))
     if not axis.quality.converged:
         text = (
             "The search stopped at its limit of iterations; a better fit may exist. Record "
             "reversals of decreasing size over the whole range and fit again."
         )
-        statements.append(_limit(axis, Level.WARNING, "convergence", text))
-    for limit in axis.quality.limits:
-        level = Level.ACTION if limit.most <= ACTION_SCORE else Level.WARNING
-        text = f"{sentence(limit.reason)} {REMEDIES.get(limit.lack, '')}".strip()
-        statements.append(_limit(axis, level, limit.lack, text))
+        statements.append(limit(Level.WARNING, "convergence", text, axis=name))
+    for gap in axis.quality.limits:
+        level = Level.ACTION if gap.most <= ACTION_SCORE else Level.WARNING
+        text = f"{sentence(gap.reason)} {REMEDIES.get(gap.lack, '')}".strip()
+        statements.append(limit(level, gap.lack, text, axis=name))
     quality = axis.quality
     if quality.noise_is_most:
         text = (
             f"The sensor noise is at most {with_unit(quality.noise_rms_m, 'm')}: it cannot be "
             "separated from the residual. Repeat the drive: equal periods differ by the noise."
         )
-        statements.append(_limit(axis, Level.WARNING, "noise", text, quality.noise_rms_m, "m"))
+        noise_m = quality.noise_rms_m
+        statements.append(limit(Level.WARNING, "noise", text, axis=name, value=noise_m, unit="m"))
     statements += _intervals(axis)
     for start, drift_m in drifting_zeros(axis.starts, quality.rms_m, quality.range_m):
         text = (
@@ -103,9 +105,8 @@ def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
             f"({significant(100.0 * drift_m / quality.range_m, 2)} % of the range) during "
             f"{start.recording}; the fit follows the drift."
         )
-        statements.append(
-            _limit(axis, Level.NOTE, ZERO_DRIFT, text, drift_m, "m", start.recording)
-        )
+        note = limit(Level.NOTE, ZERO_DRIFT, text, axis=name, value=drift_m, unit="m")
+        statements.append(replace(note, recording=start.recording))
     for start in axis.starts:
         if start.first > 0:
             level = Level.WARNING if start.first > MAX_EXCLUDED * start.last else Level.NOTE
@@ -114,36 +115,16 @@ def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
                 "piece of it behind a gap, were excluded: no initial state of the hysteresis "
                 "explains them. Record again after several full cycles of the drive."
             )
+            count, recording = float(start.first), start.recording
             statements.append(
-                _limit(axis, level, "excluded", text, float(start.first), "", start.recording)
+                limit(level, "excluded", text, axis=name, recording=recording, value=count)
             )
     for remark in axis.verdict.remarks:
         quantity = DYNAMICS if remark in axis.dynamics_remarks else "fit"
         is_verdict = axis.bandwidth is not None and remark == axis.bandwidth.text
         level = Level.ACTION if is_verdict and axis.unfitted_resonance_Hz else Level.NOTE
-        statements.append(_limit(axis, level, quantity, remark))
+        statements.append(limit(level, quantity, remark, axis=name))
     return tuple(statements)
-
-
-def _limit(
-    axis: AxisModel,
-    level: Level,
-    quantity: str,
-    text: str,
-    value: float | None = None,
-    unit: str = "",
-    recording: str = "",
-) -> Statement:
-    return Statement(
-        kind=Kind.LIMIT,
-        level=level,
-        quantity=quantity,
-        text=text,
-        axis=axis.axis,
-        recording=recording,
-        value=value,
-        unit=unit,
-    )
 
 
 def sentence(clause: str) -> str:
@@ -161,7 +142,9 @@ def _intervals(axis: AxisModel) -> list[Statement]:
             f"The intervals rest on only {blocks} blocks of cycles. Record at least twelve cycles "
             "of different sizes."
         )
-        statements.append(_limit(axis, Level.WARNING, "blocks", text, float(blocks)))
+        statements.append(
+            limit(Level.WARNING, "blocks", text, axis=axis.axis, value=float(blocks))
+        )
     width_m, half_m = axis.uncertainty.loop_width_m
     if half_m > LOOSE_WIDTH * abs(width_m):
         text = (
@@ -173,7 +156,9 @@ def _intervals(axis: AxisModel) -> list[Statement]:
             f"{with_unit(axis.quality.held_out_rms_m, 'm')} rms, still holds for similar drives."
         )
         text += " For narrower intervals, record full-range cycles several times at one speed."
-        statements.append(_limit(axis, Level.WARNING, "loop_width", text, half_m, "m"))
+        statements.append(
+            limit(Level.WARNING, "loop_width", text, axis=axis.axis, value=half_m, unit="m")
+        )
     return statements
 
 
