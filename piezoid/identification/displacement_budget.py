@@ -16,7 +16,7 @@ is then a lower bound. The sensor noise is part of the residual and is not count
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -61,6 +61,8 @@ class Contribution:
 class Budget:
     """The sum of all contributions, all in the unit of the result.
 
+    A displacement is measured from the zero of its axis: the zero is no contribution.
+
     combined         u_c
     freedom          nu_eff
     coverage_factor  k, from Student's t at nu_eff
@@ -68,6 +70,7 @@ class Budget:
     propagated       half width of the 95 % interval of a single error, from draws
     positions        number of positions of the largest error
     largest          (2,)  2.5 % and 97.5 % quantile of the largest error of these positions
+    unknown          undeclared contributions, by their keys in ``[uncertainty]`` of lab.toml
     """
 
     contributions: tuple[Contribution, ...]
@@ -78,36 +81,24 @@ class Budget:
     propagated: float
     positions: int
     largest: tuple[float, float]
+    unknown: tuple[str, ...] = ()
 
     def share(self, contribution: Contribution) -> float:
         """Return the share of a contribution in the variance."""
         return (contribution.standard / self.combined) ** 2 if self.combined > 0.0 else 0.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DisplacementBudget:
-    """Uncertainty budget of one axis, in metres, at the end of its range, where it is largest.
+def displacement_budget(axis: AxisModel, lab: Lab | None = None) -> Budget:
+    """Compute the uncertainty of the predicted displacement for drives within the range, m.
 
-    unknown         undeclared contributions, by their keys in ``[uncertainty]``
-    zero_between_m  standard deviation of the zero from run to run, or None for a single run. It is
-                    not in the budget, because a displacement is measured from the axis' zero
+    The position is at the end of the range, where the uncertainty is largest.
     """
-
-    axis: str
-    budget: Budget
-    unknown: tuple[str, ...]
-    zero_between_m: float | None
-
-
-def displacement_budget(axis: AxisModel, lab: Lab | None = None) -> DisplacementBudget:
-    """Compute the uncertainty of the predicted displacement for drives within the range."""
     declared = Lab() if lab is None else lab
     certificates = declared.certificates
     names = ("sensor_gain_relative", "sensor_linearity_m", "tilt_rad", "temperature_range_K")
     unknown = [name for name in names if getattr(certificates, name) is None]
     if certificates.temperature_range_K is not None and certificates.expansion_m_per_K is None:
         unknown.append("expansion_m_per_K")
-    zeros_m = np.array([float(np.mean(start.zero_m)) for start in axis.starts])
     # Contributions of type B, at the end of the range.
     position_m = 0.5 * axis.quality.range_m
     contributions = _from_data(axis)
@@ -130,12 +121,7 @@ def displacement_budget(axis: AxisModel, lab: Lab | None = None) -> Displacement
     if range_V is not None and bits is not None and gain_V_per_m is not None:
         step_m = abs((range_V[1] - range_V[0]) / 2.0**bits / gain_V_per_m)
         contributions.append(half_width("step of the converter", 0.5 * step_m, is_shared=False))
-    return DisplacementBudget(
-        axis=axis.axis,
-        budget=budget_of(contributions),
-        unknown=tuple(unknown),
-        zero_between_m=float(np.std(zeros_m, ddof=1)) if len(zeros_m) > 1 else None,
-    )
+    return replace(budget_of(contributions), unknown=tuple(unknown))
 
 
 def _from_data(axis: AxisModel) -> list[Contribution]:
@@ -160,7 +146,7 @@ def _from_data(axis: AxisModel) -> list[Contribution]:
         Contribution(
             name="parameters of the model",
             kind="A",
-            standard=half_95_m / float(student_quantile(0.975, freedom)),
+            standard=half_95_m / uncertainty.coverage,
             freedom=freedom,
         ),
         Contribution(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.numerics.arrays import Array, freeze
+from piezoid.numerics.robust import student_quantile
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,6 +188,11 @@ class Uncertainty:
                 f"{count} names, values of shape {self.values.shape}, covariance of shape "
                 f"{self.covariance.shape}"
             )
+
+    @property
+    def coverage(self) -> float:
+        """Half a 95 % interval in standard errors, from Student's t for the number of blocks."""
+        return float(student_quantile(0.975, max(self.blocks - 1, 1)))
 
     def standard_error(self, name: str) -> float:
         """Return the standard error of one parameter."""

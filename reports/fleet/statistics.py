@@ -21,7 +21,6 @@ from piezoid.numerics.robust import (
     normal_quantile,
     spread_beyond,
     spread_of,
-    student_quantile,
     trend_of,
 )
 from piezoid_reports.fleet.records import Fleet
@@ -62,23 +61,10 @@ def _sensitivity(axis: AxisModel, _: AxisDesign | None) -> float | None:
     return float(loading_m / reach_V) if reach_V > 0.0 else None
 
 
-def _quantile(axis: AxisModel) -> float:
-    """Return half a 95 % interval in standard errors."""
-    return float(student_quantile(0.975, max(axis.uncertainty.blocks - 1, 1)))
-
-
 def _sensitivity_error(axis: AxisModel) -> float | None:
     reach_V = float(axis.uncertainty.reach_V[-1])
     half_m = float(axis.uncertainty.loading_half_m[-1])
-    return half_m / reach_V / _quantile(axis) if reach_V > 0.0 else None
-
-
-def _lag_error(axis: AxisModel) -> float | None:
-    names, covariance = axis.uncertainty.names, axis.uncertainty.covariance
-    if "lag_s" not in names:
-        return None
-    k = names.index("lag_s")
-    return float(max(covariance[k, k], 0.0) ** 0.5)
+    return half_m / reach_V / axis.uncertainty.coverage if reach_V > 0.0 else None
 
 
 QUANTITIES = (
@@ -96,7 +82,10 @@ QUANTITIES = (
         unit="%",
         of=lambda axis, _: 100.0 * axis.uncertainty.loop_width_m[0] / axis.quality.range_m,
         error=lambda axis: (
-            100.0 * axis.uncertainty.loop_width_m[1] / axis.quality.range_m / _quantile(axis)
+            100.0
+            * axis.uncertainty.loop_width_m[1]
+            / axis.quality.range_m
+            / axis.uncertainty.coverage
         ),
         cause="another ceramic, a depoled stack, friction, or a lag that looks like hysteresis",
     ),
@@ -121,7 +110,7 @@ QUANTITIES = (
         label="lag beyond the declared poles",
         unit="s",
         of=lambda axis, _: axis.lag.time_s,
-        error=_lag_error,
+        error=lambda axis: axis.uncertainty.standard_error("lag_s"),
         cause="an undeclared filter, another capacitance, channels sampled at different times",
     ),
     Quantity(

@@ -1,14 +1,12 @@
 """Parameters and uncertainty: loading curve, errors, uncertainty budget, and quantities."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
-from piezoid.identification.displacement_budget import DisplacementBudget, displacement_budget
+from piezoid.identification.displacement_budget import Budget, displacement_budget
 from piezoid.identification.fit_statements import has_usable_intervals
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.robust import student_quantile
 from piezoid_reports.chart import Canvas, axis_over
 from piezoid_reports.page import Page, SPIRAL_Hz, guarantee, moving_axes, tracking_error
 from piezoid_reports.parts import (
@@ -44,39 +42,40 @@ DECLARATIONS = {
 def render(page: Page) -> Section | None:
     """Return loading curve, uncertainty and parameters of every axis."""
     parts: list[Part] = []
-    budgets = []
+    budgets: dict[str, Budget] = {}
     for axis in page.axes:
         parts += [axis_heading(axis), _bow(axis)]
         if axis.verdict.applies:
-            budgets.append(displacement_budget(axis, page.lab))
+            budgets[axis.axis] = displacement_budget(axis, page.lab)
         if axis.minor_loops is not None:
             parts.append(Prose(text=FUNCTIONS))
     if not parts:
         return None
     parts.append(Heading(text="All axes"))
-    usable = [b for b in budgets if has_usable_intervals(page.model.axes[b.axis])]
+    usable = {n: b for n, b in budgets.items() if has_usable_intervals(page.model.axes[n])}
     parts += _errors(page, budgets)
     if usable:
-        ranked = sorted(usable[0].budget.contributions, key=lambda c: -c.standard)
+        first = next(iter(usable.values()))
+        ranked = sorted(first.contributions, key=lambda c: -c.standard)
         columns = []
-        for expected in (budget.budget for budget in usable):
+        for expected in usable.values():
             cells = {
                 c.name: f"{number(c.standard, 'm')} ({percent(expected.share(c))})"
                 for c in expected.contributions
                 if c.standard
             }
             columns.append({**dict.fromkeys((c.name for c in ranked), ""), **cells})
-        together = [{"together": number(b.budget.combined, "m")} for b in usable]
+        together = [{"together": number(b.combined, "m")} for b in usable.values()]
         parts.append(
             Table(
                 caption="Uncertainty budget of a predicted position at the end of the range: "
                 "standard uncertainty and share.",
-                columns=("source", *(f"axis {b.axis}" for b in usable)),
+                columns=("source", *(f"axis {name}" for name in usable)),
                 rows=(*side_by_side(columns), *side_by_side(together)),
             )
         )
     parts.append(_quantities(page))
-    missing = dict.fromkeys(name for budget in budgets for name in budget.unknown)
+    missing = dict.fromkeys(name for budget in budgets.values() for name in budget.unknown)
     if missing:
         names = ", ".join(f"{DECLARATIONS[name]} ({name})" for name in missing)
         parts.append(Prose(text=f"Not declared under [uncertainty] in lab.toml: {names}."))
@@ -123,14 +122,14 @@ def _loop_width(axis: AxisModel) -> str:
     return f"{number(width_m, 'm')} (no usable interval)"
 
 
-def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Table]:
+def _errors(page: Page, budgets: Mapping[str, Budget]) -> list[Table]:
     """Return the errors of each axis, from the expected errors to the guaranteed limit."""
     columns, spiral_axes = [], moving_axes(page.verification)
-    for budget in budgets:
-        axis, expected = page.model.axes[budget.axis], budget.budget
+    for name, expected in budgets.items():
+        axis = page.model.axes[name]
         held_out = number(axis.quality.held_out_rms_m, "m") if axis.quality.is_tested else ""
         expanded, factor = number(expected.expanded, "m"), significant(expected.coverage_factor)
-        largest, tracked = number(expected.largest[1], "m"), tracking_error(page, budget.axis)
+        largest, tracked = number(expected.largest[1], "m"), tracking_error(page, name)
         positions = f"±{expanded} (k = {factor})"
         if not has_usable_intervals(axis):
             positions = largest = "no usable interval"
@@ -152,7 +151,7 @@ def _errors(page: Page, budgets: Sequence[DisplacementBudget]) -> list[Table]:
             caption="Errors and their meaning, without feedback unless stated. The last two are "
             "limits for every drive, not expected errors. The last one can exceed the other: it "
             "assumes the time course of the hysteresis error that the loop amplifies most.",
-            columns=("error", *(f"axis {budget.axis}" for budget in budgets)),
+            columns=("error", *(f"axis {name}" for name in budgets)),
             rows=side_by_side(columns),
             is_open=True,
         )
@@ -165,14 +164,13 @@ def _quantities(page: Page) -> Table:
         low_V, high_V = axis.voltage_V
         amplifier_Hz, sensor_Hz = axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz
         uncertainty = axis.uncertainty
-        lag = with_half_width(axis.lag.time_s, math.nan, "s")
+        lag = number(axis.lag.time_s, "s")
         if axis.quality.is_lag_ambiguous and axis.lag.kind != "none":
             lag = "not separable from the loop width at a single speed"
         elif "lag_s" in uncertainty.names:
-            k = uncertainty.names.index("lag_s")
-            quantile = float(student_quantile(0.975, max(uncertainty.blocks - 1, 1)))
-            half_s = quantile * float(np.sqrt(max(uncertainty.covariance[k, k], 0.0)))
-            lag = with_half_width(float(uncertainty.values[k]), half_s, "s")
+            first_s = float(uncertainty.values[uncertainty.names.index("lag_s")])
+            half_s = uncertainty.coverage * uncertainty.standard_error("lag_s")
+            lag = with_half_width(first_s, half_s, "s")
         column = {
             "width of the full loop": _loop_width(axis),
             "lag of the first fit, without effects": lag,

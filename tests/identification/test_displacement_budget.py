@@ -27,7 +27,7 @@ RESIDUAL = "residual on held-out data, sensor noise included"
 
 
 def contributions_of(axis: AxisModel, lab: Lab | None = None) -> dict[str, Contribution]:
-    return {c.name: c for c in displacement_budget(axis, lab).budget.contributions}
+    return {c.name: c for c in displacement_budget(axis, lab).contributions}
 
 
 def test_declared_sources_are_type_b_and_have_their_closed_forms():
@@ -77,15 +77,6 @@ def test_missing_declarations_are_named():
     assert "expansion_m_per_K" in displacement_budget(axis_model(), incomplete).unknown
 
 
-def test_the_zero_from_run_to_run_is_stated_separately():
-    axis = axis_model()
-    single_start = replace(axis, starts=axis.starts[:1])
-    assert displacement_budget(single_start).zero_between_m is None
-    displacement = displacement_budget(axis)
-    assert displacement.zero_between_m == pytest.approx(math.sqrt(0.5) * 1e-6)
-    assert displacement.budget.combined < displacement.zero_between_m
-
-
 def test_the_lag_contributes_at_the_highest_drive_speed():
     axis = replace(axis_model(), lag=Lag(kind="delay", time_s=1e-5))
     covariance = np.array(axis.uncertainty.covariance)
@@ -102,7 +93,7 @@ def test_a_larger_remainder_raises_the_largest_error_only():
     small, large = (
         displacement_budget(
             replace(axis, certificate=replace(axis.certificate, remainder_m=remainder_m))
-        ).budget
+        )
         for remainder_m in (9e-8, 2e-7)
     )
     assert large.combined == small.combined
