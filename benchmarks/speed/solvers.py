@@ -122,10 +122,10 @@ def _by_cvxpy(
 def start_of(piece: Piece, shape: Shape) -> tuple[Array, Task]:
     """Return the initial parameters of a shape, and the task of the fit."""
     settings = Settings(longest_lag_s=0.0, rows=piece.rows, follow_zero=False)
-    start = kuhnen_start([piece], shape, 0.0)
-    task = task_for([piece], start.operator, shape.lag, settings)
-    theta = vector_of(start.operator, task.coordinates)
-    theta[task.coordinates.offset_slice(0)] = start.offset
+    operator, offset, _ = kuhnen_start([piece], shape, 0.0)
+    task = task_for([piece], operator, shape.lag, settings)
+    theta = vector_of(operator, task.coordinates)
+    theta[task.coordinates.offset_slice(0)] = offset
     return theta, task
 
 

@@ -290,30 +290,21 @@ def envelope_stretch(operator: Scaled) -> float:
     return float(2.0 / (high - low))
 
 
-def parameter_names(operator: Scaled) -> tuple[str, ...]:
-    """Return the names of ``parameter_values``, in their order."""
-    plays, zones = len(operator.gap), len(operator.knot)
-    return (
-        *(f"play_threshold_V[{i}]" for i in range(1, plays + 1)),
-        *(f"play_weight_m_per_V[{i}]" for i in range(plays + 1)),
-        *(f"dead_zone_threshold_m[{j}]" for j in range(zones)),
-        *(f"dead_zone_weight[{j}]" for j in range(zones)),
-        *(f"envelope_weight[{j}]" for j in range(len(operator.envelope.weight))),
-        "lag_s",
-    )
-
-
-def parameter_values(theta: Array, coordinates: Coordinates, scales: Scales) -> Array:
-    """Return the shared parameters of a vector in SI units, (parameters,)."""
+def parameters_of(theta: Array, coordinates: Coordinates, scales: Scales) -> dict[str, float]:
+    """Return the shared parameters of a vector in SI units, by name."""
     operator = operator_of(theta, coordinates)
     model = to_si_units(operator, scales)
-    return np.concatenate(
-        [
-            model.plays.threshold[1:],
-            model.plays.weight,
-            model.dead_zones.threshold,
-            model.dead_zones.weight,
-            model.envelope.weight,
-            [operator.lag_s],
-        ]
-    )
+    numbered = {
+        "play_threshold_V": model.plays.threshold,
+        "play_weight_m_per_V": model.plays.weight,
+        "dead_zone_threshold_m": model.dead_zones.threshold,
+        "dead_zone_weight": model.dead_zones.weight,
+        "envelope_weight": model.envelope.weight,
+    }
+    parameters = {
+        f"{name}[{number}]": float(value)
+        for name, values in numbered.items()
+        for number, value in enumerate(values)
+    }
+    del parameters["play_threshold_V[0]"]  # the identity
+    return {**parameters, "lag_s": operator.lag_s}

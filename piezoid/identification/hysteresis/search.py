@@ -81,20 +81,20 @@ def search(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Hystere
         clustered = clustered_thresholds(pieces, shape, lag_s)
         starts = [kuhnen_start(pieces, shape, lag_s, threshold) for threshold in (None, clustered)]
     else:
-        starts = [linear_start(pieces, lag_s)]
+        starts = [(linear_start(pieces, lag_s), 0.0, 0.0)]
     # The cost jumps as kinks pass samples: all other parameters are fitted before the thresholds.
     fits = sorted(
         (
             _fit_with_fixed(
                 pieces,
-                with_flat_envelope(start.operator, shape.bends),
+                with_flat_envelope(operator, shape.bends),
                 shape.lag,
                 settings,
                 fixed=THRESHOLDS,
-                offset=start.offset,
-                kkt_gap=start.kkt_gap,
+                offset=offset,
+                kkt_gap=kkt_gap,
             )
-            for start in starts
+            for operator, offset, kkt_gap in starts
         ),
         key=lambda fit: fit.rms,
     )
@@ -224,24 +224,13 @@ def prune(fit: HysteresisFit, *, iterations: int) -> HysteresisFit:
     return fit if pruned.rms > MAX_RMS_RATIO * fit.rms else pruned
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Start:
-    """Start of a search.
-
-    operator  scaled operator, central slope 1
-    offset    scaled displacement at which the operator's output is 0
-    kkt_gap   of the quadratic program
-    """
-
-    operator: Scaled
-    offset: float
-    kkt_gap: float
-
-
 def kuhnen_start(
     pieces: Sequence[Piece], shape: Shape, lag_s: float, threshold: Array | None = None
-) -> Start:
+) -> tuple[Scaled, float, float]:
     """Solve Kuhnen's quadratic program on the lag-corrected pieces.
+
+    Returns the operator with central slope 1, the scaled displacement at which its output is 0,
+    and the KKT gap of the program.
 
     threshold  (plays + 1,) scaled, from 0; None spreads them evenly over the widest swing
 
@@ -284,7 +273,7 @@ def kuhnen_start(
         lag_s=lag_s,
     )
     offset = float(psi.run(np.array([constant]))[0])
-    return Start(operator=operator, offset=offset, kkt_gap=optimum.kkt_gap)
+    return operator, offset, optimum.kkt_gap
 
 
 def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: float) -> Array:
@@ -364,14 +353,14 @@ def _spread(positions: Array, distance: float) -> Array:
     return np.asarray(np.maximum.accumulate(np.maximum(positions - ladder, 0.0)) + ladder)
 
 
-def linear_start(pieces: Sequence[Piece], lag_s: float) -> Start:
-    """Return the start of a model without plays or dead zones: one gain."""
+def linear_start(pieces: Sequence[Piece], lag_s: float) -> Scaled:
+    """Return a model without plays or dead zones: one gain."""
     drive = np.concatenate([p.drive - p.drive.mean() for p in pieces])
     response = np.concatenate([p.response - p.response.mean() for p in pieces])
     gain = max(float(drive @ response / (drive @ drive)), MIN_SLOPE)
     empty = np.zeros(0)
     psi = from_slopes(np.zeros(1), np.ones(2))
-    operator = Scaled(
+    return Scaled(
         gap=empty,
         threshold=empty,
         weight=np.array([gain]),
@@ -380,7 +369,6 @@ def linear_start(pieces: Sequence[Piece], lag_s: float) -> Start:
         zero=0,
         lag_s=lag_s,
     )
-    return Start(operator=operator, offset=0.0, kkt_gap=0.0)
 
 
 def clustered_thresholds(pieces: Sequence[Piece], shape: Shape, lag_s: float) -> Array:
@@ -391,7 +379,7 @@ def clustered_thresholds(pieces: Sequence[Piece], shape: Shape, lag_s: float) ->
     The optimal partition into groups of neighbours is exact, by dynamic programming over cuts.
     """
     fine = Shape(plays=GRID, below=shape.below, above=shape.above, lag=shape.lag)
-    operator = kuhnen_start(pieces, fine, lag_s).operator
+    operator, _, _ = kuhnen_start(pieces, fine, lag_s)
     position, weight, groups = operator.threshold, operator.weight[1:], shape.plays
     tiny = weight + 1e-6 * (weight.sum() + 1e-300) / len(weight)
     sums = [np.concatenate([[0.0], np.cumsum(tiny * position**k)]) for k in range(3)]

@@ -28,8 +28,7 @@ from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
     envelope_stretch,
     operator_of,
-    parameter_names,
-    parameter_values,
+    parameters_of,
     to_si_units,
 )
 from piezoid.identification.hysteresis.gauss_newton import Task, column_indices, rows_of
@@ -162,14 +161,17 @@ def summarise(refits: Jackknife, coordinates: Coordinates, scales: Scales) -> Un
     def width(theta: Array) -> Array:
         return np.array([loop_width_m(theta, coordinates, scales)])
 
+    def values(theta: Array) -> Array:
+        return np.array(list(parameters_of(theta, coordinates, scales).values()))
+
     operator = operator_of(refits.theta, coordinates)
     unit = abs(scales.displacement_m) / (envelope_stretch(operator) * scales.voltage_V)
     first = coordinates.slices["weight"].start
     return Uncertainty(
         blocks=refits.blocks,
-        names=parameter_names(operator),
-        values=parameter_values(refits.theta, coordinates, scales),
-        covariance=refits.spread(lambda x: parameter_values(x, coordinates, scales)),
+        names=tuple(parameters_of(refits.theta, coordinates, scales)),
+        values=values(refits.theta),
+        covariance=refits.spread(values),
         upper_limit={
             f"play_weight_m_per_V[{i}]": refits.upper_limit(first + i) * unit
             for i in range(1, coordinates.shape.plays + 1)
