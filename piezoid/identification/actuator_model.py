@@ -19,7 +19,9 @@ from piezoid.identification.tunnelling.junction import TunnellingModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import NORMAL_95
 from piezoid.raw_counts import in_counts
+from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.recording import Recording
+from piezoid.records.table import RawTable
 from piezoid.summary import Summarised, Summary
 
 if TYPE_CHECKING:
@@ -35,16 +37,7 @@ _ENDINGS = (
 )  # fmt: skip
 
 
-class SourceFile(Protocol):
-    """Recording, table or frequency response, as read from a file."""
-
-    @property
-    def name(self) -> str:
-        """Name of the file."""
-
-    @property
-    def digest(self) -> str:
-        """Digest of its content."""
+SourceFile = Recording | RawTable | FrequencyResponseRecord
 
 
 class DiagnosedAxis(Protocol):

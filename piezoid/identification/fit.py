@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.errors import ExcitationError, RecordingError
-from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel, SourceFile
 from piezoid.identification.coupled.from_recordings import (
     as_single_axes,
     decoupled_responses,
@@ -156,11 +156,7 @@ def unfitted_stage(
             "a drive voltage and a displacement of the same axis, or the drive, current "
             "and reference of a tunnelling loop",
         )
-    files: list[Recording | RawTable | FrequencyResponseRecord] = [
-        *recordings,
-        *sweeps,
-        *responses,
-    ]
+    files: list[SourceFile] = [*recordings, *sweeps, *responses]
     remarked = {statement.recording for statement in statements}
     unremarked = [file for file in files if file.name not in remarked] or files
     return ActuatorModel(
