@@ -66,7 +66,7 @@ def verify(
         raise typer.BadParameter(f"--target {target!r} is unknown; the only target is cortex-m4")
     from piezoid.numerics.executor import Executor
     from piezoid.output_folder import add_to_folder, check_folder
-    from piezoid.verification.criteria import Verdict, limits_from_toml
+    from piezoid.verification.criteria import limits_from_toml, none_of
     from piezoid.verification.limit_proof import prove as prove_limits
     from piezoid.verification.rebuild import emulate
     from piezoid.verification.rebuild import rebuild as build_on_host
@@ -104,13 +104,8 @@ def verify(
         )
         verification = replace(verification, proofs=proofs, limit_proofs=limit_proofs)
         if changed := changed_in_bundle(stage, file):
-            verdict = Verdict(
-                name="files of bundle/ that are missing or differ from those of params.json",
-                scenario=", ".join(changed),
-                value=float(len(changed)),
-                limit=0.0,
-                unit="1",
-            )
+            name = "files of bundle/ that are missing or differ from those of params.json"
+            verdict = none_of(name, ", ".join(changed), len(changed))
             verification = replace(verification, verdicts=(*verification.verdicts, verdict))
         content = verification.to_json()
         add_to_folder(stage, {"verification.json": content}, force=force)

@@ -103,9 +103,14 @@ def describe_failure(verdict: Verdict) -> str:
     return f"{verdict.name} ({verdict.scenario}): {value}, allowed {limit}"
 
 
+def judge(name: str, scenario: str, value: float, limit: float, unit: str) -> Verdict:
+    """Compare a measured value with its limit; the arguments are those of ``Verdict``."""
+    return Verdict(name=name, scenario=scenario, value=value, limit=limit, unit=unit)
+
+
 def none_of(name: str, scenario: str, count: int) -> Verdict:
     """Return the verdict on a number of events that must be zero."""
-    return Verdict(name=name, scenario=scenario, value=float(count), limit=0.0, unit="1")
+    return judge(name, scenario, float(count), 0.0, "1")
 
 
 def shape_verdict(
@@ -113,13 +118,7 @@ def shape_verdict(
 ) -> Verdict:
     """Compare the shape error of a path, in percent of its diameter, with its limit."""
     error_percent = 100.0 * tracking.aligned_rms_m / (2.0 * radius_m)
-    return Verdict(
-        name=SHAPE_ERROR,
-        scenario=scenario,
-        value=error_percent,
-        limit=limit_percent,
-        unit="% of the diameter",
-    )
+    return judge(SHAPE_ERROR, scenario, error_percent, limit_percent, "% of the diameter")
 
 
 def step_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
@@ -139,16 +138,8 @@ def step_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Ve
     overshoot = max(100.0 * (float(progress.max()) - 1.0), 0.0)
     names = f"overshoot of axis {record.axis}", f"settling of axis {record.axis} to 2 %"
     return (
-        Verdict(
-            name=names[0],
-            scenario=scenario,
-            value=overshoot,
-            limit=limits.overshoot_percent,
-            unit="% of the step",
-        ),
-        Verdict(
-            name=names[1], scenario=scenario, value=settled_s, limit=limits.settling_s, unit="s"
-        ),
+        judge(names[0], scenario, overshoot, limits.overshoot_percent, "% of the step"),
+        judge(names[1], scenario, settled_s, limits.settling_s, "s"),
     )
 
 
@@ -164,22 +155,10 @@ def fault_verdicts(
     baseline_m = max(healthy.max_m, limits.aligned_percent / 100.0 * 2.0 * radius_m)
     largest_percent = 100.0 * float(error_m.max()) / (2.0 * radius_m)
     ratio = float(error_m[-int(_AFTERWARDS * len(error_m)) :].max()) / baseline_m
-    name, allowed = "largest distance from the path", limits.fault_percent
+    name, unit = "largest distance from the path", "% of the diameter"
     return (
-        Verdict(
-            name=name,
-            scenario=scenario,
-            value=largest_percent,
-            limit=allowed,
-            unit="% of the diameter",
-        ),
-        Verdict(
-            name="error after the fault, ratio to no fault",
-            scenario=scenario,
-            value=ratio,
-            limit=1.5,
-            unit="1",
-        ),
+        judge(name, scenario, largest_percent, limits.fault_percent, unit),
+        judge("error after the fault, ratio to no fault", scenario, ratio, 1.5, "1"),
     )
 
 
@@ -188,13 +167,7 @@ def current_verdicts(scenario: str, record: LoopRecord, limits: Limits) -> tuple
     deviation = float(np.std(np.log(record.position)))
     retracted = int(np.sum((record.status & Status.RETRACTED) != 0))
     return (
-        Verdict(
-            name="standard deviation of ln i",
-            scenario=scenario,
-            value=deviation,
-            limit=limits.ln_current,
-            unit="1",
-        ),
+        judge("standard deviation of ln i", scenario, deviation, limits.ln_current, "1"),
         none_of("samples with the tip retracted", scenario, retracted),
     )
 
@@ -213,7 +186,7 @@ def hold_verdicts(
     )
     blind_s = (start - lost_at) / record.sampling_rate_Hz
     return (
-        Verdict(name=HOLD_TIME, scenario=scenario, value=blind_s, limit=limits.blind_s, unit="s"),
+        judge(HOLD_TIME, scenario, blind_s, limits.blind_s, "s"),
         none_of("samples that moved while the output was held", scenario, changes),
     )
 

@@ -20,7 +20,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
 from piezoid.verification.closed_loop import Fault, run_axis
-from piezoid.verification.criteria import Verdict, none_of
+from piezoid.verification.criteria import Verdict, judge, none_of
 from piezoid.verification.plant import AxisPlant, Junction
 from piezoid.verification.scenario_runner import ScenarioRunner
 from piezoid.verification.scenarios import Path, Scenario
@@ -229,15 +229,7 @@ def _trial_verdicts(
     extension_m = record.driven / junction.decay_per_m
     closer_m = float(np.max(extension_m - extension_m[0] + height_m)) - max(step_m, 0.0)
     distance = "closer to the surface than the set point"
-    verdicts = [
-        Verdict(
-            name=distance,
-            scenario=trial.name,
-            value=max(closer_m, 0.0),
-            limit=limits.closest_m,
-            unit="m",
-        )
-    ]
+    verdicts = [judge(distance, trial.name, max(closer_m, 0.0), limits.closest_m, "m")]
     if cause:
         end_s = duration_s if reset_s is None else reset_s
         final_status = record.status[round((end_s - 0.1) * rate_Hz) : round(end_s * rate_Hz) - 1]
@@ -249,9 +241,7 @@ def _trial_verdicts(
         outside = np.flatnonzero(np.abs(nepers) > _RECOVERED)
         recovery_s = (int(outside[-1]) + 1 if len(outside) else 0) / rate_Hz
         figure = "time until the current recovers" + (" from far away" if is_far else "")
-        verdicts.append(
-            Verdict(name=figure, scenario=trial.name, value=recovery_s, limit=allowed_s, unit="s")
-        )
+        verdicts.append(judge(figure, trial.name, recovery_s, allowed_s, "s"))
     return verdicts
 
 

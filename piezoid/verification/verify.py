@@ -22,7 +22,7 @@ from piezoid.numerics.executor import Executor
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.criteria import Limits, Verdict, none_of
+from piezoid.verification.criteria import Limits, Verdict, judge, none_of
 from piezoid.verification.plant import AxisPlant
 from piezoid.verification.scenario_runner import ScenarioRunner
 from piezoid.verification.scenarios import SCENARIOS, Path, Scenario
@@ -111,15 +111,7 @@ def verify(
         largest_percent = max(row.percent for row in coupling)
         limit_percent, unit = runner.limits.coupling_percent, "% of the motion"
         name = "motion of an axis while another one moves"
-        runner.verdicts.append(
-            Verdict(
-                name=name,
-                scenario="coupled axes",
-                value=largest_percent,
-                limit=limit_percent,
-                unit=unit,
-            )
-        )
+        runner.verdicts.append(judge(name, "coupled axes", largest_percent, limit_percent, unit))
     outside = none_of("voltages not finite or outside the limits", "all", runner.outside_voltages)
     varied = [plant for plants_of_set in variations for plant in plants_of_set]
     return Verification(
@@ -181,11 +173,7 @@ def _judge_scenario(runner: ScenarioRunner, scenario: Scenario, path: Path) -> R
     if UNCOMPENSATED in methods[1:]:
         errors_m = [worst[method][0].aligned_rms_m for method in (shipped, UNCOMPENSATED)]
         ratio = errors_m[0] / errors_m[1]
-        runner.verdicts.append(
-            Verdict(
-                name=criteria.SHAPE_RATIO, scenario=scenario.name, value=ratio, limit=1.0, unit="1"
-            )
-        )
+        runner.verdicts.append(judge(criteria.SHAPE_RATIO, scenario.name, ratio, 1.0, "1"))
     return worst[shipped][1]
 
 
