@@ -8,7 +8,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.fit_statements import fit_statements, sentence
-from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.quality import Confidence
 from piezoid.raw_counts import record_in_counts
 from piezoid.records.recording import Recording
 from piezoid.statement import Level, Statement, finding, limit

@@ -1,7 +1,8 @@
-"""Quality of a fitted axis: verdict, errors, uncertainty of parameters, error bound."""
+"""Quality of a fit: verdict, errors, uncertainty of parameters, error bound, confidence."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
@@ -243,3 +244,21 @@ class Certificate:
     def bound_m(self) -> float:
         """Sum of the three terms."""
         return self.plays_m + self.dead_zones_m + self.remainder_m
+
+
+class Confidence(Enum):
+    """Rating of a result of the tunnelling junction, from best to worst."""
+
+    HIGH = "high"
+    MEDIUM = "medium"
+    LOW = "low"
+
+
+Reason = tuple[Confidence, str]  # highest possible rating, and a sentence with numbers
+
+
+def lowest_grade(reasons: Iterable[Reason]) -> tuple[Confidence, tuple[str, ...]]:
+    """Return the lowest rating of the reasons (high without any), and their texts, worst first."""
+    by_grade = sorted(reasons, key=lambda reason: reason[0] is not Confidence.LOW)
+    grade = by_grade[0][0] if by_grade else Confidence.HIGH
+    return grade, tuple(text for _, text in by_grade)

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.formatting import count_of
+from piezoid.identification.quality import Confidence
 from piezoid.identification.tunnelling.approach import Direction
 from piezoid.identification.tunnelling.barrier_fit import GapLaw
 from piezoid.identification.tunnelling.closed_loop import LoopPlant, LoopSummary
-from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.junction import JointBarrier, TunnellingModel, curves_of
 from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, read_loop
 from piezoid.identification.tunnelling.loop_noise import gap_motion, power_density

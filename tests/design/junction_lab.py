@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
+from piezoid.identification.quality import Confidence
 from piezoid.identification.tunnelling.closed_loop import LoopPlant
-from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.records.lab import Acquisition, Lab, Tunnelling
 from tests.design.rig import NEPER_PER_V, RATE_Hz

@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from piezoid.identification.quality import Confidence, Reason, lowest_grade
 from piezoid.identification.tunnelling.approach import ApproachCurve
-from piezoid.identification.tunnelling.confidence import Confidence, Reason, lowest_grade
 from piezoid.identification.tunnelling.weighted_fit import (
     CLEAR_OF_FLOOR,
     OUTLIER,

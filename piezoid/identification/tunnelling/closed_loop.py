@@ -20,7 +20,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.tunnelling.confidence import Confidence, Reason, lowest_grade
+from piezoid.identification.quality import Confidence, Reason, lowest_grade
 from piezoid.identification.tunnelling.instrument_fit import (
     HIGHEST_POLE_SHARE,
     MISFIT,

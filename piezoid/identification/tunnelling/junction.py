@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezoid.identification.quality import Confidence, Reason, lowest_grade
 from piezoid.identification.tunnelling.approach import (
     ApproachCurve,
     Direction,
@@ -44,7 +45,6 @@ from piezoid.identification.tunnelling.closed_loop import (
     describe_loop_plant,
     identify_closed_loop,
 )
-from piezoid.identification.tunnelling.confidence import Confidence, Reason, lowest_grade
 from piezoid.identification.tunnelling.loop_files import is_loop, loops_of
 from piezoid.identification.tunnelling.weighted_fit import CLEAR_OF_FLOOR
 from piezoid.numerics.robust import NORMAL_95, student_quantile

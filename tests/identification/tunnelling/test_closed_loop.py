@@ -8,12 +8,12 @@ import pytest
 from scipy.signal import tf2ss
 
 from piezoid.errors import ExcitationError
+from piezoid.identification.quality import Confidence
 from piezoid.identification.tunnelling.closed_loop import (
     identify_closed_loop,
     mean_of,
     spread_family,
 )
-from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.instrument_fit import (
     LoopSpectra,
     fit_with_instrument,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ExcitationError, RecordingError
+from piezoid.identification.quality import Confidence
 from piezoid.identification.tunnelling.approach import Direction, read_approach
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
-from piezoid.identification.tunnelling.confidence import Confidence
 from tests.identification.tunnelling.sweeps import DECAY_PER_M, HEIGHT_M, OFFSET_A, changed, sweep
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from piezoid.identification.quality import Confidence
 from piezoid.identification.tunnelling.approach import Direction
 from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
-from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.junction import compare_directions
 from tests.identification.tunnelling.sweeps import real_sweep, real_table, sweep
 
