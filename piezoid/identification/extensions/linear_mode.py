@@ -63,7 +63,8 @@ class LinearMode(Extension):
 
     def response(self, displacement: Array, where: Where) -> Array:
         """Filter the displacement by the mode, with its participation."""
-        fraction = _transfer_function(self.frequency_Hz, self.quality, where.rate_Hz)
+        w = 2.0 * pi * self.frequency_Hz
+        fraction = second_order_filter(w, w / self.quality, where.rate_Hz)
 
         def filtered(column: Array) -> Array:
             shaped = recursive_filter(*fraction, column - column[:1]) + column[:1]
@@ -103,12 +104,15 @@ class LinearMode(Extension):
 
 
 @lru_cache(maxsize=256)
-def _transfer_function(frequency_Hz: float, quality: float, rate_Hz: float) -> tuple[Array, Array]:
-    """Discretise a mode with a first-order hold; return numerator and denominator."""
+def second_order_filter(w: float, width: float, rate_Hz: float) -> tuple[Array, Array]:
+    """Discretise w^2 / (s^2 + width s + w^2) with a first-order hold.
+
+    w, width  1/s
+    returned  numerator and denominator
+    """
     from scipy.signal import cont2discrete
 
-    w = 2.0 * np.pi * frequency_Hz
-    system = ([w * w], [1.0, w / quality, w * w])
+    system = ([w * w], [1.0, width, w * w])
     b, a, _ = cont2discrete(system, 1.0 / rate_Hz, method="foh")
     return np.asarray(b).ravel(), np.asarray(a)
 

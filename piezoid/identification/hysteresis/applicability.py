@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from piezoid.formatting import with_unit
+from piezoid.identification.extensions.linear_mode import second_order_filter
 from piezoid.identification.hysteresis.order_selection import (
     Choice,
     folds_of,
@@ -79,14 +80,11 @@ class SecondOrderLag:
 
     def powers(self, piece: Piece) -> Array:
         """Return the powers of the lagged drive of a piece, (samples, powers)."""
-        from scipy.signal import cont2discrete, lfilter, lfilter_zi
+        from scipy.signal import lfilter, lfilter_zi
 
         w = 2.0 * np.pi * self.frequency_Hz
-        continuous = ([w**2], [1.0, 2.0 * self.damping * w, w**2])
-        b, a, _ = cont2discrete(continuous, 1.0 / piece.sampling_rate_Hz, method="foh")
-        numerator = np.ravel(b)
-        start = lfilter_zi(numerator, a) * piece.drive[0]
-        lagged, _ = lfilter(numerator, a, piece.drive, zi=start)
+        b, a = second_order_filter(w, 2.0 * self.damping * w, piece.sampling_rate_Hz)
+        lagged, _ = lfilter(b, a, piece.drive, zi=lfilter_zi(b, a) * piece.drive[0])
         return powers_of(later(lagged, self.delay_s * piece.sampling_rate_Hz))
 
 
