@@ -99,6 +99,9 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
     modelled = dynamics.response_as_measured(measured.frequency_Hz)
     level, half = np.abs(response), NORMAL_95 * np.sqrt(measured.variance / 2.0)
     floor = 1e-3 * float(level[is_used].max())
+    judgement = "good: near 1"
+    if dynamics.cost_ratio < OVERESTIMATED:
+        judgement = "the noise of the lines is overestimated: a misfit may hide in it"
     low_dB, high_dB, mid_dB = (
         decibel(np.maximum(values, floor)) for values in (level - half, level + half, level)
     )
@@ -108,7 +111,7 @@ def _response_of(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[
             f"Axis {axis.axis}: gain from the output of the hysteresis to the displacement",
             f"Fitted to coherent lines from {number(low_Hz, 'Hz')} to {number(high_Hz, 'Hz')}; "
             f"the squared residual is {significant(dynamics.cost_ratio)} times that of noise "
-            f"alone{_judgement(dynamics.cost_ratio)}. Band: 95 % interval of the measurement."
+            f"alone ({judgement}). Band: 95 % interval of the measurement."
             f"{_content(axis, dynamics)}",
             decades,
             (mid_dB, decibel(np.abs(modelled))),
@@ -150,13 +153,6 @@ def _largest_difference(dynamics: LinearDynamics, measured: FrequencyResponse) -
         f" Largest difference of the fitted lines: {significant(angles_deg[worst], 2)}° at "
         f"{number(float(f[lines][worst]), 'Hz')}."
     )
-
-
-def _judgement(cost_ratio: float) -> str:
-    """Return what the squared residual, relative to that of the noise, says about the fit."""
-    if cost_ratio < OVERESTIMATED:
-        return " (the noise of the lines is overestimated: a misfit may hide in it)"
-    return " (good: near 1)"
 
 
 def _content(axis: AxisModel, dynamics: LinearDynamics) -> str:

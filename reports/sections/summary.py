@@ -36,7 +36,11 @@ def render(page: Page) -> Section:
 def sentences(page: Page) -> tuple[tuple[str, str], ...]:
     """Return the sentences at the top with their labels."""
     labels = {Level.ACTION: "Next", Level.WARNING: "Limits"}
-    lacks = {axis.axis: _lacks(axis) for axis in page.axes}
+    # The quantities of the statements that lower the grade of an axis.
+    lacks = {
+        axis.axis: [limit.lack for limit in axis.quality.limits if limit.most < GOOD_SCORE]
+        for axis in page.axes
+    }
     word, accuracy = "Tip", []
     verdict = "No axis with drive and displacement was recorded, only a tunnelling junction"
     if page.model.coupled is not None:
@@ -86,11 +90,6 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
             for fact in reversed(page.headline)
         ),
     )
-
-
-def _lacks(axis: AxisModel) -> tuple[str, ...]:
-    """Return the quantities of the statements that lower the grade of an axis."""
-    return tuple(limit.lack for limit in axis.quality.limits if limit.most < GOOD_SCORE)
 
 
 def _large_errors(page: Page) -> list[str]:
