@@ -61,7 +61,6 @@ class Extended:
     held_out_rms_m  error at left-out rows
     held_m          (rows,)  error at left-out rows
     spread          standard errors of the numbers of each extension, from leaving out folds
-    converged       whether the last step hardly changed the error
     """
 
     model: AxisModel
@@ -69,7 +68,6 @@ class Extended:
     held_out_rms_m: float
     held_m: Array
     spread: tuple[Array, ...]
-    converged: bool
 
 
 def fit_extended(
@@ -164,7 +162,6 @@ def fit_extended(
         held_out_rms_m=held_out_rms_m,
         held_m=held_m,
         spread=spread,
-        converged=fit.converged,
     )
 
 

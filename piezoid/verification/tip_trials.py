@@ -42,9 +42,7 @@ _LATCHED_AFTER_s = 1.0  # time by which a permanent fault has latched
 _MAX_APPROACH = 0.9  # of the drive's range
 
 
-def rough_surface_m(
-    x_m: Array, y_m: Array, *, rms_m: float, shortest_m: float, seed: int = 0
-) -> Array:
+def rough_surface_m(x_m: Array, y_m: Array, *, rms_m: float, shortest_m: float) -> Array:
     """Return the height of a rough surface at each point, (samples,) m; 0 at the origin.
 
     The surface is a sum of plane waves of random direction and equal height, with wavelengths over
@@ -52,9 +50,8 @@ def rough_surface_m(
 
     rms_m       roughness, > 0
     shortest_m  wavelength, > 0; the longest is ten times that
-    seed        of the random waves
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     wavelength = shortest_m * 10.0 ** rng.uniform(0.0, 1.0, _WAVES)
     direction, phase = rng.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
     height_m = np.zeros_like(x_m)
