@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.plays_alone import fit_one_order, fit_plays_alone
+from tests.plays_alone import design_briefly, fit_few_rows, fit_one_order, fit_plays_alone
 
 # Laws are tried on the same examples in every run, however slow the machine, and nothing is kept.
 settings.register_profile(
@@ -44,6 +44,18 @@ def plays_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def one_order(monkeypatch: pytest.MonkeyPatch) -> None:
     fit_one_order(monkeypatch)
+
+
+@pytest.fixture
+def few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit_few_rows(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def brief_designs() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        design_briefly(patch)
+        yield
 
 
 @pytest.fixture

@@ -92,6 +92,18 @@ def test_a_second_start_calibrates_only_stages_without_a_record(client, night, r
     assert log.read_text() == f"{BAD}\n"
 
 
+def test_a_removed_result_among_the_stages_is_computed_again(client, night):
+    results = night / "results"
+    names = [f"unit-{k}" for k in range(COUNT)]
+    assert run(client, find_stages(night, str(results)), write_digests)[0] == 0
+    (results / f"stages/{BAD}/lab.toml").touch()
+    (results / f"stages/{BAD}/sub/model.json").unlink()
+    tasks = find_stages(night, str(results))
+    assert [task.name for task in tasks] == names
+    assert run(client, tasks, write_digests)[0] == COUNT - 1
+    assert (results / f"stages/{BAD}/sub/model.json").exists()
+
+
 def test_changed_inputs_are_refused_before_any_calibration(client, night, results, tmp_path):
     tasks, log = find_stages(night, results), tmp_path / "log"
     work = partial(write_digests, log=log)

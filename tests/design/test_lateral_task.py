@@ -1,6 +1,5 @@
 """Design task of an identified lateral axis: its family, its bounds, refusals."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -22,8 +21,9 @@ from piezoid.numerics.polynomial import response, roots_of
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.records.lab import Acquisition, Lab
 from tests.identification.dynamics.stage import truth
-from tests.plays_alone import draw_few_replicates
 from tests.reports.known_stage import axis_model, stage_model
+
+pytestmark = pytest.mark.usefixtures("brief_designs")
 
 RATE_Hz = 20e3
 RIG = Rig(amplifier_bandwidth_Hz=4e3, sensor_bandwidth_Hz=8.5e3)
@@ -36,13 +36,6 @@ def rigged(**changes: object) -> AxisModel:
 
 def stage(**changes: object) -> ActuatorModel:
     return replace(stage_model(rigged()), controller_rate_Hz=RATE_Hz, **changes)  # type: ignore[arg-type]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def few_replicates() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        draw_few_replicates(patch)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from piezoid.records.frames import from_arrays
 from piezoid.records.recording import Recording
 from tests.diagnosis.bench import finding_of
 from tests.diagnosis.ceramic import NOISE_um, bouc_wen_um
-from tests.plays_alone import fit_one_order, fit_plays_alone
+from tests.plays_alone import fit_few_rows, fit_one_order, fit_plays_alone
 from tests.reports.known_diagnosis import diagnosed, finding
 
 
@@ -29,6 +29,7 @@ def bouc_wen_diagnosis() -> tuple[Recording, Diagnosis]:
     loops = from_arrays(time_s=time_s, voltage_V=drive_V, displacement_m=1e-6 * reading_um)
     with pytest.MonkeyPatch.context() as patch:
         fit_one_order(patch)
+        fit_few_rows(patch)
         return loops, diagnose([loops])
 
 

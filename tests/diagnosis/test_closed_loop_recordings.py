@@ -12,7 +12,7 @@ from piezoid.records.collection import collect
 from tests.diagnosis.bench import finding_of
 from tests.laws import LAWS, RATE_Hz, write
 
-pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order", "few_rows")
 
 MOVE, HOLD = 600, 6000
 SHARE = 0.015  # of the step, each decade

@@ -149,7 +149,7 @@ def test_a_hum_is_detected_above_its_detection_limit_only():
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("plays_alone", "one_order")
+@pytest.mark.usefixtures("plays_alone", "one_order", "few_rows")
 def test_a_piece_at_rest_after_a_gap_is_diagnosed():
     """A clock that lost samples divided a recording within its final rest."""
     field = drive("sweep")[1]

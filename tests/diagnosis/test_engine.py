@@ -133,7 +133,7 @@ DRIFT_m = 1e-8  # at the end; the stroke is 46 um
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("plays_alone", "one_order")
+@pytest.mark.usefixtures("plays_alone", "one_order", "few_rows")
 def test_the_bound_on_a_drift_covers_what_a_single_sweep_hides():
     (recording,), lab = read_campaign(draw_campaign(21, truth="preisach", plans=("sweep",)))
     drift_m = DRIFT_m * np.linspace(-1.0, 1.0, recording.samples)

@@ -27,7 +27,7 @@ from .bench import view_of_recordings
 from .play_stage import NOISE_m, STROKE_m, drive, recording
 from .play_stage import stroke_fraction as plays
 
-pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order", "few_rows")
 
 HOLD, RAMP = 40, 6  # samples
 LEVELS = 60

@@ -24,7 +24,7 @@ from .play_recordings import RINGING_NOISE as NOISE
 from .play_recordings import HALF_STROKE_m, cycled, memory_after, play_response, ringing
 from .play_stage import healthy
 
-pytestmark = pytest.mark.usefixtures("plays_alone")
+pytestmark = pytest.mark.usefixtures("plays_alone", "few_rows")
 
 MODE_Hz, QUALITY = 300.0, 20.0
 

@@ -7,7 +7,7 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.effects import EFFECTS
 from tests.laws import LAWS, recorded, triangles
 
-pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order", "few_rows")
 
 
 def test_a_butterfly_has_a_reason_and_no_findings(tmp_path):

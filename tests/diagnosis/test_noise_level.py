@@ -19,7 +19,7 @@ from tests.journeys.test_batch import write_stages
 from .bench import causes, finding_of, read_campaign, thinned
 from .play_stage import NOISE_m, clean, view_with
 
-pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order", "few_rows")
 
 ADDED_NOISE_m = 60e-9  # in addition to the sensor noise
 Level = Callable[[Recording], Array]  # (recording) -> (samples,) as fractions of ADDED_NOISE_m

@@ -19,6 +19,8 @@ from piezoid.records.recording import Recording
 from tests.diagnosis.bench import finding_of, view_of_recordings
 from tests.laws import LAWS, RATE_Hz, triangles, write
 
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_order", "few_rows")]
+
 LAG_s = 0.01
 GAIN_CHANGE_percent = 5.0
 DRIFT_um = 0.6
@@ -35,7 +37,6 @@ def lagging_triangles(
     return collect([write(folder / f"{samples}.csv", field, reading_um)])[0]
 
 
-@pytest.mark.slow
 def test_a_lag_is_not_separable_at_similar_speeds(tmp_path):
     first = lagging_triangles(tmp_path, 16, 250, 1.0, DRIFT_um)
     more_sensitive = lagging_triangles(tmp_path, 10, 180, 1.0 + GAIN_CHANGE_percent / 100.0, 0.0)
@@ -51,8 +52,6 @@ def test_a_lag_is_not_separable_at_similar_speeds(tmp_path):
         assert "half the speed" in absent.next_experiment
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("one_order")
 def test_loop_shape_of_a_single_loop_is_not_separable_from_a_lag(tmp_path):
     ramp = np.linspace(-1.0, 1.0, 1000)
     field = np.concatenate([ramp, ramp[-2::-1]])
@@ -78,8 +77,6 @@ def lagged(displacement_m: Array) -> Array:
     return lagged_m
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("one_order")
 def test_a_loss_of_sensitivity_is_named_with_dropouts_and_a_lag():
     rng, field = np.random.default_rng(3), triangles(CYCLES + 3, SAMPLES)
     displacement_m = 2e-5 * LAWS["bouc_wen"](field)[3 * SAMPLES :]

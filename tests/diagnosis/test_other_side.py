@@ -18,7 +18,7 @@ from piezoid.records.recording import Recording
 from .bench import thinned, view_of_recordings
 from .play_stage import NOISE_m, STROKE_m, clean, drive, recording, stroke_fraction
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("few_rows")]
 
 KINDS = ("sweep", "walk", "waves")
 ORDER = ("sweep", "sweep", "waves")

@@ -110,7 +110,7 @@ def test_without_the_only_finding_the_error_is_that_of_the_baseline():
     assert errors.without_m["initial_state"] == pytest.approx(errors.baseline_m, rel=1e-9)
 
 
-@pytest.mark.usefixtures("plays_alone", "one_order")
+@pytest.mark.usefixtures("plays_alone", "one_order", "few_rows")
 def test_a_model_without_findings_states_its_error():
     model = known_model()
     diagnosis = diagnose(recordings_of(), axis="x", model=model)
@@ -120,7 +120,7 @@ def test_a_model_without_findings_states_its_error():
     assert diagnosis.final.rms_m == pytest.approx(NOISE_m, rel=0.05)
 
 
-@pytest.mark.usefixtures("plays_alone", "one_order")
+@pytest.mark.usefixtures("plays_alone", "one_order", "few_rows")
 def test_a_repair_changes_the_faulty_samples_only():
     recordings = recordings_of()
     spiked = (disturbed(recordings[0], slice(700, 701), 4e-7), recordings[1])

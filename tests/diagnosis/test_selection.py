@@ -22,7 +22,7 @@ from .play_recordings import (
     wobbling,
 )
 
-pytestmark = pytest.mark.usefixtures("plays_alone", "one_order")
+pytestmark = pytest.mark.usefixtures("plays_alone", "one_order", "few_rows")
 
 DRIFT = 10.0 * NOISE * np.sqrt(3.0)  # of the stroke, at either end: rms of ten times the noise
 

@@ -13,7 +13,7 @@ from tests.diagnosis.test_hidden_effects import ONE_SPEED, RATE_Hz, recorded
 from tests.journeys.command import run
 from tests.laws import write
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone", "one_order")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone", "one_order", "few_rows")]
 
 INSTANT, LOST = 1400, 9  # samples
 

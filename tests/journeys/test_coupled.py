@@ -20,7 +20,7 @@ from tests.journeys.coupled_stage import (
     sweep,
     write_recording,
 )
-from tests.plays_alone import fit_one_order, fit_plays_alone
+from tests.plays_alone import fit_few_rows, fit_one_order, fit_plays_alone
 
 pytestmark = pytest.mark.slow
 
@@ -37,6 +37,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     with pytest.MonkeyPatch.context() as patch:
         fit_plays_alone(patch)
         fit_one_order(patch)
+        fit_few_rows(patch)
         result = CliRunner().invoke(app, ["fit", *arguments, "--processes", "1"])
     assert result.exit_code == 0, (result.output, result.exception)
     return folder, " ".join(result.output.split())

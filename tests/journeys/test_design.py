@@ -16,6 +16,8 @@ from piezoid_reports.render import render
 from tests.journeys.command import piezoid, run
 from tests.reports.known_stage import axis_model, recording, stage_model
 
+pytestmark = pytest.mark.usefixtures("brief_designs")
+
 MODEL = replace(
     stage_model(
         replace(

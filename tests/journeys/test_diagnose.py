@@ -141,7 +141,7 @@ def test_a_crashing_effect_leaves_model_and_report_and_ends_with_status_1(sweeps
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("plays_alone", "one_order")
+@pytest.mark.usefixtures("plays_alone", "one_order", "few_rows")
 def test_an_unknown_tone_is_named_with_its_frequency_and_plotted(tmp_path):
     """One period of the recording from the third harmonic of the drive, it is not a lag."""
     field = triangles(6, 500)

@@ -28,7 +28,7 @@ def write_sweep(path: Path, displacement_um: np.ndarray, heading: str = "pos [um
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("one_order")
+@pytest.mark.usefixtures("one_order", "few_rows")
 def test_a_bundled_sweep_gives_model_and_report(tmp_path):
     """In a separate process: test_readme.py."""
     rows = piezoid_datasets.recordings()[0].read_text().splitlines()[:1501]

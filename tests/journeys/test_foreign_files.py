@@ -146,19 +146,6 @@ def test_a_batch_keeps_foreign_files_in_its_result_folder(linked, work_folder):
     assert look(work_folder) == original
 
 
-def test_a_batch_with_results_among_its_stages_repeats_a_removed_result(work_folder):
-    words = "batch night --out night/res --workers 1 --json"
-    first_run = piezoid(words)
-    model = work_folder / "night/res/stages/st1/model.json"
-    written = model.read_bytes()
-    model.unlink()
-    second_run = piezoid(words)
-    for result in (first_run, second_run):
-        assert result.stdout.count('"state"') == 1, result.stderr
-        assert "night/res" not in result.stderr
-    assert model.read_bytes() == written
-
-
 def test_the_report_omits_a_foreign_diagnosis(work_folder):
     assert "left out" not in piezoid("report stage").output
     another_diagnosis = replace(diagnosed(), explained_fraction=0.5)

@@ -17,7 +17,12 @@ from piezoid.operators.linear import cascade, first_order, resonance, sample
 from piezoid.operators.play import play_columns
 from piezoid.runtime.controller import Controller
 from tests.journeys.command import piezoid, run
-from tests.plays_alone import fit_one_order, fit_plays_alone
+from tests.plays_alone import (
+    design_briefly,
+    fit_few_rows,
+    fit_one_order,
+    fit_plays_alone,
+)
 from tests.records.responses import matrix, noisy, response, write_csv, write_matlab
 
 pytestmark = pytest.mark.slow
@@ -79,6 +84,8 @@ def fitted(folder: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         fit_plays_alone(patch)
         fit_one_order(patch)
+        fit_few_rows(patch)
+        design_briefly(patch)
         words = ("fit", *files, "--lab", folder / "lab.toml", "--out", folder / "stage")
         status, output = run(*words, "--processes", "1")  # the patches hold in this process
     assert status == 0, output
@@ -107,7 +114,7 @@ def test_the_report_plots_the_response_and_is_reproducible(folder):
     assert (folder / "stage" / "report.html").read_text() == page
 
 
-@pytest.mark.usefixtures("fitted", "plays_alone", "one_order")
+@pytest.mark.usefixtures("fitted", "plays_alone", "one_order", "few_rows")
 def test_a_notebook_uses_the_response_like_the_command_line(folder):
     lab = folder / "lab.toml"
     recordings = read(folder / "sweep.csv", folder / "response.csv", lab=lab)
@@ -121,7 +128,7 @@ def test_a_notebook_uses_the_response_like_the_command_line(folder):
     assert "gain as measured, response.csv" in report(model, recordings, lab=lab)
 
 
-@pytest.mark.usefixtures("fitted", "plays_alone", "one_order")
+@pytest.mark.usefixtures("fitted", "plays_alone", "one_order", "few_rows")
 def test_the_designed_loop_is_fast_and_stable_on_the_simulated_stage(folder):
     lab = folder / "lab.toml"
     sweep_model = fit(read(folder / "sweep.csv", lab=lab), lab=lab)

@@ -19,7 +19,7 @@ from piezoid.verification.plant import lateral_plant
 from piezoid_reports.effect_figures import compare_effects
 from piezoid_reports.page import rms, traces_of
 from tests.diagnosis.bench import effects_of, thinned
-from tests.plays_alone import fit_one_order, fit_plays_alone
+from tests.plays_alone import fit_few_rows, fit_one_order, fit_plays_alone
 from tests.reports.anatomy import Anatomy
 
 pytestmark = pytest.mark.slow
@@ -180,6 +180,7 @@ def leaking(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LeakingStage]:
         patch.setattr(effects, "EFFECTS", (*effects.EFFECTS, module.EFFECT))
         fit_plays_alone(patch)
         fit_one_order(patch)
+        fit_few_rows(patch)
         stage = piezoid.simulate(3, drives=("sweep", "staircase"), truth="bouc_wen")
         recordings = tuple(with_leak(recording) for recording in thinned(stage.recordings, 6))
         model = piezoid.fit(recordings, lab=stage.lab)

@@ -32,7 +32,7 @@ from piezoid.verification.plant import lateral_plant
 from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.verify import verify
 from tests.identification.extensions.samples import one_of_each
-from tests.plays_alone import draw_few_replicates
+from tests.plays_alone import design_briefly
 from tests.verification.known_fit import fitted, shipped
 from tests.verification.rig import GAIN_m_per_V, RATE_Hz, lateral_parameters, operator, stage
 
@@ -136,7 +136,7 @@ def test_every_extension_is_in_the_plants_of_design_certificate_and_verification
     extension, monkeypatch
 ):
     """The exception is a declared converter hold, which belongs to the recordings."""
-    draw_few_replicates(monkeypatch)
+    design_briefly(monkeypatch)
     unextended, extended = unextended_answers(), answers((extension,))
     reaches_loop = not isinstance(extension, ConverterHold)
     assert (unextended[0] != extended[0]) == reaches_loop

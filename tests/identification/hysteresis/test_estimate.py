@@ -120,7 +120,7 @@ def test_an_initial_transient_is_excluded_and_stated():
 
 @pytest.mark.usefixtures("one_order")
 def test_a_drift_of_the_zero_does_not_change_the_loop_width():
-    u = np.tile(decaying(2, per_unit=40)[:-1], 24)
+    u = np.tile(decaying(2, per_unit=15)[:-1], 24)
     drift = 2e-7 * np.linspace(0, 1, len(u)) ** 0.5
     constant, drifting = (
         fit([recording(u, stage(u, np.random.default_rng(1)) + zero)])["x"]

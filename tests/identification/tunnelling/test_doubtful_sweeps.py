@@ -53,7 +53,7 @@ def test_a_tip_jump_is_detected_allowed_for_and_stated(rng, nepers):
 
 
 def test_a_quiet_sweep_shows_neither_tip_jumps_nor_outliers(rng):
-    for _ in range(8):
+    for _ in range(4):
         fit = fit_barrier([sweep(rng, correlation=0.5)])
         assert not fit.weighted.jumps
         assert not any("outliers" in reason for reason in fit.reasons)
