@@ -23,6 +23,7 @@ from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from tests.identification.hysteresis.stages import decaying, recording
 from tests.identification.hysteresis.test_estimate import stage
 from tests.laws import LAWS, triangles
+from tests.plays_alone import fit_few_rows
 
 from .bench import (
     causes,
@@ -39,7 +40,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("plays_alone", "few_rows
 
 SEED = int(os.environ.get("PIEZOID_SEED", "1"))
 PLANS = ("sweep", "check")
-EVERY = 20  # samples of a sensor of limited range, at any rate
 # Name: percent of the stroke, coordinate. Tones: tests/journeys/test_diagnose.py.
 HIDDEN = {"dent": (1.2, "displacement"), "every_nth": (1.0, "sample_index")}
 
@@ -146,20 +146,25 @@ def test_structure_that_the_model_represents_is_not_a_finding():
 
 
 @pytest.mark.usefixtures("one_order")
-def test_the_end_of_the_sensor_range_is_named_with_its_level():
-    """The search class predicts poorly; readings beyond the end need no prediction."""
-    share = 16.0  # percent of the stroke
-    campaign = draw_campaign(407, truth="duhem", plans=PLANS, uncatalogued={"range_end": share})
+@pytest.mark.parametrize(
+    ("law", "seed", "percent", "every", "rows", "rel"),
+    [("bouc_wen", 401, 4.0, 10, 12_000, 1e-2), ("duhem", 407, 16.0, 20, 3000, 3e-2)],
+    ids=["bouc_wen", "poorly predicted duhem"],
+)
+def test_the_end_of_the_sensor_range_is_named_with_its_level(
+    law, seed, percent, every, rows, rel, monkeypatch
+):
+    """Readings beyond the end are excluded and need no prediction."""
+    fit_few_rows(monkeypatch, rows)
+    campaign = draw_campaign(seed, truth=law, plans=PLANS, uncatalogued={"range_end": percent})
     recordings, lab = read_campaign(campaign)
-    diagnosis = diagnose(thinned(recordings, EVERY), lab=lab)
+    diagnosis = diagnose(thinned(recordings, every), lab=lab)
     assert causes(diagnosis) == (SOMETHING_ELSE,)
     structure = structure_in(diagnosis)
     assert structure.coordinate == "reading"
+    level_um = (1.0 - percent / 100.0) * 1e6 * campaign.rig.stroke_m
     assert structure.law.startswith("reading = min(displacement, ")
-    stated_um = float(structure.law.split(", ")[1].split()[0])
-    assert stated_um == pytest.approx(
-        (1.0 - share / 100.0) * 1e6 * campaign.rig.stroke_m, rel=0.03
-    )
+    assert float(structure.law.split(", ")[1].split()[0]) == pytest.approx(level_um, rel=rel)
 
 
 def test_quantisation_of_the_readings_is_found_with_other_structure():
