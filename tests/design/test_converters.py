@@ -17,6 +17,8 @@ from tests.runtime.runtime_parameters import started
 from tests.verification.known_fit import fitted
 from tests.verification.rig import RATE_Hz
 
+pytestmark = pytest.mark.usefixtures("brief_designs")
+
 
 def design_with(lab: Lab):
     return design_stage(

@@ -20,6 +20,8 @@ from tests.design.rig import SECTOR, default_limits
 from tests.design.test_runtime_agreement import LIMITS
 from tests.runtime.runtime_parameters import started
 
+pytestmark = pytest.mark.usefixtures("brief_designs")
+
 RATE_Hz = 20e3
 GAIN_m_per_V = 1e-6
 MODE_Hz, DAMPING = 700.0, 0.0125

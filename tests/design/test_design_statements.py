@@ -32,6 +32,8 @@ from tests.reports.known_diagnosis import diagnosed, finding
 from tests.verification.known_fit import fitted
 from tests.verification.rig import RATE_Hz
 
+pytestmark = pytest.mark.usefixtures("brief_designs")
+
 UNKNOWN = unmeasured(None, "nothing was recorded")
 
 

@@ -32,6 +32,8 @@ from tests.design.rig import (
     vertical_specification,
 )
 
+pytestmark = pytest.mark.usefixtures("brief_designs")
+
 
 def test_a_noise_budget_is_met_or_refused():
     family = PlantFamily(members=lateral_family().members[:2])
