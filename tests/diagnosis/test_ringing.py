@@ -92,6 +92,7 @@ def test_ringing_after_steps_between_samples_leaves_no_residual():
     assert outcome.final.rms < 2.0 * NOISE
 
 
+@pytest.mark.usefixtures("few_rows")
 def test_a_mode_is_refitted_where_few_loops_do_not_determine_a_noisy_drive():
     """The class fitted to three loops extrapolates poorly along the noise."""
     count, rng = np.arange(12_000), np.random.default_rng(3)

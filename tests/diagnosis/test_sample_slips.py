@@ -216,6 +216,7 @@ def test_a_slip_in_fast_motion_does_not_add_a_delay():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_rows")
 def test_a_slip_before_faster_motion_is_not_a_delay():
     """No speed occurs on both sides of the slip: only the error separates it from a delay."""
     campaign = draw_stage(stage("duhem", "single", 0, 20_263_730), settled=True)
@@ -227,6 +228,7 @@ def test_a_slip_before_faster_motion_is_not_a_delay():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_rows")
 def test_a_slip_is_found_in_the_presence_of_a_gain_change():
     reading_m = np.array(clean("waves")[2])
     reading_m[2000:] *= 1.05

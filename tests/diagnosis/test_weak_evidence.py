@@ -97,6 +97,7 @@ def test_a_cause_is_compared_with_loop_shape_at_equal_regularisation(monkeypatch
     assert "gain_change" in {cause.effect.name for cause in reduced.result.outcome.causes}
 
 
+@pytest.mark.usefixtures("few_rows")
 def test_an_end_of_the_range_that_the_model_explains_is_not_named(monkeypatch):
     """The class of the search does not represent readings that the model represents."""
     find_structure = residual_structure._sensor_range_structure
