@@ -19,7 +19,7 @@ from matplotlib import pyplot
 import piezoid
 import piezoid_datasets
 from tests.api.examples import coupled_data
-from tests.plays_alone import fit_one_order, fit_plays_alone
+from tests.plays_alone import design_briefly, fit_few_rows, fit_one_order, fit_plays_alone
 
 mpl.use("Agg")
 
@@ -61,6 +61,8 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
         patch.chdir(folder)
         fit_plays_alone(patch)
         fit_one_order(patch)
+        fit_few_rows(patch)
+        design_briefly(patch)
         for verb in ("calibrate", "design", "export"):  # examples repeat their calls
             patch.setattr(piezoid, verb, cache(getattr(piezoid, verb)))
         exec(textwrap.dedent("\n".join(head)), namespace)
