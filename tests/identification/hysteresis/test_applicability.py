@@ -31,6 +31,7 @@ def test_a_loop_caused_by_a_lag_is_called_lag():
     assert not model.verdict.applies
     assert "phase lag, not hysteresis" in model.verdict.reason
     assert "16.0 ms" in model.verdict.reason
+    assert model.lag.time_s == pytest.approx(0.016, rel=0.1)
 
 
 def test_a_lag_of_a_curved_response_is_called_lag():
