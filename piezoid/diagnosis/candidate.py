@@ -25,20 +25,12 @@ from piezoid.diagnosis.blocked_regression import CrossValidated, compare_nulls
 from piezoid.diagnosis.diagnosis import Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.nuisance_search import with_bouc_wen_of
-from piezoid.diagnosis.refinement import (
-    SelectedEffect,
-    filter_offset,
-    with_filtered_drive,
-    with_step,
-    without_ringing,
-)
+from piezoid.diagnosis.refinement import NUDGE, SelectedEffect, parameter_tangent, with_step
 from piezoid.diagnosis.residual_view import View
 from piezoid.diagnosis.score_test import Placebo, ScoreTest, null_of, score_test, screen_trials
-from piezoid.numerics.arrays import Array
 
 MINIMUM_Z = 3.3  # standard errors, one-sided 0.0005: a false name is worse than a missing one
 MINIMUM_SHARE = 5e-5  # of the stroke: smaller effects need not be detected
-NUDGE = 0.1  # of a parameter's width, for derivatives
 MIN_LENGTH = 0.15  # of the longest column: smallest part orthogonal to the null for one recording
 MAX_DEVIATION = 0.35  # of the fitted time, in one recording
 QUANTILE = 2.0  # of Student's distribution for some sixty blocks, of a size
@@ -72,6 +64,7 @@ class Candidate:
     view      the view with this effect as well
     strength_with_loop_shape  strength in the final model, whose class of hysteresis is wider; 0 if
               the effect was not tested there
+    others    the other selected effects, refined beside it
     """
 
     selected: SelectedEffect
@@ -82,6 +75,7 @@ class Candidate:
     without: View
     view: View
     strength_with_loop_shape: float = 0.0
+    others: tuple[SelectedEffect, ...] = ()
 
     @property
     def effect(self) -> Effect:
@@ -217,7 +211,7 @@ def evaluate(selected: SelectedEffect, view: View, without: View, *, test: Score
         )
     else:
         assert effect.columns is not None
-        columns = effect.columns(without_ringing(view, [selected]), selected.parameters)
+        columns = effect.columns(view, selected.parameters)
         cv, share, is_physical = test.cv, 0.0, False
         if np.any(columns):  # else the refitted static response already contains the contribution
             trial = replace(test.trial, columns=columns, parameters=selected.parameters)
@@ -284,7 +278,7 @@ def is_consistent(selected: SelectedEffect, view: View) -> bool:
     name = next(iter(selected.free))
     nudged = with_step(selected, name, NUDGE)
     ratio = nudged.parameters[name] / selected.parameters[name] - 1.0
-    change = filter_offset(view, [nudged]) - filter_offset(view, [selected])
+    change = NUDGE * parameter_tangent(view, view, selected, name)
     columns = np.column_stack(
         [view.track_column(k, change[view.track_rows(k)] / ratio) for k in range(len(view.tracks))]
     )
@@ -307,13 +301,13 @@ def size_of(cause: Candidate) -> Size:
     # an effect that filters the drive has its size at the unfiltered drive
     size_view = cause.without if effect.drive_filter is not None else view
     value = effect.size(size_view, selected.parameters, beta)
-    columns = [_parameter_column(cause, name) for name in selected.free]
+    columns = [parameter_tangent(view, cause.without, selected, name) for name in selected.free]
     gradient = [
         (effect.size(size_view, with_step(selected, name, NUDGE).parameters, beta) - value) / NUDGE
         for name in selected.free
     ]
     if selected.adds_columns and effect.columns is not None:
-        columns += list(effect.columns(without_ringing(view, [selected]), selected.parameters).T)
+        columns += list(effect.columns(view, selected.parameters).T)
         for k in range(len(beta)):
             nudged = beta + np.eye(len(beta))[k] * max(abs(beta[k]), 1e-9) * NUDGE
             step = nudged[k] - beta[k]
@@ -326,27 +320,3 @@ def size_of(cause: Candidate) -> Size:
     error = sqrt(max(float(slope @ cov @ slope), 0.0))
     margin = QUANTILE * hypot(error, effect.model_error * value)
     return Size(value=value, unit=effect.unit, ci95=(value - margin, value + margin))
-
-
-def _parameter_column(cause: Candidate, name: str) -> Array:
-    """Return the derivative of the response by a free parameter, per step width."""
-    selected, view = cause.selected, cause.view
-    nudged = with_step(selected, name, NUDGE)
-    effect = selected.effect
-    if effect.response_filter is not None:
-        change = filter_offset(view, [nudged]) - filter_offset(view, [selected])
-    elif effect.drive_filter is not None:
-        tracks = with_filtered_drive(cause.without, [nudged]).tracks
-        parts = [
-            view.nuisance.static_rows(k, view.weight, track.drive) - view.static[k][track.rows]
-            for k, track in enumerate(tracks)
-        ]
-        change = np.concatenate(parts)
-    else:
-        assert effect.columns is not None
-        baseline = without_ringing(view, [selected])
-        difference = effect.columns(baseline, nudged.parameters) - effect.columns(
-            baseline, selected.parameters
-        )
-        change = difference @ cause.cv.coefficient
-    return np.asarray(change / NUDGE)

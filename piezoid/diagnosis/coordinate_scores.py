@@ -104,7 +104,7 @@ class Residual:
             response=view.response,
             block=view.block,
             extra=np.hstack([view.selected, *tangents]),
-            column_gram=view.nuisance.gram,
+            column_gram=view.null.column_gram,
         )
         return cls(view=view, null=null)
 

@@ -334,6 +334,8 @@ class Effect:
     response_filter     (response, rate_Hz, parameters) -> reading, for effects behind the
                         hysteresis without coefficients; in half strokes. The first parameter of
                         ``free`` must agree between recordings
+    mode_filter         (response, rate_Hz, parameters) -> response through the whole mode, for an
+                        effect whose coefficient is the share of the motion that takes part in it
     other_side          the same cause on the other side of the hysteresis
     between_recordings  the same cause if it acts between two recordings
     fault               detection, for faults of the data
@@ -373,6 +375,7 @@ class Effect:
     covariates: Callable[[View], Array] | None = None
     drive_filter: Filter | None = None
     response_filter: Filter | None = None
+    mode_filter: Filter | None = None
     other_side: "Effect | None" = None
     between_recordings: "Effect | None" = None
     fault: FaultTest | None = None

@@ -26,8 +26,8 @@ from piezoid.diagnosis.refinement import (
     SelectedEffect,
     initial_guess,
     refine,
-    refine_together,
     with_effects,
+    with_parameter_tangents,
     with_step,
 )
 from piezoid.diagnosis.residual_view import (
@@ -42,7 +42,7 @@ from piezoid.diagnosis.segments import Track
 from piezoid.diagnosis.step_responses import step_response_view, without_unresolved_ringing
 from piezoid.formatting import words
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.executor import Executor
+from piezoid.numerics.executor import Executor, Once
 
 FIRST_GAIN = 0.25  # gain over that of the best tangent from which an effect is refitted first
 MIN_GAIN = 0.012  # of the error: tangents err by factors
@@ -66,7 +66,7 @@ class SelectionState:
 
     clean        view of the repaired tracks, with the selected initial states and Bouc-Wen state
     selected     effects, in the order in which they were selected
-    view         the view with the selected effects, on which score tests are made
+    view         the view with the selected effects
     faults       of the data, by effect
     score_tests  the last score test of each effect that was not selected, also ``BETWEEN``
                  recordings
@@ -79,6 +79,16 @@ class SelectionState:
     faults: Mapping[str, Fault]
     score_tests: Mapping[str, ScoreTest]
     initial: InitialStates | None = None
+
+    @property
+    def fixed(self) -> tuple[SelectedEffect, ...]:
+        """Return the effects that were refined on step responses, which come first."""
+        return tuple(effect for effect in self.selected if effect.from_jumps)
+
+    @Once
+    def test_view(self) -> View:
+        """Return the view in which the free parameters of the selected effects may change."""
+        return with_parameter_tangents(self.view, self.clean, self.selected, fixed=len(self.fixed))
 
     def updated(
         self,
@@ -144,7 +154,7 @@ def modes_after_steps(view: View) -> tuple[SelectedEffect, ...]:
         if test is None or not test.physical:
             continue
         guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
-        refined, refined_view = refine(guess, step_responses, [])
+        (refined,), refined_view = refine([guess], step_responses)
         if evaluate(refined, refined_view, step_responses, test=test).is_significant:
             modes.append(replace(refined, from_jumps=True))
     return tuple(modes)
@@ -181,7 +191,7 @@ def with_any_phase(effect: Effect) -> Effect:
 def _score_all(state: SelectionState, executor: Executor) -> dict[str, ScoreTest]:
     def run_test(effect: Effect) -> ScoreTest | None:
         executor.report(f"testing {words(effect.name)}")
-        return score_test(effect, state.view)
+        return score_test(effect, state.test_view)
 
     selected_names = {effect.effect.name for effect in state.selected}
     effects = {
@@ -230,7 +240,7 @@ def _next_state(state: SelectionState, executor: Executor) -> SelectionState | N
     if best is None:
         return _with_slips(state)
     clean = without_unresolved_ringing(state.clean, [best.selected])
-    return state.updated(clean=clean, selected=(*state.selected, best.selected))
+    return state.updated(clean=clean, selected=(*best.others, best.selected))
 
 
 def initial_states_explain(individual: View, view: View, min_rms: float) -> bool:
@@ -274,32 +284,23 @@ def _refit_effects(
 ) -> list[Candidate]:
     """Refit each effect beside the selected ones, unless its start values have a large error.
 
-    A candidate is refined together with the selected effects that resemble it.
+    A candidate is refined together with the selected effects: a mode fitted without the delay
+    behind it absorbs a part of the delay.
     """
     clean, selected = state.clean, state.selected
+    fixed, free = state.fixed, state.selected[len(state.fixed) :]
     starts = executor.map(lambda test: _start_values(test, state), tests)
-    errors = executor.map(lambda start: with_effects(clean, [*selected, start]).rms, starts)
+    errors = executor.map(
+        lambda start: with_effects(clean, [*selected, start], state.view).rms, starts
+    )
     min_rms = min(errors, default=0.0)
 
     def refit(pair: tuple[SelectedEffect, ScoreTest]) -> Candidate:
         start, test = pair
         executor.report(f"refitting with {words(start.effect.name)}")
-        refined, view = refine(start, clean, selected)
-        candidate = evaluate(refined, view, state.view, test=test)
-        # beside a limit that absorbs a part of it, a delay differs from recording to recording:
-        # refined together with the limit, it may become physical
-        resembling = [
-            effect
-            for effect in selected
-            if effect.free and not effect.from_jumps and effect.effect.resembles(start.effect)
-        ]
-        # several free parameters are expensive to refine
-        is_affordable = len(refined.free) == 1 or (refined.free and candidate.physical)
-        if not resembling or not is_affordable:
-            return candidate
-        unrelated = [effect for effect in selected if effect not in resembling]
-        refined_together, view = refine_together([*resembling, refined], clean, unrelated)
-        return evaluate(refined_together[-1], view, state.view, test=test)
+        (*others, refined), view = refine([*free, start], clean, fixed, start=state.view)
+        candidate = evaluate(refined, view, state.test_view, test=test)
+        return replace(candidate, others=(*fixed, *others))
 
     return executor.map(
         refit,
@@ -323,7 +324,7 @@ def _start_values(test: ScoreTest, state: SelectionState) -> SelectedEffect:
         return guess
 
     def error(start: SelectedEffect) -> float:
-        return with_effects(state.clean, [*state.selected, start]).rms
+        return with_effects(state.clean, [*state.selected, start], state.view).rms
 
     trials = [trial for trial in test.effect.trials(state.view) if trial.physical]
     best = min((guess, *(initial_guess(test.effect, trial, 1.0) for trial in trials)), key=error)
@@ -348,8 +349,8 @@ def exchange_filter_side(
         if other_side is None or not (best is None or selected.effect.resembles(best.effect)):
             continue
         preceding, following = state.selected[:k], state.selected[k + 1 :]
-        refined, view = refine(
-            replace(selected, effect=other_side), state.clean, [*preceding, *following], finer=1
+        (refined,), view = refine(
+            [replace(selected, effect=other_side)], state.clean, [*preceding, *following]
         )
         if view.rms < OTHER_SIDE * min_rms:
             return (*preceding, refined, *following)

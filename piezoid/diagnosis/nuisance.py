@@ -23,7 +23,7 @@ Source: Krejci (1996); Mayergoyz (1991) on rate independence and wiping out; Dah
 Atherton (1986); Bouc (1967); a wide class of nulls, Box (1980).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -334,6 +334,33 @@ class NuisanceClass:
                 columns[rows, poling : first + self.columns_per_track] = history.poling()
         if self.bouc_wen:
             columns[:, SHARED : self.shared] = self.bouc_wen_rows
+        return columns
+
+    def columns_behind(self, filtered: Callable[[Array, float], Array]) -> Array:
+        """Return the columns at all rows, the shared ones behind a linear filter.
+
+        filtered  (signals, rate_Hz) -> filtered signals, (samples, columns)
+
+        Long tracks are filtered in chunks, each from a chunk earlier on.
+        """
+        columns = self.columns.copy(order="F")
+        for k, (track, history) in enumerate(zip(self.tracks, self.histories, strict=True)):
+            plays, friction = history.states
+            for first in range(0, len(track.drive), CHUNK):
+                inside = slice(*np.searchsorted(track.rows, (first, first + CHUNK)).tolist())
+                if inside.start == inside.stop:
+                    continue
+                start = max(first - CHUNK, 0)
+                span = slice(start, first + CHUNK)
+                drive = track.drive[span]
+                signals = np.empty((len(drive), self.shared), order="F")
+                write_shared_columns(signals[:, :SHARED], plays[span], friction[span], drive)
+                if self.bouc_wen:
+                    signals[:, SHARED:] = bouc_wen_columns(self._bouc_wen_states[k][span], drive)
+                rows = slice(self.edges[k] + inside.start, self.edges[k] + inside.stop)
+                columns[rows, : self.shared] = filtered(signals, track.rate_Hz)[
+                    track.rows[inside] - start
+                ]
         return columns
 
     @Once

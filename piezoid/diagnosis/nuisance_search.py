@@ -98,7 +98,7 @@ def with_individual_initial_states(view: View, shared: View) -> View:
         span = np.maximum.accumulate(track.drive) - np.minimum.accumulate(track.drive)
         has_covered_range.append((span > COVERED * 2.0)[track.rows])
     rows = np.concatenate(has_covered_range)
-    columns = np.hstack([view.nuisance.columns, view.selected])
+    columns = np.hstack([view.columns, view.selected])
     if np.count_nonzero(rows) < MIN_ROWS_PER_COLUMN * columns.shape[1]:
         weight = view.weight
     else:

@@ -1,8 +1,7 @@
 """Selected effects: the nuisance class refitted beside them, and their parameters refined.
 
 Tangents only give start values; the error with the effect in the model decides. The nonlinear
-parameters are searched one after the other with decreasing steps, with the whole model refitted at
-every step.
+parameters of all effects are refined together, with the whole model refitted at every step.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,23 +9,29 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.diagnosis.blocked_regression import Null
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.residual_view import View, with_filtered_commands
+from piezoid.diagnosis.residual_view import (
+    LinearFilter,
+    LinearPath,
+    View,
+    with_filtered_commands,
+)
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.levenberg_marquardt import Rows, Rule, minimise
 
 POLYNOMIAL_DEGREE = 3
 MAX_RINGING = 0.03  # power of ringing over that in the recording that rings most: none below it
 ROWS_PER_COLUMN = 2  # of recordings without ringing
 MAX_ROUNDS = 6  # of fitting the static response and applying effects to it
 SETTLED = 2e-3  # change of the rms below which the rounds end
+SHARE_LIMITS = (-1.0, 3.0)  # of a mode, during the rounds
 AT_LIMIT = 0.03  # relative distance from a limit below which a parameter counts as at the limit
-STEP_FRACTIONS = (1.0, 0.3, 0.1, 0.03)  # of a parameter's width
-MAX_STEPS = 6
-MIN_VERTEX = 0.05  # of a step: a vertex nearer to its centre is not tried
-MAX_EXTRAPOLATION = 5.0  # of the change in one round
-MIN_GAIN = 5e-4  # of the error, by one step
+NUDGE = 0.1  # of a parameter's width, for derivatives
+LONGEST_STEP = 2.0  # widths
+RULE = Rule(tolerance=3e-3, iterations=8, tries=4, damping=1e-2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,35 +73,79 @@ def with_effects(
 ) -> View:
     """Return the view with these effects in the model.
 
-    Filters of the drive change the drive. Filters of the response and columns are computed from
-    the static response, which is fitted beside them: in rounds, until the error settles.
+    Filters of the drive change the drive. The columns of the nuisance class are fitted behind the
+    filters of the response and behind the modes. Columns of effects are computed from the static
+    response, which is fitted beside them: in rounds, until the error settles. In each round the
+    column of a mode corrects its share.
 
-    start  a view with similar effects; its static response is the start of the rounds
+    start  a view with similar effects; its static response and shares are the start of the rounds
     """
     view = with_filtered_drive(clean, effects)
     on_response = [effect for effect in effects if effect.effect.drive_filter is None]
     if not on_response:
         return view
+    is_fitted = view.static_override is None
+    modes = [effect for effect in on_response if is_fitted and _is_path(effect)]
+    on_stage = [e for e in on_response if not (e in modes or e.effect.is_sensor_error)]
     on_sensor = [effect for effect in on_response if effect.effect.is_sensor_error]
-    on_stage = [effect for effect in on_response if effect not in on_sensor]
-    ringing_source = without_ringing(view, on_response)
-    source, last_rms = view, view.rms
-    if start is not None:
-        source, last_rms = replace(view, static_override=start.static), start.rms
+    path = LinearPath(
+        filters={e.effect.name: linear_filter(e) for e in on_response if e.effect.response_filter},
+        modes={effect.effect.name: linear_filter(effect) for effect in modes},
+        shares={effect.effect.name: 0.0 for effect in modes},
+    )
+    if path.filters or path.modes:
+        view = replace(view, path=path)
+    source = ringing_source = without_ringing(view, on_response)
+    if start is not None and start.static_override is None and is_fitted:
+        static = tuple(view.nuisance.static(k, start.weight) for k in range(len(view.tracks)))
+        source = replace(view, static_override=static)
+        if start.path is not None:
+            path = replace(path, shares={**path.shares, **start.path.shares})
+    last_rms = np.inf
     for _ in range(MAX_ROUNDS):
-        offset = filter_offset(source, on_response)
-        columns = effect_columns(source, on_stage, ringing_source)
-        sensor_columns = effect_columns(source, on_sensor, ringing_source)
-        source = view = replace(
+        parts = [
+            (effect, effect_columns(ringing_source if effect.from_jumps else source, [effect]))
+            for effect in (*modes, *on_stage, *on_sensor)
+        ]
+        edges = np.cumsum([0, *(columns.shape[1] for _, columns in parts)]).tolist()
+        fitted = replace(
             view,
-            offset=offset,
-            selected=np.hstack([columns, sensor_columns]),
-            sensor_columns=sensor_columns.shape[1],
+            path=path if view.path is not None else None,
+            selected=np.hstack([columns for _, columns in parts]),
+            coefficients_of={
+                effect.effect.name: slice(*span)
+                for (effect, _), span in zip(parts, pairwise(edges), strict=True)
+            },
+            sensor_columns=edges[-1] - edges[len(modes) + len(on_stage)],
         )
-        if abs(view.rms / last_rms - 1.0) < SETTLED:
+        is_exact = not edges[-1] or not is_fitted
+        if is_exact or abs(fitted.rms / last_rms - 1.0) < SETTLED:
             break
-        last_rms = view.rms
-    return view
+        last_rms = fitted.rms
+        count = fitted.nuisance.columns.shape[1]
+        corrections = fitted.null.coefficients[count : count + len(modes)]
+        shares = {
+            name: float(np.clip(path.shares[name] + correction, *SHARE_LIMITS))
+            for name, correction in zip(path.modes, corrections, strict=True)
+        }
+        path = replace(path, shares=shares)
+        source = fitted
+    return fitted
+
+
+def _is_path(effect: SelectedEffect) -> bool:
+    """Tell whether an effect is a mode through which a fitted static response moves.
+
+    A mode after steps of the drive has columns only: the phase of each step is free.
+    """
+    return effect.effect.mode_filter is not None and not effect.from_jumps
+
+
+def linear_filter(selected: SelectedEffect) -> LinearFilter:
+    """Return the filter of an effect of the response, or of a mode."""
+    filter_ = selected.effect.response_filter or selected.effect.mode_filter
+    assert filter_ is not None
+    return lambda signal, rate_Hz: filter_(signal, rate_Hz, selected.parameters)
 
 
 def with_filtered_drive(clean: View, effects: Sequence[SelectedEffect]) -> View:
@@ -123,30 +172,12 @@ def with_filtered_drive(clean: View, effects: Sequence[SelectedEffect]) -> View:
     return view
 
 
-def filter_offset(view: View, effects: Sequence[SelectedEffect]) -> Array:
-    """Return the change of the static response by all filters of the response, at the rows."""
-    offsets = []
-    for track, static in zip(view.tracks, view.static, strict=True):
-        filtered = static
-        for effect in effects:
-            if effect.effect.response_filter is not None:
-                filtered = effect.effect.response_filter(
-                    filtered, track.rate_Hz, effect.parameters
-                )
-        offsets.append((filtered - static)[track.rows])
-    return np.concatenate(offsets)
-
-
-def effect_columns(view: View, effects: Sequence[SelectedEffect], ringing_source: View) -> Array:
-    """Return the columns of all effects that act on the response.
-
-    ringing_source  the view from which columns of modes are made
-    """
-    columns = [np.zeros((len(view.offset), 0))]
+def effect_columns(view: View, effects: Sequence[SelectedEffect]) -> Array:
+    """Return the columns of all effects that act on the response."""
+    columns = [np.zeros((len(view.response), 0))]
     for effect in effects:
         if effect.adds_columns and effect.effect.columns is not None:
-            source = ringing_source if effect.effect.may_be_absorbed else view
-            columns.append(effect.effect.columns(source, effect.parameters))
+            columns.append(effect.effect.columns(view, effect.parameters))
         if effect.effect.covariates is not None:
             columns.append(effect.effect.covariates(view))
     return np.hstack(columns)
@@ -166,21 +197,32 @@ def without_ringing(view: View, effects: Sequence[SelectedEffect]) -> View:
     if not modes or view.static_override is not None:
         return view
     polynomial = with_polynomial_response(view)
-    power = np.sum(effect_columns(polynomial, modes, polynomial) ** 2, axis=1)
-    edges = view.nuisance.edges
-    mean = np.array([power[first:stop].mean() for first, stop in pairwise(edges)])
-    rows = np.repeat(mean < MAX_RINGING * mean.max(), np.diff(edges))
-    columns = view.nuisance.columns
-    if np.count_nonzero(rows) < ROWS_PER_COLUMN * columns.shape[1]:
-        return polynomial
-    null = Null(columns=columns[rows], response=view.response[rows], block=view.block[rows])
-    weight = null.fit(null.response)[: view.nuisance.shared]
-    static = tuple(view.nuisance.static(k, weight) for k in range(len(view.tracks)))
+    power = np.sum(effect_columns(polynomial, modes) ** 2, axis=1)
+    mean = np.add.reduceat(power, view.nuisance.edges[:-1]) / np.diff(view.nuisance.edges)
+    sources = (_fitted_to_tracks(view, mean < MAX_RINGING * mean.max()), polynomial)
 
     def error(source: View) -> float:
-        return replace(view, selected=effect_columns(source, modes, source)).rms
+        return replace(view, selected=effect_columns(source, modes)).rms
 
-    return min(replace(view, static_override=static), polynomial, key=error)
+    return min((source for source in sources if source is not None), key=error)
+
+
+def _fitted_to_tracks(view: View, is_fitted: NDArray[np.bool_]) -> View | None:
+    """Return the view with the static response fitted to some tracks; None if they are too short.
+
+    It is cached, because the tracks without ringing hardly depend on the mode.
+    """
+    key = tuple(is_fitted.tolist())
+    source = view.cache.get(key)
+    if source is None:
+        rows, columns = np.repeat(is_fitted, np.diff(view.nuisance.edges)), view.nuisance.columns
+        if np.count_nonzero(rows) < ROWS_PER_COLUMN * columns.shape[1]:
+            return None
+        null = Null(columns=columns[rows], response=view.response[rows], block=view.block[rows])
+        weight = null.fit(null.response)[: view.nuisance.shared]
+        static = tuple(view.nuisance.static(k, weight) for k in range(len(view.tracks)))
+        source = view.cache[key] = replace(view, static_override=static)
+    return source
 
 
 def with_polynomial_response(view: View) -> View:
@@ -190,13 +232,10 @@ def with_polynomial_response(view: View) -> View:
     """
     if view.static_override is not None:
         return view
-    drive, response = view.column(lambda _, track: track.drive), view.rows(view.static)
+    drive, response = view.column(lambda _, track: track.drive), view.rows(view.unfiltered)
     polynomial = np.polyfit(drive, response, POLYNOMIAL_DEGREE)
     static = tuple(np.asarray(np.polyval(polynomial, track.drive)) for track in view.tracks)
     return replace(view, static_override=static)
-
-
-Refined = tuple[SelectedEffect, View]  # an effect, and the view with it and all others
 
 
 def initial_guess(effect: Effect, trial: Trial, coefficient: float) -> SelectedEffect:
@@ -214,67 +253,170 @@ def initial_guess(effect: Effect, trial: Trial, coefficient: float) -> SelectedE
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Trial:
+    """A view with effects at some values of their free parameters, for the search.
+
+    effects  all effects of the view; the last ``count`` of them are refined
+    """
+
+    clean: View
+    effects: tuple[SelectedEffect, ...]
+    count: int
+    view: View
+
+    @property
+    def cost(self) -> float:
+        """Return the mean square of the residual."""
+        return self.view.rms**2
+
+    def linearised(self) -> Rows:
+        """Return the residual and its derivatives by the free parameters, per step width."""
+        fixed = len(self.effects) - self.count
+        tangents = parameter_tangents(self.view, self.clean, self.effects, fixed=fixed)
+        scale = 1.0 / np.sqrt(len(self.view.response))
+        return Rows(factor=-scale * tangents, residual=scale * self.view.null.residual)
+
+
 def refine(
-    effect: SelectedEffect,
+    effects: Sequence[SelectedEffect],
     clean: View,
-    selected: Sequence[SelectedEffect],
+    others: Sequence[SelectedEffect] = (),
     *,
-    finer: int = 0,
     start: View | None = None,
-) -> Refined:
-    """Refine the parameters of an effect beside selected effects by coordinate search.
+) -> tuple[tuple[SelectedEffect, ...], View]:
+    """Refine the free parameters of effects together, beside other effects that stay.
 
-    finer  number of coarse steps to skip, for parameters near the minimum
+    The coefficients of all columns are eliminated (variable projection), and the parameters are
+    searched in units of their step widths, of their logarithm if the width is a factor.
+
     start  a view with similar effects, to start the rounds of ``with_effects``
+
+    Returns the refined effects, and the view with them and the others.
     """
+    names = [(k, name) for k, effect in enumerate(effects) for name in effect.free]
     # further rounds from the start, so that steps can be compared with this view
-    effects = [*selected, effect]
-    best = effect, with_effects(clean, effects, start or with_effects(clean, effects))
-    for fraction in STEP_FRACTIONS[finer:]:
-        for name in effect.free:
-            best = _line_search(best, clean, selected, name, fraction)
-    return best
+    latest = with_effects(clean, [*others, *effects], start)
+    latest = with_effects(clean, [*others, *effects], latest)
+    if not names:
+        return tuple(effects), latest
+
+    def at(steps: Array) -> _Trial:
+        stepped = _stepped(effects, names, steps)
+        view = with_effects(clean, [*others, *stepped], latest) if np.any(steps) else latest
+        return _Trial(clean=clean, effects=(*others, *stepped), count=len(effects), view=view)
+
+    limits = [_steps_to_limits(effects[k], name) for k, name in names]
+    lower, upper = np.array(limits).T
+    minimum = minimise(at, np.zeros(len(names)), (lower, upper), rule=RULE, longest=LONGEST_STEP)
+    return minimum.point.effects[len(others) :], minimum.point.view
 
 
-def refine_together(
-    effects: Sequence[SelectedEffect], clean: View, selected: Sequence[SelectedEffect]
-) -> tuple[list[SelectedEffect], View]:
-    """Refine the parameters of several effects together.
+def parameter_tangents(
+    view: View, clean: View, effects: Sequence[SelectedEffect], *, fixed: int = 0
+) -> Array:
+    """Return the derivatives of the model by the free parameters, (rows, parameters).
 
-    Refining one effect after the other is slow in a curved valley of the error: a limit that was
-    fitted without the lag behind it absorbs a part of the lag. The change of one round is
-    therefore extrapolated to the minimum of a parabola.
+    Per step width, and orthogonal to the columns of the view, whose coefficients are refitted.
 
-    Source: Hooke & Jeeves, J. ACM 8 (1961), the pattern move.
+    view   of the clean view with the effects
+    fixed  number of the first effects whose parameters are not free
     """
-    refined, all_effects = list(effects), [*selected, *effects]
-    view = start = with_effects(clean, all_effects, with_effects(clean, all_effects))
+    tangents = []
     for k, effect in enumerate(effects):
-        remaining = [*selected, *refined[:k], *refined[k + 1 :]]
-        refined[k], view = refine(effect, clean, remaining, finer=1, start=view)
+        if k < fixed:
+            continue
+        others = with_filtered_drive(clean, [*effects[:k], *effects[k + 1 :]])
+        tangents += [parameter_tangent(view, others, effect, name) for name in effect.free]
+    if not tangents:
+        return np.zeros((len(view.response), 0))
+    return view.null.project_out(np.column_stack(tangents))
 
-    def extrapolate(length: float) -> tuple[list[SelectedEffect], View]:
-        """Change the effects further by a multiple of their change in one round."""
-        trial = []
-        for first, second in zip(effects, refined, strict=True):
-            parameters = dict(second.parameters)
-            for name, width in second.free.items():
-                a, b = first.parameters[name], second.parameters[name]
-                value = b * (b / a) ** length if width > 1.0 else b + length * (b - a)
-                parameters[name] = _limited(second, name, value)
-            trial.append(replace(second, parameters=parameters))
-        return trial, with_effects(clean, [*selected, *trial], view)
 
-    doubled = extrapolate(1.0)
-    # the minimum of the parabola through the errors after 0, 1 and 2 rounds, in rounds
-    first_power, power = start.rms**2, view.rms**2
-    curvature = doubled[1].rms ** 2 - 2.0 * power + first_power
-    rounds = MAX_EXTRAPOLATION
-    if curvature > 0.0:
-        slope = power - first_power - 0.5 * curvature
-        rounds = float(np.clip(-slope / curvature, 1.0, MAX_EXTRAPOLATION))
-    candidates = ((refined, view), doubled, extrapolate(rounds - 1.0))
-    return min(candidates, key=lambda result: result[1].rms)
+def parameter_tangent(view: View, others: View, effect: SelectedEffect, name: str) -> Array:
+    """Return the derivative of the model by a parameter at fixed coefficients, (rows,).
+
+    Per step width.
+
+    view    with the effect and others
+    others  the view with the drive filters of the others
+    """
+    nudge = NUDGE if _steps_to_limits(effect, name)[1] > NUDGE else -NUDGE
+    nudged, definition, path = with_step(effect, name, nudge), effect.effect, view.path
+    if definition.drive_filter is not None:
+        tracks = with_filtered_drive(others, [nudged]).tracks
+        change = np.concatenate(
+            [
+                view.nuisance.static_rows(k, view.weight, track.drive) - static[track.rows]
+                for k, (track, static) in enumerate(zip(tracks, view.unfiltered, strict=True))
+            ]
+        )
+    elif path is not None and definition.name in {**path.filters, **path.modes}:
+        replaced = {definition.name: linear_filter(nudged)}
+        nudged_path = (
+            replace(path, filters={**path.filters, **replaced})
+            if definition.name in path.filters
+            else replace(path, modes={**path.modes, **replaced})
+        )
+        change = np.concatenate(
+            [
+                (nudged_path.moved(static, track.rate_Hz) - path.moved(static, track.rate_Hz))[
+                    track.rows
+                ]
+                for static, track in zip(view.unfiltered, view.tracks, strict=True)
+            ]
+        )
+    else:
+        assert definition.columns is not None
+        place = view.coefficients_of[definition.name]
+        first = view.nuisance.columns.shape[1] + place.start
+        coefficient = view.null.coefficients[first : first + place.stop - place.start]
+        own = slice(0, definition.columns(view, effect.parameters).shape[1])
+        difference = definition.columns(view, nudged.parameters) - definition.columns(
+            view, effect.parameters
+        )
+        change = difference @ coefficient[own]
+    return np.asarray(change / nudge)
+
+
+def with_parameter_tangents(
+    view: View, clean: View, effects: Sequence[SelectedEffect], *, fixed: int = 0
+) -> View:
+    """Return the view in which the free parameters of its effects may change a little.
+
+    Tested on it, another effect gains only what no change of these parameters explains, and its
+    coefficient is that with all of them refitted.
+    """
+    tangents = parameter_tangents(view, clean, effects, fixed=fixed)
+    count = tangents.shape[1]
+    return replace(
+        view,
+        selected=np.hstack([tangents, view.selected]),
+        coefficients_of={
+            name: slice(place.start + count, place.stop + count)
+            for name, place in view.coefficients_of.items()
+        },
+    )
+
+
+def _stepped(
+    effects: Sequence[SelectedEffect], names: Sequence[tuple[int, str]], steps: Array
+) -> tuple[SelectedEffect, ...]:
+    stepped = list(effects)
+    for (k, name), step in zip(names, steps.tolist(), strict=True):
+        stepped[k] = with_step(stepped[k], name, step)
+    return tuple(stepped)
+
+
+def _steps_to_limits(effect: SelectedEffect, name: str) -> tuple[float, float]:
+    """Return the limits of a parameter in steps from its value, <= 0 and >= 0."""
+    width, value = effect.free[name], effect.parameters[name]
+    low, high = effect.limits.get(name, (-np.inf, np.inf))
+    if width > 1.0:
+        low, high = np.log(np.maximum((low, high), 1e-300) / value) / np.log(width)
+    else:
+        low, high = ((limit - value) / width for limit in (low, high))
+    return min(low, 0.0), max(high, 0.0)
 
 
 def with_step(effect: SelectedEffect, name: str, step: float) -> SelectedEffect:
@@ -291,32 +433,3 @@ def with_step(effect: SelectedEffect, name: str, step: float) -> SelectedEffect:
 def _limited(effect: SelectedEffect, name: str, value: float) -> float:
     low, high = effect.limits.get(name, (-float("inf"), float("inf")))
     return min(max(value, low), high)
-
-
-def _line_search(
-    best: Refined, clean: View, selected: Sequence[SelectedEffect], name: str, fraction: float
-) -> Refined:
-    """Step in the direction that reduces the error, else to the vertex of a parabola."""
-
-    def trial(origin: Refined, step: float) -> Refined:
-        effect = with_step(origin[0], name, step)
-        return effect, with_effects(clean, [*selected, effect], origin[1])
-
-    errors = []
-    for step in (fraction, -fraction):
-        result = trial(best, step)
-        errors.append(result[1].rms)
-        if result[1].rms >= best[1].rms * (1.0 - MIN_GAIN):
-            continue
-        for _ in range(MAX_STEPS):
-            next_result = trial(result, step)
-            if next_result[1].rms >= result[1].rms * (1.0 - MIN_GAIN):
-                break
-            result = next_result
-        return result
-    curvature = errors[0] + errors[1] - 2.0 * best[1].rms
-    vertex = 0.5 * fraction * (errors[1] - errors[0]) / curvature if curvature > 0.0 else 0.0
-    vertex = min(max(vertex, -fraction), fraction)  # far away if the errors are nearly equal
-    if abs(vertex) <= MIN_VERTEX * fraction:
-        return best
-    return min(best, trial(best, vertex), key=lambda result: result[1].rms)

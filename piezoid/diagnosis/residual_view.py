@@ -3,8 +3,8 @@
 Effects are tested on the static response of the fit at all samples and on its residual at rows.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import sqrt
 
 import numpy as np
@@ -20,7 +20,40 @@ from piezoid.records.sample_statistics import step_size
 
 PAST_RATE_Hz = 1e-9  # sampling rate of turning points before a recording: no limit acts on them
 MAX_DEVIATION = 0.5  # of the share from 1: halfway to a drive that is held
+LinearFilter = Callable[[Array, float], Array]
+"""(signal, rate_Hz) -> filtered signal, of the same shape: (samples,) or (samples, columns)"""
 DIGITS = 9  # of half the stroke: steps of a converter are equal up to rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearPath:
+    """Selected filters and modes behind the hysteresis.
+
+        z = F x + sum_j s_j (M_j F x - F x)
+
+    filters  F in their order, by the name of their effect
+    modes    M_j
+    shares   s_j, of the motion that takes part in each mode
+    """
+
+    filters: Mapping[str, LinearFilter]
+    modes: Mapping[str, LinearFilter]
+    shares: Mapping[str, float]
+
+    def filtered(self, signal: Array, rate_Hz: float) -> Array:
+        """Return a signal behind the filters."""
+        for filter_ in self.filters.values():
+            signal = filter_(signal, rate_Hz)
+        return signal
+
+    def moved(self, signal: Array, rate_Hz: float) -> Array:
+        """Return a signal behind filters and modes, (samples,) or (samples, columns)."""
+        filtered = self.filtered(signal, rate_Hz)
+        moved = filtered
+        for name, mode in self.modes.items():
+            if self.shares[name]:
+                moved = moved + self.shares[name] * (mode(filtered, rate_Hz) - filtered)
+        return moved
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,7 +61,9 @@ class View:
     """Tracks with their nuisance class and the selected effects.
 
     selected         (rows, columns)  of selected effects, part of the null
-    offset           (rows,)          change of the response by selected filters
+    path             selected filters and modes, behind which the columns of the nuisance class
+                     are fitted; None if there are none
+    coefficients_of  columns of each selected effect in ``selected``
     sensor_columns   number of the last selected columns that are errors of the reading: the stage
                      does not move by them
     half_stroke_m    half the range of the displacement: 1 in scaled units
@@ -43,10 +78,11 @@ class View:
 
     nuisance: NuisanceClass
     selected: Array
-    offset: Array
     half_stroke_m: float
     voltage_V: float
     rest_drive: float
+    path: LinearPath | None = None
+    coefficients_of: Mapping[str, slice] = field(default_factory=dict)
     sensor_columns: int = 0
     static_override: tuple[Array, ...] | None = None
     continuous: tuple[tuple[Array, Array], ...] = ()
@@ -65,7 +101,21 @@ class View:
     @Once
     def response(self) -> Array:
         """Return the measured response at the rows, without the selected filters."""
-        return np.concatenate([t.response[t.rows] for t in self.tracks]) - self.offset
+        return self.rows([t.response for t in self.tracks]) - self.offset
+
+    @Once
+    def offset(self) -> Array:
+        """Return the change of a fixed static response by the selected filters, (rows,)."""
+        if self.path is None or self.static_override is None:
+            return np.zeros(self.nuisance.edges[-1])
+        return self.rows(self.static) - self.rows(self.unfiltered)
+
+    @Once
+    def columns(self) -> Array:
+        """Return the columns of the nuisance class, behind the selected filters and modes."""
+        if self.path is None or self.static_override is not None:
+            return self.nuisance.columns
+        return self.nuisance.columns_behind(self.path.moved)
 
     @Once
     def block(self) -> Places:
@@ -76,11 +126,11 @@ class View:
     def null(self) -> Null:
         """Return the null hypothesis: the nuisance class and all selected effects."""
         return Null(
-            columns=self.nuisance.columns,
+            columns=self.columns,
             response=self.response,
             block=self.block,
             extra=self.selected if self.selected.shape[1] else None,
-            column_gram=self.nuisance.gram,
+            column_gram=self.nuisance.gram if self.columns is self.nuisance.columns else None,
         )
 
     @Once
@@ -89,11 +139,23 @@ class View:
         return self.null.coefficients[: self.nuisance.shared]
 
     @Once
-    def static(self) -> tuple[Array, ...]:
-        """Return the static response of every track at every sample, without the track's zero."""
+    def unfiltered(self) -> tuple[Array, ...]:
+        """Return the static response of every track in front of the selected filters."""
         if self.static_override is not None:
             return self.static_override
         return tuple(self.nuisance.static(k, self.weight) for k in range(len(self.tracks)))
+
+    @Once
+    def static(self) -> tuple[Array, ...]:
+        """Return the static response of every track at every sample, without the track's zero.
+
+        Behind the selected filters: these are linear, so that a mode in front of a delay moves as
+        one that is driven by the delayed response.
+        """
+        if self.path is None:
+            return self.unfiltered
+        pairs = zip(self.unfiltered, self.tracks, strict=True)
+        return tuple(self.path.filtered(static, track.rate_Hz) for static, track in pairs)
 
     @Once
     def motion(self) -> tuple[Array, ...]:
@@ -103,12 +165,16 @@ class View:
         """
         count = self.selected.shape[1] - self.sensor_columns
         coefficients = self.null.coefficients[self.nuisance.columns.shape[1] :]
-        added = self.offset + self.selected[:, :count] @ coefficients[:count]
+        added = self.selected[:, :count] @ coefficients[:count]
+        moved = self.static
+        if self.path is not None:
+            pairs = zip(self.unfiltered, self.tracks, strict=True)
+            moved = tuple(self.path.moved(static, track.rate_Hz) for static, track in pairs)
         if not np.any(added):
-            return self.static
+            return moved
         return tuple(
             static + np.interp(np.arange(len(static)), track.rows, added[self.track_rows(k)])
-            for k, (track, static) in enumerate(zip(self.tracks, self.static, strict=True))
+            for k, (track, static) in enumerate(zip(self.tracks, moved, strict=True))
         )
 
     @property
@@ -173,7 +239,6 @@ def view_of(
     return View(
         nuisance=nuisance,
         selected=np.zeros((rows, 0)),
-        offset=np.zeros(rows),
         half_stroke_m=half_stroke_m,
         voltage_V=voltage_V,
         rest_drive=rest_drive,
@@ -238,7 +303,7 @@ def has_continuous_drive(view: View, continuous: View | None = None) -> bool:
         return False
     tracks = (continuous or with_continuous_drive(view)).tracks
     changes = [
-        view.nuisance.static_rows(k, view.weight, track.drive) - view.static[k][track.rows]
+        view.nuisance.static_rows(k, view.weight, track.drive) - view.unfiltered[k][track.rows]
         for k, track in enumerate(tracks)
     ]
     change = np.concatenate(changes)[:, None]
@@ -282,7 +347,8 @@ def with_tracks(view: View, tracks: Sequence[Track]) -> View:
         view,
         nuisance=nuisance,
         selected=np.zeros((rows, 0)),
-        offset=np.zeros(rows),
+        path=None,
+        coefficients_of={},
         sensor_columns=0,
         static_override=None,
     )

@@ -42,7 +42,13 @@ from piezoid.diagnosis.nuisance_search import (
     with_individual_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.refinement import SelectedEffect, initial_guess, refine, with_effects
+from piezoid.diagnosis.refinement import (
+    SelectedEffect,
+    initial_guess,
+    refine,
+    with_effects,
+    with_parameter_tangents,
+)
 from piezoid.diagnosis.residual_structure import SearchResult, locate_structure
 from piezoid.diagnosis.residual_view import (
     View,
@@ -287,8 +293,8 @@ def compare_models(
                 if step_responses is not None:
                     view = step_responses
                     remaining = [e for e in remaining if e.effect.drive_filter is None]
-            refined, with_effect = refine(effect, view, remaining, finer=1)
-            without = with_effects(view, remaining)
+            (refined,), with_effect = refine([effect], view, remaining)
+            without = with_parameter_tangents(with_effects(view, remaining), view, remaining)
             test = score_test(effect.effect, without)
             assert test is not None
             candidate = evaluate(refined, with_effect, without, test=test)
@@ -321,7 +327,7 @@ def _find_confounded(
         if test.separable and not test.physical:
             return None
         guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
-        refined, view = refine(guess, clean, remaining, finer=1)
+        (refined,), view = refine([guess], clean, remaining)
         return evaluate(refined, view, without, test=test)
 
     alternatives = executor.map(

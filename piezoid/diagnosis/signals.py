@@ -70,6 +70,7 @@ def delay_trials(
     view: View, response_filter: Filter, parameters: Sequence[tuple[str, float]]
 ) -> list[Trial]:
     """Return trials of a filter that delays by one parameter, each with its name and value."""
+    view = replace(view, static_override=view.motion, path=None)
     return [
         Trial(
             columns=filtered_change(view, response_filter, {name: value}),
@@ -96,7 +97,7 @@ def drive_change(view: View, drive_filter: Filter, parameters: Parameters) -> Ar
             changes.append(np.zeros(len(track.rows)))
             continue
         response = view.nuisance.static_rows(k, view.weight, track.read(command))
-        changes.append(response - view.static[k][track.rows])
+        changes.append(response - view.unfiltered[k][track.rows])
     return np.concatenate(changes)[:, None]
 
 

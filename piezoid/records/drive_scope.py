@@ -19,7 +19,7 @@ MIN_SPAN = 0.02  # half ranges: a smaller branch is noise
 LARGE = 0.2  # of the largest span: a branch that shows a loop
 SMALL = 0.02  # of the largest span: a smaller branch is no reversal
 ONE_LOOP = 3  # branches: from the middle up, down and back
-SIMILAR_SPANS = 1.5  # largest ratio of spans at which the speeds of two branches are compared
+SIMILAR_SPANS = 1.5  # largest ratio of the span of a fast branch to that of a slow one
 MIN_SPEED_RATIO = 2.0  # doubles the loop width caused by a lag, beyond any uncertainty
 MIN_SPEED = 0.1  # of the mean speed: a drive that is slower for half of the time rests
 MIN_PATH = 0.5  # of the path of a sweep, in its large branches
@@ -35,7 +35,9 @@ class DriveScope:
 
     branches    number of large branches
     recordings  number of recordings
-    speeds      ratio of the fastest to the slowest among similar branches of one direction
+    speeds      ratio of the speed of a branch to that of a slower one of the same direction that
+                is not clearly smaller: a smaller loop is narrower by hysteresis, and wider by a
+                lag if it is faster
     amplitudes  ratio of the largest span to the smallest between two reversals
     """
 
@@ -91,21 +93,16 @@ def drive_scope(drives: Iterable[tuple[int, Array, float]]) -> DriveScope:
             speeds.append(0.8 * abs(span) / moving_s)
             is_whole.append(first > 0 and stop < len(drive) - 1)
     size, speed = np.abs(spans), np.array(speeds)
-    is_large = size > LARGE * size.max(initial=0.0)
-    speed_ratio = 1.0  # of two large branches of one direction and similar span
+    speed_ratio = 1.0
     for sign in (1.0, -1.0):
-        branch = np.flatnonzero(is_large & (sign * np.array(spans) > 0.0))
-        branch = branch[np.argsort(size[branch], kind="stable")]
-        first = 0
-        for stop in range(len(branch)):
-            while size[branch[stop]] > SIMILAR_SPANS * size[branch[first]]:
-                first += 1
-            similar = speed[branch[first : stop + 1]]
-            speed_ratio = max(speed_ratio, float(similar.max() / similar.min()))
+        branch = np.flatnonzero(sign * np.array(spans) > 0.0)
+        for span, fast in zip(size[branch], speed[branch], strict=True):
+            slowest = speed[branch[SIMILAR_SPANS * size[branch] >= span]].min()
+            speed_ratio = max(speed_ratio, float(fast / slowest))
     complete = size[is_whole] if any(is_whole) else size
     complete = complete[complete > SMALL * size.max(initial=0.0)]
     return DriveScope(
-        branches=int(is_large.sum()),
+        branches=int((size > LARGE * size.max(initial=0.0)).sum()),
         recordings=len(numbers),
         speeds=speed_ratio,
         amplitudes=float(complete.max() / complete.min()) if len(complete) else 1.0,

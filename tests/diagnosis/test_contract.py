@@ -35,9 +35,8 @@ def reason_against(effect: Effect, view) -> str:
     if effect.structural is not None:
         _, candidate = structural_candidate(effect, view)
     else:
-        selected, refitted = refine(
-            initial_guess(effect, test.trial, float(test.cv.coefficient[0])), view, []
-        )
+        guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
+        (selected,), refitted = refine([guess], view)
         candidate = evaluate(selected, refitted, view, test=test)
     if candidate.is_significant:
         return ""

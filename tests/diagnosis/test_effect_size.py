@@ -48,7 +48,7 @@ def refitted(effect: Effect, view: View) -> tuple[ScoreTest, Candidate]:
     test = score_test(effect, view)
     assert test is not None
     start = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
-    selected, refitted_view = refine(start, view, [])
+    (selected,), refitted_view = refine([start], view)
     return test, evaluate(selected, refitted_view, view, test=test)
 
 
@@ -192,7 +192,6 @@ def test_the_motion_is_the_response_of_the_model_without_zeros():
         SelectedEffect(effect=cross_coupling.EFFECT, parameters={}),
     ]
     with_both = with_effects(view, effects)
-    assert np.ptp(with_both.offset) > 0.01
     for k, track in enumerate(with_both.tracks):
         residual = with_both.null.residual[with_both.track_rows(k)]
         zero = track.response[track.rows] - residual - with_both.motion[k][track.rows]

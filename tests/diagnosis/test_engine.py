@@ -18,7 +18,6 @@ from piezoid.diagnosis.refinement import (
     SelectedEffect,
     initial_guess,
     refine,
-    refine_together,
     with_effects,
 )
 from piezoid.diagnosis.residual_view import View, with_cycled_drives
@@ -102,12 +101,13 @@ def test_a_delay_in_one_recording_is_not_a_delay_of_the_stage():
     ]
     view = view_of_recordings(tuple(delayed_rates), lab)
     test = score_test(delay.EFFECT, view)
-    selected, refitted = refine(initial_guess(delay.EFFECT, test.trial, 1.0), view, [])
+    (selected,), refitted = refine([initial_guess(delay.EFFECT, test.trial, 1.0)], view)
     assert not is_consistent(selected, refitted)
     start = SelectedEffect(
         effect=delay.EFFECT, parameters={"delay_s": DELAY_s}, free={"delay_s": 1.5}
     )
-    assert is_consistent(*refine(start, delayed_view(), []))
+    (selected,), refitted = refine([start], delayed_view())
+    assert is_consistent(selected, refitted)
 
 
 def test_a_slew_limit_and_a_lag_are_refined_together():
@@ -119,9 +119,9 @@ def test_a_slew_limit_and_a_lag_are_refined_together():
     for effect in (slew_limit.EFFECT, lag.EFFECT):
         test = score_test(effect, view)
         guess = initial_guess(effect, test.trial, float(test.cv.coefficient[0]))
-        refined, view = refine(guess, clean, selected)
+        (refined,), view = refine([guess], clean, selected)
         selected.append(refined)
-    joint, joint_view = refine_together(selected, clean, [])
+    joint, joint_view = refine(selected, clean)
     expected_s = float(numbers["lag"]["time_constant_s"])
     sequential_s, joint_s = (pair[1].parameters["time_s"] for pair in (selected, joint))
     assert abs(joint_s / expected_s - 1.0) < 0.5 * abs(sequential_s / expected_s - 1.0)

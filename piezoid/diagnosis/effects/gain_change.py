@@ -105,7 +105,7 @@ def _gains(view: View) -> Array:
     """Return the columns of one constant gain for each track but the first."""
     later = list(enumerate(view.tracks))[1:]
     columns = [view.track_column(k, view.static[k][track.rows]) for k, track in later]
-    return np.column_stack([np.zeros((len(view.offset), 0)), *columns])
+    return np.column_stack([np.zeros((len(view.response), 0)), *columns])
 
 
 def _step_powers(view: View, null: Null, k: int, duration: float = 0.0) -> tuple[Array, Array]:

@@ -33,6 +33,7 @@ from piezoid.diagnosis.signals import filtered_change, mode, with_extension
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.linear_mode import FixedMode, LinearMode
 from piezoid.numerics.arrays import Array
+from piezoid.operators.filters import each_column
 from piezoid.records.recording import Recording
 
 SHARES = (0.01, 1.6)  # physically possible coefficients
@@ -48,11 +49,13 @@ MIN_RATE_Hz = 200.0
 PLANNED_QUALITY = 20.0
 
 
-def _columns(view: View, parameters: Parameters) -> Array:
+def _mode(signal: Array, rate_Hz: float, parameters: Parameters) -> Array:
     frequency_Hz, quality = parameters["frequency_Hz"], parameters["quality"]
-    return filtered_change(
-        view, lambda static, rate_Hz, _: mode(static, frequency_Hz, quality, rate_Hz), parameters
-    )
+    return each_column(lambda column: mode(column, frequency_Hz, quality, rate_Hz), signal)
+
+
+def _columns(view: View, parameters: Parameters) -> Array:
+    return filtered_change(view, _mode, parameters)
 
 
 def _trials(view: View) -> list[Trial]:
@@ -146,6 +149,7 @@ EFFECT = Effect(
     ),
     trials=_trials,
     columns=_columns,
+    mode_filter=_mode,
     size=lambda _, parameters, __: parameters["frequency_Hz"],
     may_be_absorbed=True,
     inject=inject,

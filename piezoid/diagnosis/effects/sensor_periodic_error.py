@@ -37,7 +37,7 @@ from piezoid.identification.extensions.periodic_error import PeriodicError, Phas
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
-MIN_PERIODS, MAX_PERIODS = 6.0, 420.0  # in the stroke
+MAX_PERIODS = 420.0  # in the stroke
 STEP = 0.1  # periods in the stroke
 CELLS = 16_384  # of the range, for its spectrum
 RANGE = 4.0  # half strokes: more than any track has
@@ -127,7 +127,6 @@ def _trials(view: View) -> list[Trial]:
         is_resolved = np.ptp(position) * frequencies / 2.0 > PERIODS_IN_TRACK
         is_large = 2.0 * wave / rows > lattice_step(track.measured) / 2.0
         power += np.where(is_resolved & is_large, wave**2 / rows, 0.0)
-    power = np.where(frequencies < MIN_PERIODS, 0.0, power)
     if not np.any(power > 0.0):
         return []
     best = float(frequencies[int(np.argmax(power))])
