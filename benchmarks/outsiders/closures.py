@@ -23,6 +23,7 @@ from shutil import rmtree
 
 import numpy as np
 
+from benchmarks.outsiders.causes import FAIR as FAIR_OF_CEDAR
 from benchmarks.soak import ALWAYS_ALLOWED, fit, is_budget_right
 
 GROUPS = {"healthy": 0, "single": 1, "pair": 2, "triple": 3, "outside": 1}
@@ -93,7 +94,7 @@ def evaluate(task: tuple[str, int], *, simulator: str, first: int, size: float) 
     steps_m = [effect.get("parameters", {}).get("step_m", 0.0) for effect in truth["effects"]]
     noise_m = float(np.linalg.norm([truth["noise_m"], *np.array(steps_m) / np.sqrt(12.0)]))
     names = tuple(finding["effect"] for finding in record["findings"])
-    declared = getattr(campaigns, "FAIR", {})  # the author of cedar declared none in the program
+    declared = getattr(campaigns, "FAIR", FAIR_OF_CEDAR)
     fair = {kind: {kind, *declared.get(kind, ())} for kind in kinds}
     coordinates = [f["coordinate"] for f in record["findings"] if f.get("coordinate")]
     expected = {k: np.atleast_1d(campaigns.kinds()[k]["coordinate"] or "") for k in kinds}

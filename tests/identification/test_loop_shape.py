@@ -320,8 +320,8 @@ def test_a_hum_with_harmonics_is_fitted_to_a_subset_of_rows(monkeypatch):
     assert np.sqrt(np.nanmean(error_m**2)) < 1.2 * NOISE_M
 
 
-@pytest.mark.parametrize(("noise_factor", "is_left"), [(1.0, True), (30.0, False)])
-def test_a_step_of_the_zero_is_left_in_the_residual_only_above_the_noise(noise_factor, is_left):
+@pytest.mark.parametrize(("noise_factor", "least", "most"), [(1.0, 0.8, 1.2), (30.0, 0.0, 0.5)])
+def test_a_step_of_the_zero_remains_in_the_residual_above_the_noise(noise_factor, least, most):
     step_m = 5e-7
     cycles = np.concatenate([np.ones(4), np.linspace(1.0, 0.3, 8)])
     field = path_through(np.append(np.repeat(cycles, 2) * np.tile([-1.0, 1.0], 12), -1.0))
@@ -338,7 +338,7 @@ def test_a_step_of_the_zero_is_left_in_the_residual_only_above_the_noise(noise_f
     assert axis.loop_shape is not None
     error_m = recording.displacement_m("x") - simulate_recording(axis, recording)
     jump_m = np.mean(error_m[middle : middle + 300]) - np.mean(error_m[middle - 300 : middle])
-    assert (jump_m == pytest.approx(step_m, rel=0.2)) == is_left
+    assert least < jump_m / step_m < most  # the loop shape contains the rest
 
 
 def test_the_in_sample_error_decides_for_a_single_loop():
